@@ -457,7 +457,7 @@ def _of_group(parts: Sequence[_Regression], stack: Stack, determined: Array) -> 
 
 def _shares(
     parts: Sequence[_Regression], residuals: tuple[Array, Array], outputs: Outputs
-) -> tuple[float, float]:
+) -> Sequence[float]:
     """Return the shares of the squares of the outputs that the model and noise leave."""
     measured = np.vstack([part.measured for part in parts])
     # Perhaps only one of the outputs of a record follows a missing term.
@@ -465,8 +465,7 @@ def _shares(
         [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in residuals]
         for rows in [*map(np.concatenate, outputs)] or [...]
     ]
-    left, noise = max(shares, key=lambda pair: pair[0] - pair[1])
-    return left, noise
+    return max(shares, key=lambda pair: pair[0] - pair[1])
 
 
 def _shape(

@@ -183,10 +183,9 @@ TEXTS = {
 # Time constants of lags and delays, over the rms of an input over that of its rate. The first one
 # is less than a sample: the effect of the rate alone, which a delay of any size has.
 TIMES = (0.001, 0.3, 1.0, 3.0)
-LEVELS = (0.1, 0.2, 0.4, 0.7)  # of saturations, dead zones and backlash, over the largest input
-# Of rate limits, over the mean rate of an input: the rms of the rates of steps grows with the rate
-# of the samples.
-RATES = (0.3, 0.6, 1.2, 2.5, 5.0)
+# Of saturations, dead zones and backlash, over the largest input; and of rate limits, over the rate
+# that is as many times the rms of the rates.
+LEVELS = (0.2, 0.4, 0.7)
 # Share of half a step by which a delay that is due to a hold may differ from it. Its size is that
 # of first order: 3 to 9 % too large with square waves, steps and sweeps, and half as much again
 # where a fitted lag of few steps has taken a part of the delay. Both cures are named.
@@ -369,8 +368,7 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
 
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
     """Yield what delays of a signal change, and their sizes."""
-    rate = record.by_stretch(_backward, row)
-    for T in np.std(row) / (np.std(rate) + 1e-300) * np.array(TIMES):
+    for T in np.std(row) / (np.std(record.by_stretch(_backward, row)) + 1e-300) * np.array(TIMES):
         yield record.by_stretch(_delayed, row, T) - row, T
 
 
@@ -391,8 +389,8 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     for row, T in _delays(record, u):
         yield term("timing", row, scale=T)
         # Of a shorter lag, a sample would show a rounding error.
-        if T > step / 9:
-            decay = float(np.exp(-step / T))  # of a lag; the input itself is taken off
+        if step < 9 * T:
+            decay = np.exp(-step / T)  # of a lag; the input itself is taken off
             lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])
             yield term("lag", lagged, scale=T)
     # From a few periods in the record to three samples in a radian.
@@ -404,9 +402,11 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
         # Lines through the samples of a sine are smaller by (ωh)²/12, for steps h.
         yield term("between", record.by_stretch(_filtered, u, np.array([-1.0, 2, -1]) / 12, [1.0]))
     about = u - (middle := float(np.median(u)))
-    for level in np.abs(record.by_stretch(_backward, u)).mean() * np.array(RATES):
-        yield term("rate", record.by_stretch(_followed, u, level * step, True), level)
+    speed = np.std(record.by_stretch(_backward, u)) / np.std(u)
     for level in np.abs(about).max() * np.array(LEVELS):
+        yield term(
+            "rate", record.by_stretch(_followed, u, level * speed * step, True), level * speed
+        )
         yield term("play", record.by_stretch(_followed, u, level / 2, False), level)
         yield term("curve", np.clip(about, -level, level), level)
         yield term("side", np.maximum(about, level), middle + level)
@@ -478,7 +478,7 @@ def _formula(form: Callable[..., Any], *names: str) -> Formula:
 def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:
     """Return functions of a signal (samples,), also of its symbol, by their code."""
     # Where the model is wrong, its signal crosses zero too early or too late, or creeps.
-    creep = CREEP * float(np.abs(row).max() + 1e-300)
+    creep = CREEP * np.abs(row).max() + 1e-300
     return {
         name: lambda a: a,
         f"abs({name}) * {name}": lambda a: abs(a) * a,
@@ -544,7 +544,7 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
 
     moved = np.convolve(piece - piece[0], b)[: len(piece)]
     bands = np.repeat(np.array(a)[:, None], len(piece), axis=1)
-    tbsv = get_blas_funcs("tbsv", (bands,))
+    (tbsv,) = get_blas_funcs(("tbsv",), (bands,))
     return np.asarray(tbsv(len(a) - 1, bands, moved, lower=1))
 
 

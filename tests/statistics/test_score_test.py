@@ -34,7 +34,7 @@ def test_white_errors_and_larger_ones_at_the_end_are_weighted_least_squares():
     term = np.random.default_rng(1).normal(size=(40, 1))
     squares, scores, remaining = correlated_fits([(residuals, columns, lengths)], term)
     logs = []
-    for kind, size in ((0, np.ones(40)), (-1, np.where(np.arange(40) % 20 < 18, 1.0, 7.0))):
+    for kind, size in ((0, np.ones(40)), (-1, np.where(np.arange(40) % 20 < 18, 1.0, 50**0.5))):
         basis = np.linalg.qr(columns)[0]
         weighted = np.hstack([basis, term]) / size[:, None]
         y = residuals[:, 0] / size
