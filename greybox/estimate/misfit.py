@@ -115,15 +115,11 @@ class Cause:
     )
 
     @property
-    def explained(self) -> str:
-        """What the term is, with the share of the misfit that it explains, and its test."""
-        return f"{self.text} ({percent(self.share)} % of the misfit, {_chance(self.p_value)})"
-
-    @property
     def remedy(self) -> str:
-        """The term, how the model gets it, and what it cannot be told apart from."""
+        """The term with its test, how the model gets it, and what it cannot be told apart from."""
+        test = f"({percent(self.share)} % of the misfit, {_chance(self.p_value)})"
         also = f"; hardly distinct from {some(self.alike)}" if self.alike else ""
-        return f"to add: {self.explained}{': ' * bool(self.code)}{self.code}{also}"
+        return f"to add: {self.text} {test}{': ' * bool(self.code)}{self.code}{also}"
 
 
 @dataclass(frozen=True)
@@ -192,7 +188,7 @@ class Misfit(Printed):
     def p_value(self) -> float:
         """Probability of such residuals if the model explains the data."""
         # Several responses test two hypotheses: common values, and missing terms.
-        tests = 2 if self.p_common < 1 else 1
+        tests = 1 + (self.p_common < 1)
         return min(
             tests * min([self.p_common, *(cause.p_correlated for cause in self.causes)]), 1.0
         )
@@ -467,16 +463,15 @@ def _of_group(parts: Sequence[_Regression], stack: Stack, determined: Array) -> 
 
 def _shares(
     parts: Sequence[_Regression], residuals: tuple[Array, Array], outputs: Outputs
-) -> tuple[float, float]:
+) -> Sequence[float]:
     """Return the shares of the squares of the outputs that the model and noise leave."""
     measured = np.vstack([part.measured for part in parts])
     # Perhaps only one of the outputs of a record follows a missing term.
     shares = [
         [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in residuals]
-        for rows in [np.concatenate(stretches) for stretches in outputs] or [...]
+        for rows in [*map(np.concatenate, outputs)] or [...]
     ]
-    left, noise = max(shares, key=lambda pair: pair[0] - pair[1])
-    return left, noise
+    return max(shares, key=lambda pair: pair[0] - pair[1])
 
 
 def _shape(

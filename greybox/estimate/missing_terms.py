@@ -180,8 +180,9 @@ TEXTS = {
     ),
 }
 
-# Time constants of lags and delays, over the rms of an input over that of its rate.
-TIMES = (0.3, 1.0, 3.0)
+# Time constants of lags and delays, over the rms of an input over that of its rate. The first one
+# is less than a sample: the effect of the rate alone, which a delay of any size has.
+TIMES = (0.001, 0.3, 1.0, 3.0)
 # Of saturations, dead zones and backlash, over the largest input; and of rate limits, over the rate
 # that is as many times the rms of the rates.
 LEVELS = (0.2, 0.4, 0.7)
@@ -277,9 +278,8 @@ class Term:
             kind = f"negative {kind}"
         *texts, code = TEXTS[kind]
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
-        level = number(self.level, 2)
-        values = {"a": self.a, "b": self.b, "code": self.code}
-        values |= {"level": level, "size": size, "error": deviation}
+        values = {"a": self.a, "b": self.b, "code": self.code, "level": number(self.level, 2)}
+        values |= {"size": size, "error": deviation}
         also = [
             f", and so does the output {name}" + f", {factor:.3g} times" * (f"{factor:.3g}" != "1")
             for name, factor in self.outputs.items()
@@ -297,7 +297,8 @@ def terms_of_record(
     not decide whether the model is wrong.
     """
     part = record.part
-    for j, (u, a) in enumerate(zip(record.inputs, part.system.inputs, strict=True)):
+    inputs = [*zip(record.inputs, part.system.inputs, strict=True)]
+    for j, (u, a) in enumerate(inputs):
         if np.ptp(u) > 0:
             yield from _of_input(record, j, u, a)
 
@@ -305,7 +306,7 @@ def terms_of_record(
         if len(part.outputs) > 1:
             for row, T in _delays(record, y):
                 yield Term("sensor", row, partial(record.by_output, k), b=b, scale=T)
-        for u, a in zip(record.inputs, part.system.inputs, strict=True):
+        for u, a in inputs:
             # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
             yield Term("direct", past, partial(record.by_output, k), a, b)
@@ -343,9 +344,9 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
 
 def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
-    samples = np.linspace(-0.5, 0.5, part.samples)
+    samples, ones = np.linspace(-0.5, 0.5, part.samples), np.ones(part.samples)
     # Among several records, one may need different values.
-    changes = [("change", samples, ""), ("own", np.ones_like(samples), part.name)]
+    changes = [("change", samples, ""), ("own", ones, part.name)]
     changes += [("change", 1.0 * (samples > share), "") for share in JUMPS]
     # A signal that the model does not use, such as an airspeed, may order the flights.
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
@@ -357,20 +358,17 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
         if part.model.parameters[k] in gains:
             continue
         name = part.model.outside_names[k]
-        bound = [("bound", np.ones_like(samples), "")]
-        for kind, row, b in bound if name in at_bound else changes:
+        for kind, row, b in [("bound", ones, "")] if name in at_bound else changes:
             yield Term(kind, row, partial(record.by_parameter, place), name, b)
     for k in range(len(part.system.parameters)):
         if k not in part.model.active:
             by_formulas = partial(record.by_formulas, k)
-            yield Term("fixed", np.ones_like(samples), by_formulas, part.model.outside_names[k])
+            yield Term("fixed", ones, by_formulas, part.model.outside_names[k])
 
 
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
-    """Yield what delays of a signal change, per second for a short one, and their sizes."""
-    rate = record.by_stretch(_backward, row)
-    yield -rate, 1.0
-    for T in float(np.std(row) / max(np.std(rate), 1e-300)) * np.array(TIMES):
+    """Yield what delays of a signal change, and their sizes."""
+    for T in np.std(row) / (np.std(record.by_stretch(_backward, row)) + 1e-300) * np.array(TIMES):
         yield record.by_stretch(_delayed, row, T) - row, T
 
 
@@ -382,14 +380,17 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 
     by_input = partial(record.by_input, j)
 
-    def term(kind: str, row: Array, level: float = 0.0, scale: float = 1.0) -> Term:
-        # Where a gain is nearly zero, only a term longer than the record would explain anything.
+    def term(kind: str, row: Array, level: float = 0.0, scale: float = step) -> Term:
+        # Where a gain is nearly zero, only a time longer than the record would explain anything,
+        # or of terms without a time as large a factor, in samples: not in seconds, which differ
+        # between a valve and a tank.
         return Term(kind, row, by_input, a, "", level, scale, len(u) * step, half_step)
 
     for row, T in _delays(record, u):
         yield term("timing", row, scale=T)
-        if T != 1:
-            decay = float(np.exp(-step / T))  # of a lag; the input itself is taken off
+        # Of a shorter lag, a sample would show a rounding error.
+        if step < 9 * T:
+            decay = np.exp(-step / T)  # of a lag; the input itself is taken off
             lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])
             yield term("lag", lagged, scale=T)
     # From a few periods in the record to three samples in a radian.
@@ -477,7 +478,7 @@ def _formula(form: Callable[..., Any], *names: str) -> Formula:
 def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:
     """Return functions of a signal (samples,), also of its symbol, by their code."""
     # Where the model is wrong, its signal crosses zero too early or too late, or creeps.
-    creep = CREEP * max(float(np.abs(row).max()), 1e-300)
+    creep = CREEP * np.abs(row).max() + 1e-300
     return {
         name: lambda a: a,
         f"abs({name}) * {name}": lambda a: abs(a) * a,

@@ -11,6 +11,7 @@ Cambridge Philosophical Society 44; Breusch and Pagan (1980), The Lagrange multi
 applications to model specification in econometrics, Review of Economic Studies 47.
 """
 
+import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
@@ -32,9 +33,13 @@ TINY = 1e-300
 # points, of which the longest is an error of all points, and variances over that of the white ones.
 LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
 VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
-# Squares of errors of independent points that are larger or smaller beyond a share of the points.
-RATIOS = np.array([0.1, 0.3, 3.0, 10.0])[:, None] ** 2
-SHARES = np.arange(1, 6)[:, None, None] / 6
+# Squares of errors that are smaller or larger in a band of points than elsewhere, by twelfths of
+# these. Without bands in the middle, a third of right models is called wrong where errors grow to
+# both ends; with them, as many wrong models are called wrong.
+RATIOS = np.array([0.02, 50.0])[:, None]
+TWELFTHS = np.arange(12)
+BANDS = itertools.combinations(range(13), 2)
+SIZES = np.vstack([RATIOS ** np.isin(TWELFTHS, range(*band)) for band in BANDS])
 # Powers of frequency by which errors fall: none, then those of a gust through up to two lags.
 POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
 
@@ -72,7 +77,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     remaining = count - basis.shape[1]
     squares = float(residuals @ residuals)
     along = residuals @ terms / length
-    share = np.minimum(along**2 / max(squares, TINY), 1 - 1e-12)
+    share = np.minimum(along**2 / (squares + TINY), 1 - 1e-12)
     tested = (length < np.inf) & (remaining > FEWEST) & (squares > 0)
     error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / length
     p_value = np.where(tested, chance(1 - share, remaining - 1), np.nan)
@@ -83,8 +88,8 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
     """Return what fits leave of residuals, without a term and beside each, for m kinds of errors.
 
     Correlated errors look like a smooth term that is missing, large ones like a local term, and the
-    other way round. So errors may be white, or correlated with white ones beside them, or larger
-    beyond some row, in all blocks alike.
+    other way round. So errors may be white, or correlated with white ones beside them, or larger or
+    smaller in a band of rows than in all others, in all blocks alike.
 
     Parameters
     ----------
@@ -110,13 +115,12 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         values = np.hstack([basis, 0 * residuals, *terms, residuals])
         pieces = np.split(values, np.cumsum(lengths[:-1]))
         waves = np.vstack([np.asarray(dct(piece, axis=0, norm="ortho")) for piece in pieces])
-        kinds = [np.hstack(rows) for rows in zip(*map(_variances, lengths), strict=True)]
-        products = np.array(
-            [
-                (columns.T / row) @ columns
-                for columns, rows in zip((waves, values), kinds, strict=True)
-                for row in rows
-            ]
+        slow = np.hstack([*map(_variances, lengths)])
+        places = np.hstack([(12 * np.arange(n) + 6) // n for n in lengths])
+        # All sizes are the same within a twelfth.
+        sums = (values.T * (places == TWELFTHS[:, None, None])) @ values
+        products = np.vstack(
+            [[(waves.T / row) @ waves for row in slow], np.tensordot(1 / SIZES, sums, 1)]
         )
         # A part that is fitted exactly would leave a negative remainder by rounding.
         products += (ROUNDING * products + TINY) * np.eye(values.shape[1])
@@ -126,7 +130,7 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         rest = products[:, first:, first:] - half.swapaxes(1, 2) @ half
         left = of_diagonal(rest)
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
-        logarithms = _squares_of_lengths(triangles), np.log(np.vstack(kinds))
+        logarithms = _squares_of_lengths(triangles), np.log(np.vstack([slow, SIZES[:, places]]))
         scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)
         most += len(values) - first
 
@@ -150,16 +154,15 @@ def p_values_of_fits(without: Fits, beside: Fits) -> list[float]:
 
 
 @lru_cache(4)  # real and imaginary parts, and mostly all parts, have equal numbers of points
-def _variances(n: int) -> tuple[Array, Array]:
-    """Return the variances of n cosines of errors, white ones first, and those of n errors.
+def _variances(n: int) -> Array:
+    """Return the variances (kinds, n) of n cosines of errors, white ones first.
 
     Cosines are the principal components of a random walk, and of one that returns to its mean.
     """
     rows = np.arange(n) / n
     slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * rows))
     slow /= slow.mean(axis=1, keepdims=True)
-    sizes = np.where(rows < SHARES, 1.0, RATIOS)
-    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)]), np.vstack([*sizes])
+    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)])
 
 
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:

@@ -442,6 +442,17 @@ def test_misfit_is_stored_with_the_fit(plant, tmp_path):
     assert gb.load(tmp_path / "fit.h5").misfit == fit.misfit
 
 
+def test_larger_errors_at_both_ends_are_no_misfit():
+    s, explained = 1j * np.geomspace(0.8, 30, 24), 0
+    for seed in range(8):
+        error = 0.01 * np.random.default_rng(seed).normal(size=(24, 2)) @ [1, 1j]
+        error[[0, 1, 2, -3, -2, -1]] *= 10
+        data = gb.FrequencyResponse(s.imag, 25 / (s**2 + 2 * s + 25) * (1 + error), "u", "y")
+        rule = gb.Problem(Resonance(), data)
+        explained += gb.fit(rule, starts=[{}], progress=False, profiles=False).misfit.explains
+    assert explained == 8
+
+
 class Clipped(Spring):
     """A command that saturates."""
 

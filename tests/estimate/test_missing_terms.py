@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import greybox as gb
 
@@ -63,6 +64,23 @@ class Lag(gb.StateSpace):
 
     def output(self, x, u, p):
         return (x.v,)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_a_dead_zone_has_its_name_in_any_unit_of_the_time(unit):
+    t = 0.05 * np.arange(480)
+    u = np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t)
+    moved = u - np.clip(u, -0.3, 0.3)
+    v = lfilter([0, 1.5 * (1 - np.exp(-0.1))], [1, -np.exp(-0.1)], moved)
+    v += 0.01 * np.random.default_rng(5).normal(size=t.size)
+    record = gb.Record(unit * t, {"u": u, "v": v}, hold={"u": np.inf})
+
+    class Fast(Lag):
+        d = gb.Parameter(2.0 / unit, bounds=(0.1 / unit, 20 / unit))
+        b = gb.Parameter(3.0 / unit, bounds=(0.1 / unit, 20 / unit))
+
+    misfit = gb.fit(gb.Problem(Fast(), record), starts=1, profiles=False).misfit
+    assert misfit.causes[0].text.startswith("a dead zone of u near")
 
 
 def behind_a_rate_limit(position, command):

@@ -22,7 +22,7 @@ def test_parts_with_columns_of_their_own_are_one_block_diagonal_matrix():
         block_diag(*(columns for _, columns, _ in parts)),
         sum((lengths for *_, lengths in parts), ()),
     )
-    # Errors that are larger beyond a row do so in each run of neighbors, in both forms.
+    # Errors that are larger in a band are so in each run of neighbors, in both forms.
     squares, _, remaining = fits = correlated_fits(parts)
     assert squares == pytest.approx(correlated_fits([whole])[0], rel=1e-9)
     assert remaining == 132 - 10
@@ -34,7 +34,7 @@ def test_white_errors_and_larger_ones_at_the_end_are_weighted_least_squares():
     term = np.random.default_rng(1).normal(size=(40, 1))
     squares, scores, remaining = correlated_fits([(residuals, columns, lengths)], term)
     logs = []
-    for kind, size in ((0, np.ones(40)), (-1, np.where(np.arange(40) % 20 < 17, 1.0, 10.0))):
+    for kind, size in ((0, np.ones(40)), (-1, np.where(np.arange(40) % 20 < 18, 1.0, 50**0.5))):
         basis = np.linalg.qr(columns)[0]
         weighted = np.hstack([basis, term]) / size[:, None]
         y = residuals[:, 0] / size
