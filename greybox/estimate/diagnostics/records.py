@@ -85,7 +85,7 @@ def record_warnings(
     alone = len(pairs) == 1
 
     return (
-        *once(_short(nlp, accuracy)),
+        *once(_short(nlp, answer, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
         *(
             ()
@@ -128,20 +128,25 @@ def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
                 )
 
 
-def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
-    """Name records that are too short to show how long their errors stay correlated."""
-    for part, errors in zip(nlp.parts, accuracy.parts, strict=False):
+def _short(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
+    """Name records that are too short to show how long their errors stay correlated.
+
+    White noise of 50 to 150 samples looks so in one of twenty records: a test must reject, too.
+    """
+    outputs = sum(len(part.outputs) for part in nlp.parts_of(RecordPart))
+    for fitted, errors in zip(answer.parts, accuracy.parts, strict=False):
         colored = errors.colored
-        if not isinstance(part, RecordPart) or colored is None or colored.is_long_enough:
+        if not isinstance(fitted, FittedRecord) or colored is None or colored.is_long_enough:
             continue
         slowest = int(np.argmax(colored.correlation_times))
-        time = float(colored.correlation_times[slowest])
-        record = part.model.record
-        place = _place(record, part.problem.name, alone=len(nlp.parts) == 1)
+        time, output = float(colored.correlation_times[slowest]), fitted.outputs[slowest]
+        if _looks_white(fitted, output, outputs):
+            continue
+        place = _place(fitted.data, fitted.name, alone=len(nlp.parts) == 1)
         yield (
-            part.outputs[slowest],
-            record.name or part.problem.name,
-            f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
+            output,
+            fitted.data.name or fitted.name,
+            f"the residuals of {output}{place} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
             f"that, less than {FEWEST_TIMES:g}. The standard errors are rough; use a longer "
             "record.",
@@ -246,6 +251,12 @@ def _by_piece(record: Record, values: Array) -> list[Array]:
     return [values[rows] for rows in record.independent_pieces]
 
 
+def _looks_white(fitted: FittedRecord, output: str, outputs: int) -> bool:
+    """Return whether the residuals of one of so many tested outputs look like white noise."""
+    residuals = _by_piece(fitted.data, fitted.residual(output))
+    return not whiteness(residuals).p_value < FALSE_ALARMS / outputs
+
+
 def biased_by_feedback(
     pairs: Sequence[tuple[RecordPart, FittedRecord]], *, unstable: bool = False
 ) -> Iterator[str]:
@@ -268,11 +279,10 @@ def biased_by_feedback(
         place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
         for output in fitted.outputs:
             e = fitted.residual(output)
-            residuals = _by_piece(fitted.data, e)
             # Rounding follows the inputs in advance, if these repeat.
-            is_white = not whiteness(residuals).p_value < FALSE_ALARMS / outputs
-            if is_white or not is_resolved(e, fitted.data[output]):
+            if _looks_white(fitted, output, outputs) or not is_resolved(e, fitted.data[output]):
                 continue
+            residuals = _by_piece(fitted.data, e)
             responding += [
                 f"{name} to {output}{place}"
                 for name, u in inputs.items()
