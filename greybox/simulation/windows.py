@@ -47,10 +47,16 @@ def require_lengths(**lengths: Any) -> None:
 
 
 def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
-    """Return the longest of `at_least` s, ten samples of the slowest record, and two delays."""
-    slowest = max((record.step for record in records if len(record) > 1), default=0.0)
+    """Return the longest of `at_least` s, ten samples of the slowest record, and two delays.
+
+    Of a record that is shorter than eight times `at_least`, it is an eighth.
+    """
+    timed = [record for record in records if len(record) > 1]
+    slowest = max((record.step for record in timed), default=0.0)
+    # A hydraulic drive is recorded for 0.2 s, in which there is no room for a second.
+    length = min([at_least, *(len(record) * record.step / 8 for record in timed)])
     # Within the longest delay, outputs respond to inputs before the lead-in.
-    return max(at_least, FEWEST * slowest, 2.0 * delay)
+    return max(length, FEWEST * slowest, 2.0 * delay)
 
 
 def seconds(length: float) -> str:

@@ -37,9 +37,10 @@ class AllParts:
         self.groups = Groups(parts)
         self.parts = self.groups.parts
         self.gains = [kalman_gain(part) for part in self.parts]
-        self.has_free_gains = any(
-            gain and np.isin(gain.unknowns, gain.part.model.active).any() for gain in self.gains
-        )
+        gains = [
+            gain.part.model.outside_names[k] for gain in self.gains if gain for k in gain.unknowns
+        ]
+        self.is_gain = np.isin(free, gains)  # or process noise: neither has a scale
         self.samples = sum(part.samples for part in self.parts)
         self.is_discontinuous = np.array(
             [any(name in part.discontinuous_delays for part in parts) for name in free],

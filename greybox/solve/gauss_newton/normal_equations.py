@@ -43,9 +43,9 @@ def gauss_newton_step(
     dz = np.zeros(p)
     distance, penalty = 0.0, progress.constraint_penalty
     if not states_only:
-        # The ridge, far below what data determine, holds parameters that the data do not show. Gains
-        # and process noise are not scaled: a gain of 1e6 Pa per m/s has little information per unit.
-        ridge = 1e-10 / np.maximum(iterate.z**2, 1.0)
+        # The ridge, far below what data determine, holds parameters that the data do not show. A
+        # gain of 1e6 Pa per m/s has little information per unit, and nothing that scales it.
+        ridge = 1e-10 / np.maximum(parts.is_gain * iterate.z**2, 1.0)
         damped = hessian + np.diag(ridge + progress.damping * np.diag(hessian))
         held = parts.is_discontinuous & progress.delays_held
         normals, bounds = parts.limits.linearized(iterate.z, held)
