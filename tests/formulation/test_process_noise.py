@@ -353,3 +353,18 @@ def test_gusts_are_estimated_alike_in_pascal_and_in_bar():
     )
     assert_allclose(in_pascal.cost, in_bar.cost + n * np.log(1e5), atol=1e-5)
     assert_allclose(in_pascal.standard_error["b"], in_bar.standard_error["b"], rtol=1e-3)
+
+
+def test_a_filter_that_cannot_settle_within_a_record_without_gusts_says_that_there_may_be_none():
+    random, n = np.random.default_rng(1), 120
+    u = np.repeat(random.choice([-1.0, 1.0], 8), 15)
+    values = {"k": 20.0, "c": 0.2, "b": 10.0}
+    calm = gb.virtual_flight(
+        Spring(), values, {"F": u}, noise={"x": 0.03, "v": 0.15}, rate=20, seed=3
+    )
+    without, filtered = (
+        fit(gb.Problem(Spring(), calm, rule))
+        for rule in (gb.OutputError(), gb.PredictionError(process_noise=("v",)))
+    )
+    assert filtered.cost > without.cost + 0.1
+    assert "these data show no process noise, or its fit" in str(gb.compare(without, filtered))
