@@ -132,7 +132,7 @@ class Segments:
     def record_rows(self) -> list[slice]:
         """Return the segments of every record."""
         ends = np.cumsum(np.bincount(self.records, minlength=self.number)).tolist()
-        return [slice(first, end) for first, end in itertools.pairwise([0, *ends])]
+        return list(itertools.starmap(slice, itertools.pairwise([0, *ends])))
 
     # --- the order of samples
 

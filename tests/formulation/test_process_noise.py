@@ -356,8 +356,7 @@ def test_gusts_are_estimated_alike_in_pascal_and_in_bar():
 
 
 def test_a_filter_that_cannot_settle_within_a_record_without_gusts_says_that_there_may_be_none():
-    random, n = np.random.default_rng(1), 120
-    u = np.repeat(random.choice([-1.0, 1.0], 8), 15)
+    u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 8), 15)
     values = {"k": 20.0, "c": 0.2, "b": 10.0}
     calm = gb.virtual_flight(
         Spring(), values, {"F": u}, noise={"x": 0.03, "v": 0.15}, rate=20, seed=3

@@ -85,7 +85,7 @@ def record_warnings(
     alone = len(pairs) == 1
 
     return (
-        *once(_short(nlp, answer, accuracy)),
+        *once(_short(answer, accuracy, alone=alone)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
         *(
             ()
@@ -128,12 +128,12 @@ def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
                 )
 
 
-def _short(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
+def _short(answer: Fit, accuracy: Accuracy, *, alone: bool) -> Iterator[Finding]:
     """Name records that are too short to show how long their errors stay correlated.
 
     White noise of 50 to 150 samples looks so in one of twenty records: a test must reject, too.
     """
-    outputs = sum(len(part.outputs) for part in nlp.parts_of(RecordPart))
+    outputs = sum(len(fitted.outputs) for fitted in answer.records)
     for fitted, errors in zip(answer.parts, accuracy.parts, strict=False):
         colored = errors.colored
         if not isinstance(fitted, FittedRecord) or colored is None or colored.is_long_enough:
@@ -142,7 +142,7 @@ def _short(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Fi
         time, output = float(colored.correlation_times[slowest]), fitted.outputs[slowest]
         if _looks_white(fitted, output, outputs):
             continue
-        place = _place(fitted.data, fitted.name, alone=len(nlp.parts) == 1)
+        place = _place(fitted, alone=alone)
         yield (
             output,
             fitted.data.name or fitted.name,
@@ -180,7 +180,7 @@ def unexplained_outputs(
             cure = f", although its noise would allow about {attainable} %: {cure}."
         else:
             continue
-        name = output + _place(fitted.data, fitted.name, alone=alone)
+        name = output + _place(fitted, alone=alone)
         yield (
             f"{output} {kind}",
             fitted.data.name or fitted.name,
@@ -200,14 +200,14 @@ def colored_predictions(
     values = []
     for part, fitted in tested:
         for output in fitted.outputs:
-            errors = _by_piece(fitted.data, fitted.residual(output))
+            errors = _by_piece(fitted, fitted.residual(output))
             # So long a filter leaves gusts of 0.15 to 2 s in the prediction errors. With 8 or 25
             # lags, up to a tenth fewer of these fits are found.
             test = whiteness(errors, 12, fitted.innovation_parameters(output))
             lag = int(np.argmax(np.abs(test.correlations)))
             r = float(test.correlations[lag])
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > NOTICEABLE:
-                place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
+                place = _place(fitted, alone=len(pairs) == 1)
                 after = part.data.stretches[0].step * (lag + 1)
                 values.append(f"{r:.2g} after {after:.2g} s for {output}{place}")
 
@@ -246,14 +246,14 @@ def _in_time(
     return chosen, sum(len(fitted.outputs) for _, fitted in chosen)
 
 
-def _by_piece(record: Record, values: Array) -> list[Array]:
+def _by_piece(fitted: FittedRecord, values: Array) -> list[Array]:
     """Return values (n,) split at gaps: lags across one would compare samples far apart."""
-    return [values[rows] for rows in record.independent_pieces]
+    return [values[rows] for rows in fitted.data.independent_pieces]
 
 
 def _looks_white(fitted: FittedRecord, output: str, outputs: int) -> bool:
     """Return whether the residuals of one of so many tested outputs look like white noise."""
-    residuals = _by_piece(fitted.data, fitted.residual(output))
+    residuals = _by_piece(fitted, fitted.residual(output))
     return not whiteness(residuals).p_value < FALSE_ALARMS / outputs
 
 
@@ -275,14 +275,14 @@ def biased_by_feedback(
     responding = []
 
     for part, fitted in tested:
-        inputs = {name: _by_piece(fitted.data, fitted.data[name]) for name in part.system.inputs}
-        place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
+        inputs = {name: _by_piece(fitted, fitted.data[name]) for name in part.system.inputs}
+        place = _place(fitted, alone=len(pairs) == 1)
         for output in fitted.outputs:
             e = fitted.residual(output)
             # Rounding follows the inputs in advance, if these repeat.
             if _looks_white(fitted, output, outputs) or not is_resolved(e, fitted.data[output]):
                 continue
-            residuals = _by_piece(fitted.data, e)
+            residuals = _by_piece(fitted, e)
             responding += [
                 f"{name} to {output}{place}"
                 for name, u in inputs.items()
@@ -323,9 +323,9 @@ def _bounded(
             )
 
 
-def _place(record: Record, part: str, *, alone: bool) -> str:
+def _place(fitted: FittedRecord, *, alone: bool) -> str:
     """Return which record is meant; nothing where there is only one."""
-    return "" if alone else f" in {record.name or part!r}"
+    return "" if alone else f" in {fitted.data.name or fitted.name!r}"
 
 
 def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:

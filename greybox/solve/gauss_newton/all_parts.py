@@ -42,10 +42,8 @@ class AllParts:
         ]
         self.is_gain = np.isin(free, gains)  # or process noise: neither has a scale
         self.samples = sum(part.samples for part in self.parts)
-        self.is_discontinuous = np.array(
-            [any(name in part.discontinuous_delays for part in parts) for name in free],
-            dtype=bool,
-        )
+        delays = [name for part in parts for name in part.discontinuous_delays]
+        self.is_discontinuous = np.isin(free, delays)
         self.limits = limits
         self.settings = settings
 
@@ -73,9 +71,7 @@ class AllParts:
     def first_progress(self) -> Progress:
         """Return the progress of an iteration with nodes from the data; exact without nodes."""
         with_nodes = [bool(part.gains) for part in self.parts if part.has_nodes]
-        if not with_nodes:
-            return EXACT
-        return relaxed(predicts=all(with_nodes))
+        return relaxed(predicts=all(with_nodes)) if with_nodes else EXACT
 
     # --- judging an iterate
 

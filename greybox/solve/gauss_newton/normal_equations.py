@@ -72,8 +72,7 @@ def gauss_newton_step(
 
         # Penalties only grow: with smaller ones two iterations could undo each other.
         if progress.multipliers:
-            pairs = zip(progress.multipliers, multipliers, strict=True)
-            multipliers = [np.maximum(previous, largest) for previous, largest in pairs]
+            multipliers = list(map(np.maximum, progress.multipliers, multipliers))
     return Step(
         linearizations,
         systems,
