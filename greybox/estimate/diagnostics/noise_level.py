@@ -43,18 +43,15 @@ def _of_response(
     if ratio < 1 and part.data.dof is not None:
         return
 
-    kind, meaning = "too large", "the variances are too large"
+    meaning = "the variances are too large"
     if ratio > 1:
-        kind, meaning = (
-            "incomplete",
-            (
-                "the model is incomplete or the variances are too small; the standard errors use the "
-                "variance of the residuals"
-            ),
+        meaning = (
+            "the model is incomplete or the variances are too small; the standard errors use the "
+            "variance of the residuals"
         )
 
     yield (
-        kind,
+        "incomplete" if ratio > 1 else "too large",
         part.name,
         f"the residuals of {part.name!r} are {ratio:.2g} times as large as the given variances: "
         f"{meaning}.",
