@@ -120,10 +120,7 @@ def _json(result: Identification) -> dict[str, Any]:
             {"what": choice.what, "why": choice.why, "option": f"--{choice.argument}"}
             for choice in result.choices
         ],
-        "measurements": [
-            response_json(recording, measurement)
-            for recording, measurement in zip(result.recordings, result.measurements, strict=True)
-        ],
+        "measurements": list(map(response_json, result.recordings, result.measurements)),
         "through": result.through,
         **(selection_json(result.selection) if result.selection else {"explains": False}),
     }

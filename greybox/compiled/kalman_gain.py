@@ -48,25 +48,36 @@ class KalmanGain:
         as for the unit root of a moving average: Sargan and Bhargava (1983), Econometrica 51(3).
         """
         # Three time constants of the slowest pole.
-        return 1 - 3.0 / max(len(stretch) for stretch in self.part.data.stretches)
+        return 1 - 3.0 / max(map(len, self.part.data.stretches))
 
     def is_stable(self, trajectory: Trajectory, placed: Placed | None = None) -> bool:
-        """Return whether the poles of the mean linearization of a trajectory are within the limit.
+        """Return whether errors of the states fade within the limit, or as those of the model do.
 
-        At its own parameters, or at those `placed` elsewhere.
+        By the poles of the mean linearization of a trajectory, at its own parameters or at those
+        `placed` elsewhere. Without process noise, states that settle slowly need no correction.
         """
-        return spectral_radius(self.error_transition(trajectory, placed)) < self.limit
+        radius = spectral_radius(self.error_transition(trajectory, placed))
+        return radius < self.limit or (
+            radius <= spectral_radius(self.error_transition(trajectory, placed, gain=0)) < 1
+        )
 
     def is_at_limit(self, trajectory: Trajectory) -> bool:
         """Return whether a pole has come to the limit, where the likelihood has no maximum."""
-        distance = 1 - spectral_radius(self.error_transition(trajectory))
+        distance = self.limit - spectral_radius(self.error_transition(trajectory))
         # Steps go at most 0.9 of the way to the limit: two of them come within 0.01.
-        return distance < 1.02 * (1 - self.limit)
+        return abs(distance) < 0.02 * (1 - self.limit)
 
-    def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
-        """Return the transition over a sample for errors of the states that innovations reach."""
+    def error_transition(
+        self, trajectory: Trajectory, placed: Placed | None = None, gain: float = 1.0
+    ) -> Array:
+        """Return the transition over a sample for errors of the states that innovations reach.
+
+        The gain may be a share of its value.
+        """
         at: Placed = placed or trajectory.detail
-        A, _ = self.part.segments.mean_transition(trajectory.states, at.q, at.data)
+        q = at.q.copy()
+        q[self.places] *= gain
+        A, _ = self.part.segments.mean_transition(trajectory.states, q, at.data)
         return self._reached(A)
 
     def pole_derivatives(self, trajectory: Trajectory, z: Array) -> tuple[Array, Array]:

@@ -97,7 +97,7 @@ class SampledData:
 
     def excerpts(self, samples: int) -> "SampledData":
         """Return evenly spaced excerpts with this total number of samples; short data whole."""
-        total = sum(len(stretch) for stretch in self.stretches)
+        total = sum(map(len, self.stretches))
         if total <= samples:
             return self
         pieces = []

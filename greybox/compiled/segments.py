@@ -132,7 +132,7 @@ class Segments:
     def record_rows(self) -> list[slice]:
         """Return the segments of every record."""
         ends = np.cumsum(np.bincount(self.records, minlength=self.number)).tolist()
-        return [slice(first, end) for first, end in itertools.pairwise([0, *ends])]
+        return list(itertools.starmap(slice, itertools.pairwise([0, *ends])))
 
     # --- the order of samples
 
@@ -257,7 +257,7 @@ class Segments:
             pieces.append((ends.transpose(2, 0, 1), H[:, :n].copy()))
             by_parameters += self.by_record(H[:, n:, n:], batch)
 
-        slopes, by_nodes = (np.concatenate(arrays) for arrays in zip(*pieces, strict=True))
+        slopes, by_nodes = map(np.concatenate, zip(*pieces, strict=True))
         return Linearization(
             transition=slopes[:, :, :n],
             parameter_sensitivity=slopes[:, :, n:],
@@ -339,7 +339,7 @@ class Segments:
                     moved.append([end, output])
                 slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
 
-        A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
+        A, C = map(np.concatenate, zip(*slopes, strict=True))
         return A, C
 
     def propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:

@@ -82,7 +82,7 @@ def drawn_parameters(problem: Problem) -> Array:
             name: p.start if k == 0 or p.fixed else p.draw(random)
             for name, p in problem.parameters.items()
         }
-        drawn.append([float(value) for value in problem.local_values(outside).values()])
+        drawn.append(list(map(float, problem.local_values(outside).values())))
 
     return np.array(drawn).reshape(DRAWS, -1)
 

@@ -147,8 +147,8 @@ class TransientPart(Part):
         matrix, delays, slopes, delay_slopes = (value.full() for value in self._matrices(q))
         n, k = len(self.states), len(self.outputs)
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
-        late = zip(self.inputs, delays.ravel().tolist(), strict=True)
-        inputs = np.array([self.data.delayed_input(name, delay) for name, delay in late])
+        late = map(self.data.delayed_input, self.inputs, delays.ravel().tolist())
+        inputs = np.array(list(late))
         pencil = 1j * self.data.omega[:, None, None] * np.eye(n) - A
 
         try:

@@ -34,7 +34,7 @@ def require_frame(frame: Frame) -> None:
     # By its attributes, so that pandas need not be imported.
     if not hasattr(frame, "columns") or not hasattr(frame, "attrs"):
         raise TypeError(f"frame is {frame!r:.60}: give a pandas.DataFrame.")
-    names = [str(name) for name in frame.columns]
+    names = list(map(str, frame.columns))
     twice = [name for name in names if names.count(name) > 1]
     if twice:
         raise ValueError(f"the data frame has two columns {twice[0]!r}: rename or drop one.")
@@ -74,7 +74,7 @@ def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...
     ValueError
         If neither a column nor the index is a time.
     """
-    names = [str(name) for name in frame.columns]
+    names = list(map(str, frame.columns))
     if time is not None and time not in names:
         raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(names)}.")
     # Whole numbers count the rows, as after a selection; they are no times.

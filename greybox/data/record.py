@@ -98,7 +98,7 @@ class Record:
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
         if self.time is None:
-            rows = next((np.size(values) for values in self.signals.values()), 0)
+            rows = next(map(np.size, self.signals.values()), 0)
             vars(self).update(time=np.arange(rows, dtype=float), has_time=False)
         time = _read_only(seconds_from_first(self.time), "time")
         if time.size == 0:

@@ -226,7 +226,7 @@ def _of_problem(part: Problem) -> dict[str, Any]:
         "weight": part.weight,
         "rename": dict(part.rename),
         "tied": {name: source_text(tie) for name, tie in part.tied.items()},
-        "constraints": tuple(source_text(constraint) for constraint in part.constraints),
+        "constraints": tuple(map(source_text, part.constraints)),
         "model": reference(part.model),
         "label": part.model.label,
         "equation": equation(part.model),

@@ -333,7 +333,7 @@ class PredictionError(TimeCriterion):
 
     def driven(self) -> tuple[str, ...]:
         """Return the states with process noise."""
-        return (*self.process_noise, *(gust_on(state) for state in self.disturbance))
+        return (*self.process_noise, *map(gust_on, self.disturbance))
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return every pair of a corrected state (with process noise: any) and an output."""

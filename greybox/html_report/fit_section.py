@@ -115,7 +115,7 @@ def _histories(fit: Fit) -> Iterator[Element]:
     # The worst records show what the model misses; a page with a hundred records loads slowly.
     def fit_percent(k: int) -> float:
         part = fit.records[k]
-        return min(part.fit_percent(name) for name in part.outputs)
+        return min(map(part.fit_percent, part.outputs))
 
     count = len(fit.records)
     chosen = sorted(sorted(range(count), key=fit_percent)[:MOST])

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from datetime import date
 from importlib.metadata import version
+from itertools import starmap
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -65,7 +66,7 @@ def page(
     fits = [entry.fit for entry in entries if entry.fit is not None]
     # A single result needs no comparison, and its sections are those of the page.
     if len(entries) == 1 and fits and comparison is None:
-        sections = [_section(name, content) for name, content in fit_section(entries[0])]
+        sections = starmap(_section, fit_section(entries[0]))
         return _document(title, [*sections, *appended], author)
 
     content = [overview(entries), *comparison_section(entries, comparison)]

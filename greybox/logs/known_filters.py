@@ -82,7 +82,7 @@ def from_text(text: str) -> tuple[KnownFilter, ...]:
         # The text comes from a file: only known names and numbers, never an expression.
         name, _, rest = part.strip().partition("(")
         try:
-            values = [float(value) for value in rest.removesuffix(")").split(",")]
+            values = list(map(float, rest.removesuffix(")").split(",")))
             if not (rest.endswith(")") and all(map(math.isfinite, values))):
                 raise ValueError(part)
             filters.append(KINDS[name](*values))

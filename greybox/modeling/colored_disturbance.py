@@ -30,7 +30,7 @@ class ColoredDisturbance(ExtendedModel):
 
     def __init__(self, model: StateSpace, *disturbed: tuple[str, tuple[float, float]]) -> None:
         self.disturbed = tuple(state for state, _ in disturbed)
-        self.gusts = tuple(gust_on(state) for state in self.disturbed)
+        self.gusts = tuple(map(gust_on, self.disturbed))
         require_known(self.disturbed, model.states, "state", model.label)
         times = {
             f"T_{gust_on(state)}": gust_time(bounds, f"derivative of {state}")

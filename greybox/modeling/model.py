@@ -186,7 +186,7 @@ class Model(ABC):
 
     def __repr__(self) -> str:
         args, kwargs = self.arguments
-        written = [repr(a) for a in args] + [f"{k}={v!r}" for k, v in kwargs.items()]
+        written = [*map(repr, args), *(f"{k}={v!r}" for k, v in kwargs.items())]
         return f"{type(self).__name__}({', '.join(written)})"
 
 

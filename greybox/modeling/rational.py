@@ -122,12 +122,12 @@ class Rational(FunctionOfS):
     @property
     def poles(self) -> ComplexArray:
         """Roots of a numeric denominator, rad/s."""
-        return np.roots([float(c) for c in self.denominator]).astype(complex)
+        return np.roots(list(map(float, self.denominator))).astype(complex)
 
     @property
     def zeros(self) -> ComplexArray:
         """Roots of a numeric numerator, rad/s."""
-        return np.roots([float(c) for c in self.numerator]).astype(complex)
+        return np.roots(list(map(float, self.numerator))).astype(complex)
 
     def __str__(self) -> str:
         if is_casadi(sum(self.numerator + self.denominator, self.delay)):

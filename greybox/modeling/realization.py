@@ -224,7 +224,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
 
     full = ca.vertcat(x, *states)
     delayed = ca.vertcat(*delayed_inputs)
-    later = [ca.vertcat(*values) for values in zip(*steps, strict=True)]
+    later = list(map(ca.vertcat, *steps))
     delay_step = ca.Function("delay_step", [ca.vertcat(*states), u, slope, p, h], later)
     return replace(
         exact,

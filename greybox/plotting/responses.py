@@ -92,7 +92,7 @@ def drawn_responses(
         For an item that is not a response, for no items, or for a wrong number of labels.
     """
     names = distinct_labels([_label(item) for item in items], labels)
-    parts = [_parts(item, name) for item, name in zip(items, names, strict=True)]
+    parts = list(map(_parts, items, names))
     every = [part for group in parts for part in group]
     if not every:
         raise ValueError(

@@ -202,7 +202,7 @@ def equation_error(
             n: _why(n, equations, groups, p) for n, p in unknown.items() if n not in estimates
         },
         at_bound=at_bound,
-        states=tuple(str(state) for state in equations.states),
+        states=tuple(map(str, equations.states)),
         parameters=dict(parameters),
         warnings=tuple(_warnings(used, at_bound)),
         inputs=described_inputs(inputs, system.inputs, record),

@@ -70,7 +70,7 @@ def smooth(time: Array, values: Array) -> Smoothed:
             "time base of its own sensor with gb.prepare."
         )
     sines = [_sines(values[rows], step) for rows in parts]
-    amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
+    amplitude, omega = map(np.concatenate, zip(*sines, strict=True))
     # A straight line leaves nothing but rounding errors.
     is_line = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))
     cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)

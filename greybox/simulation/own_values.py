@@ -166,7 +166,7 @@ def _longer(
 
     # No window reaches across a gap, behind which the state is unknown.
     stretches = gapless(record, model.system.inputs, outputs)
-    most = max(len(stretch) for stretch in stretches) - windows.lead
+    most = max(map(len, stretches)) - windows.lead
     lead = windows.lead * record.step
     horizon = windows.horizon
     while horizon < most:

@@ -189,8 +189,8 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     ----------
     horizon, lead : float, s
         Lengths of the predicted part and of the measured part before it, rounded to whole samples.
-        By default 0.5 s or 10 samples, whichever is longer, for the lead-in also at least twice the
-        longest delay. Rows have neither.
+        By default 0.5 s (an eighth of a record of less than 4 s) or 10 samples, whichever is
+        longer, for the lead-in also at least twice the longest delay. Rows have neither.
     own : sequence of str, optional
         Names of parameters, and of biases (``<signal>_bias``), to be estimated from the record. By
         default those named above, on a record that the fit does not have; with ``()``, the values

@@ -47,10 +47,16 @@ def require_lengths(**lengths: Any) -> None:
 
 
 def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
-    """Return the longest of `at_least` s, ten samples of the slowest record, and two delays."""
-    slowest = max((record.step for record in records if len(record) > 1), default=0.0)
+    """Return the longest of `at_least` s, ten samples of the slowest record, and two delays.
+
+    Of a record that is shorter than eight times `at_least`, it is an eighth.
+    """
+    # NaN, the step of a single sample, is neither more nor less than the first number.
+    slowest = max([0.0, *(record.step for record in records)])
+    # A hydraulic drive is recorded for 0.2 s, in which there is no room for a second.
+    length = min([at_least, *(len(record) * record.step / 8 for record in records)])
     # Within the longest delay, outputs respond to inputs before the lead-in.
-    return max(at_least, FEWEST * slowest, 2.0 * delay)
+    return max(length, FEWEST * slowest, 2.0 * delay)
 
 
 def seconds(length: float) -> str:

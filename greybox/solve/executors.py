@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future, wait
 from contextlib import suppress
-from itertools import islice
+from itertools import islice, starmap
 from types import MappingProxyType
 from typing import Any
 
@@ -131,14 +131,14 @@ def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
 
     Otherwise the whole batch is run: the last digits of a run depend on how many are run together.
     """
-    outcomes = [memory.recall(number, start) for number, start in batch]
+    outcomes = list(starmap(memory.recall, batch))
     complete = [outcome for outcome in outcomes if outcome is not None]
     return complete if len(complete) == len(batch) else None
 
 
 def _begins(batch: Batch, begins: Mapping[int, Array]) -> Array:
     """Return where the runs of a batch begin, (r, s)."""
-    return np.array([begins.get(number, start) for number, start in batch])
+    return np.array(list(starmap(begins.get, batch)))
 
 
 def _tasks(
@@ -196,7 +196,7 @@ def _on_workers(
                 _cancel(waiting)
             else:
                 free = max(most - len(waiting), 0)
-                waiting.extend(submitted(*task) for task in islice(tasks, free))
+                waiting.extend(starmap(submitted, islice(tasks, free)))
             if not waiting:
                 return
             batch, future = waiting[0]

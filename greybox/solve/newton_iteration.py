@@ -8,7 +8,7 @@ The numbers of a search of p variables are a column: first the scalars at the ro
 the vectors of `Vectors`.
 """
 
-from itertools import pairwise
+from itertools import pairwise, starmap
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -47,8 +47,7 @@ class Vectors(NamedTuple):
 def layout(p: int) -> Vectors:
     """Return the rows of a search of p variables."""
     ends = np.cumsum([ITERATIONS + 1, p, p, p, p * p, p, p]).tolist()
-    slices = [slice(begin, end) for begin, end in pairwise(ends)]
-    return Vectors(*slices, size=ends[-1])
+    return Vectors(*starmap(slice, pairwise(ends)), size=ends[-1])
 
 
 def advanced(p: int, last: int, loose: float) -> ca.Function:

@@ -90,7 +90,7 @@ def transient_spectrum(
 
 def lines_in_band(band: tuple[float, float], duration: float, step: float) -> Array:
     """Return the multiples of 2π / duration within the band, rad/s; refuse a band without any."""
-    low, high = (float(edge) for edge in band)
+    low, high = map(float, band)
     spacing = 2 * np.pi / duration
     if not 0 <= low < high:
         raise ValueError(

@@ -10,7 +10,7 @@ HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 def autocovariance(stretches: list[Array], lags: int) -> Array:
     """Return mean products (lags + 1,) of samples in stretches (n,); zeros are gaps."""
     rows = [[e[k:] @ e[: max(e.size - k, 0)] for k in range(lags + 1)] for e in stretches]
-    count = sum(np.count_nonzero(e) for e in stretches)
+    count = sum(map(np.count_nonzero, stretches))
     return np.sum(rows, axis=0) / max(count, 1)
 
 
@@ -44,7 +44,7 @@ def autoregression(stretches: list[Array]) -> Array:
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 6.2; Schwarz
     (1978), Annals of Statistics 6.
     """
-    count = sum(np.count_nonzero(e) for e in stretches)
+    count = sum(map(np.count_nonzero, stretches))
     # Every term needs at least 20 samples.
     order = int(min(HIGHEST_ORDER, count // 20))
     r = autocovariance(stretches, order)

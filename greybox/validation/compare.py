@@ -60,8 +60,9 @@ def compare(
         state them as `held`.
     window, lead : float, s
         Length of the predictions, and of the data before them from which the state is estimated.
-        By default 1 s and 0.5 s, or 10 samples of the slowest record if that is longer; the lead is
-        also at least twice the longest delay. Rows without a time are predicted one by one.
+        By default 1 s and 0.5 s, each at most an eighth of the shortest record, or 10 samples of
+        the slowest record if that is longer; the lead is also at least twice the longest delay.
+        Rows without a time are predicted one by one.
     labels : sequence of str, optional
         One for each fit; by default the names of the models.
 

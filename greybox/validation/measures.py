@@ -44,7 +44,7 @@ def fit_rows(
         rows += [_row("negative log-likelihood", likelihoods.costs)]
         rows += information_rows(likelihoods.costs, likelihoods.unknowns, numbers)
     else:
-        is_known = comparable and all(is_likelihood(fit) for fit in fits)
+        is_known = comparable and all(map(is_likelihood, fits))
         unknowns = [count_unknowns(fit) for fit in fits]
         rows += information_rows(costs if is_known else unknown, unknowns, numbers)
     if same_data:

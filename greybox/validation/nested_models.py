@@ -232,8 +232,15 @@ def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
     # 0.02, while 3.84 is significant: the two fits may have been integrated with different steps.
     # 1e-9: the tolerance of the solvers relative to a large cost.
     if ratio < -max(0.02, 1e-9 * abs(large.cost)):
+        # The filter of little process noise may settle more slowly than a short record lasts: the
+        # fit then ends above zero.
+        unless = (
+            "these data show no process noise, or "
+            if any(part.driven for part in large.records)
+            else ""
+        )
         raise ValueError(
-            f"{labels[1]} costs more than {labels[0]}, which it contains: its fit has not reached "
-            "the minimum; give it more starts."
+            f"{labels[1]} costs more than {labels[0]}, which it contains: {unless}its fit has not "
+            "reached the minimum; give it more starts."
         )
     return ratio

@@ -107,7 +107,7 @@ def prediction_verdict(
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
     first_predictions = predictions[0]
-    squares = [mean_squares(*pair) for pair in zip(*predictions, strict=True)]
+    squares = list(map(mean_squares, *predictions))
     differences = [second - first for first, second, _ in squares]
     first, second, rounding = (
         float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True)

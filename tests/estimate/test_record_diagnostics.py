@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gain_and_lag import Lag
 from numpy.testing import assert_allclose
+from sampled_lag import SampledLag, lag_record
 from scipy.signal import lfilter
 
 import greybox as gb
@@ -395,6 +396,14 @@ def test_errors_that_last_as_long_as_a_record_are_told_and_in_which_of_several()
             float(x) for x in re.findall(r"about ([\d.]+) s.*only ([\d.]+) times", text)[0]
         )
         assert time * share == pytest.approx(5, rel=0.1)  # the duration of a record
+
+
+def test_only_residuals_that_are_not_white_are_said_to_stay_correlated():
+    """Spectra of 80 samples of white noise may show a slow part, too."""
+    white = lag_record(25, 80)
+    errors = lfilter([0.05], [1, -0.98], np.random.default_rng(0).normal(size=180))[100:]
+    for record, is_colored in ((white, False), (white.with_signals(y=white["y"] + errors), True)):
+        assert bool(said(fit(SampledLag(), record, [{}]), "stay correlated")) == is_colored
 
 
 def test_white_residuals_are_not_blamed():

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from sampled_lag import SampledLag, lag_record
 
 import greybox as gb
 
@@ -264,3 +265,10 @@ def test_data_that_contradict_a_prior_are_named():
         )
     ]
     assert warned == [True, False, False, True]
+
+
+def test_a_conflict_that_makes_the_errors_larger_than_the_prior_is_named():
+    """A record of a lag of 0.3 s says 0.31 ± 0.011 s beside a prior of 0.5 ± 0.01 s."""
+    criterion = gb.OutputError(inputs="held")
+    problem = gb.Problem(SampledLag(), lag_record(3, 60), criterion, prior={"T": (0.5, 0.01)})
+    assert any("contradict the prior of T" in text for text in gb.fit(problem, **ONE).warnings)

@@ -1,5 +1,7 @@
 """Process noise of estimated variance, held against a Kalman filter written here, a truth, and output error."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lateral_aircraft import LATERAL, Lateral, discretized, disturbed, doublets
@@ -313,3 +315,58 @@ def test_disturbances_are_named_by_state_and_color():
         gb.PredictionError(disturbance={"v": "pink"})
     with pytest.raises(ValueError, match="state 'y'"):
         gb.Problem(Spring(), flown(0.3, n=50), gb.PredictionError(disturbance={"y": "colored"}))
+
+
+def drive(pressure):
+    """Return the class of a hydraulic drive with the pressure in this unit, Pa."""
+
+    class Drive(gb.StateSpace):
+        states = outputs = ("v", "p")
+        inputs = ("u",)
+        a = gb.Parameter(3e-6 * pressure, bounds=(1e-7 * pressure, 1e-4 * pressure))
+        b = gb.Parameter(5.0, bounds=(0, 100))
+        c = gb.Parameter(3e8 / pressure, bounds=(1e7 / pressure, 1e10 / pressure))
+        q = gb.Parameter(4e7 / pressure, bounds=(1e6 / pressure, 1e9 / pressure))
+
+        def derivative(self, x, u, p):
+            return (p.a * x.p - p.b * x.v, p.q * u.u - p.c * x.v - 20 * x.p)
+
+        def output(self, x, u, p):
+            return (x.v, x.p)
+
+    return Drive()
+
+
+def test_gusts_are_estimated_alike_in_pascal_and_in_bar():
+    random, n = np.random.default_rng(0), 100
+    u = 2 * np.repeat(random.choice([-1.0, 1.0], 10), 10)
+    gust = lfilter([0.3], [1, -0.95], random.normal(size=n))
+    flown = gb.virtual_flight(
+        drive(1.0),
+        {"a": 5e-6, "b": 8.0, "c": 4e8, "q": 6e7},
+        {"u": u + gust},
+        noise={"v": 0.004, "p": 2e4},
+        rate=1000,
+        seed=1,
+    ).with_signals(u=u)
+    in_pascal, in_bar = (
+        fit(gb.Problem(drive(unit), flown.with_signals(p=flown["p"] / unit), gb.PredictionError()))
+        for unit in (1.0, 1e5)
+    )
+    assert_allclose(in_pascal.cost, in_bar.cost + n * np.log(1e5), atol=1e-5)
+    assert_allclose(in_pascal.standard_error["b"], in_bar.standard_error["b"], rtol=1e-3)
+
+
+def test_process_noise_ends_at_zero_where_the_model_itself_settles_slowly():
+    """Errors of the states last for ten seconds, the record for six."""
+    u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 8), 15)
+    values = {"k": 20.0, "c": 0.2, "b": 10.0}
+    noise = {"x": 0.03, "v": 0.15}
+    calm = gb.virtual_flight(Spring(), values, {"F": u}, noise=noise, rate=20, seed=3)
+    rules = gb.OutputError(), gb.PredictionError(process_noise=("v",))
+    small, large = (fit(gb.Problem(Spring(), calm, rule)) for rule in rules)
+    assert large.estimate["w_v"] == 0
+    assert large.cost == pytest.approx(small.cost, abs=1e-4)
+    assert any("show no process noise: w_v" in text for text in large.warnings)
+    with pytest.raises(ValueError, match="these data show no process noise, or its fit"):
+        gb.validation.nested_test(small, replace(large, cost=small.cost + 1))

@@ -65,11 +65,17 @@ def test_lengths_are_rounded_half_down():
 
 
 def test_default_lengths_cover_ten_samples_and_twice_the_delay():
-    fast, slow = record(step=0.01), record(step=0.2)
+    fast, slow = record(400, step=0.01), record(step=0.2)
     assert default_length([fast], 0.5) == 0.5
     assert_allclose(default_length([fast, slow], 0.5), 2.0)
     assert default_length([fast], 0.5, delay=0.4) == 0.8
     assert default_length([gb.Record(np.zeros(1), {"u": np.zeros(1)})], 0.5) == 0.5
+
+
+def test_a_short_record_at_a_high_rate_has_room_for_several_windows_of_default_length():
+    drive = record(150, step=0.001)  # 0.15 s
+    window, lead = default_length([drive], 1.0), default_length([drive], 0.5)
+    assert len(cut(drive, ["u"], ["y"], lead=lead, horizon=window)) >= 6
 
 
 def test_seconds_have_three_digits():

@@ -68,7 +68,7 @@ def test_a_comparison_does_not_contradict_the_nested_test():
 
 def test_too_few_held_out_windows_take_nothing_from_what_the_fits_show(quadratic):
     right, wrong, other = quadratic
-    found = gb.compare(right, wrong, records=other.between(0, 2.5))
+    found = gb.compare(right, wrong, records=other.between(0, 2.5), window=1.0)
     assert "2 windows cannot show which of QuadraticDrag and LinearDrag" in str(found)
     assert "QuadraticDrag predicts the identification data better than LinearDrag" in str(found)
 

@@ -15,12 +15,10 @@ def prior_conflicts(fit: Fit) -> Iterator[str]:
     Bayesian Analysis 1(4), for normal densities.
     """
     for name, (mean, sigma) in fit.priors.items():
-        error = fit.standard_error.get(name, math.nan)
-        # Without an error below that of the prior, the data told nothing of the parameter.
-        if not error < sigma:
-            continue
-
-        deviations = abs(fit.estimate[name] - mean) / math.sqrt(sigma**2 - error**2)
+        moved = sigma**2 - fit.standard_error.get(name, math.nan) ** 2
+        # An error beyond that of the prior has grown with the residuals that a conflict leaves.
+        spread = math.sqrt(moved) if moved > 0 else sigma
+        deviations = abs(fit.estimate[name] - mean) / spread
         if deviations > 3:
             value, deviation = with_error(mean, sigma)
             yield (

@@ -79,17 +79,18 @@ def record_warnings(
         for part, fitted in zip(nlp.parts, answer.parts, strict=True)
         if isinstance(part, RecordPart) and isinstance(fitted, FittedRecord)
     ]
+    alone = len(pairs) == 1
 
     return (
-        *once(_short(nlp, accuracy)),
-        *once(unexplained_outputs(pairs)),
+        *once(_short(answer, accuracy, alone=alone)),
+        *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
         *(
             ()
             if misfit and misfit.is_large
             else biased_by_feedback(pairs, unstable=bool(misfit and misfit.is_unstable))
         ),
         *colored_predictions(pairs, explained=not misfit or misfit.explains),
-        *once(_bounded(nlp, trajectories)),
+        *once(_bounded(nlp, trajectories, alone=alone)),
         *once(_flattened_inputs([part for part, _ in pairs])),
     )
 
@@ -124,20 +125,25 @@ def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
                 )
 
 
-def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
-    """Name records that are too short to show how long their errors stay correlated."""
-    for part, errors in zip(nlp.parts, accuracy.parts, strict=False):
+def _short(answer: Fit, accuracy: Accuracy, *, alone: bool) -> Iterator[Finding]:
+    """Name records that are too short to show how long their errors stay correlated.
+
+    White noise of 50 to 150 samples looks so in one of twenty records: a test must reject, too.
+    """
+    outputs = sum(len(fitted.outputs) for fitted in answer.records)
+    for fitted, errors in zip(answer.parts, accuracy.parts, strict=False):
         colored = errors.colored
-        if not isinstance(part, RecordPart) or colored is None or colored.is_long_enough:
+        if not isinstance(fitted, FittedRecord) or colored is None or colored.is_long_enough:
             continue
         slowest = int(np.argmax(colored.correlation_times))
-        time = float(colored.correlation_times[slowest])
-        record = part.model.record
-        place = _place(record, part.problem.name, nlp.parts)
+        time, output = float(colored.correlation_times[slowest]), fitted.outputs[slowest]
+        if _looks_white(fitted, output, outputs):
+            continue
+        place = _place(fitted, alone=alone)
         yield (
-            part.outputs[slowest],
-            record.name or part.problem.name,
-            f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
+            output,
+            fitted.data.name or fitted.name,
+            f"the residuals of {output}{place} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
             f"that, less than {FEWEST_TIMES:g}. The standard errors are rough; use a longer "
             "record.",
@@ -145,47 +151,39 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
 
 
 def unexplained_outputs(
-    pairs: Sequence[tuple[RecordPart, FittedRecord]],
+    part: RecordPart, fitted: FittedRecord, *, alone: bool
 ) -> Iterator[Finding]:
     """Name outputs that the model hardly reproduces."""
-    for part, fitted in pairs:
-        # A static model of constant inputs is a mean, which by definition reproduces no variation.
-        is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
-        if part.model.criterion.corrects_states or is_mean:
+    # With constant inputs a static model is a mean, which reproduces no variation by definition.
+    is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
+    if part.model.criterion.corrects_states or is_mean:
+        return
+    for k, output in enumerate(fitted.outputs):
+        percent = fitted.fit_percent(output)
+        if not percent < 10:
             continue
-        for k, output in enumerate(fitted.outputs):
-            percent = fitted.fit_percent(output)
-            if not percent < 10:
-                continue
-            noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
-            if not fitted.data.has_time:  # the order of rows does not show the noise
-                kind = "in rows"
-                cure = (
-                    ": try other starts or another model structure, unless that variation is noise."
-                )
-            elif noise.noisy:
-                kind = "noisy"
-                cure = (
-                    ", and the measured signal looks like noise: excite it more, or leave it out."
-                )
-            elif percent < noise.attainable_fit_percent / 2:
-                kind, cure = (
-                    "",
-                    "try other starts, narrower start boxes, or another model structure",
-                )
-                if isinstance(part.problem.model, StateSpace) and part.problem.model.states:
-                    cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
-                attainable = f"{noise.attainable_fit_percent:.0f}"
-                cure = f", although its noise would allow about {attainable} %: {cure}."
-            else:
-                continue
-            name = output + _place(fitted.data, fitted.name, pairs)
-            yield (
-                f"{output} {kind}",
-                fitted.data.name or fitted.name,
-                f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
-                + cure,
-            )
+        noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
+        if not fitted.data.has_time:  # the order of rows does not show the noise
+            kind = "in rows"
+            cure = ": try other starts or another model structure, unless that variation is noise."
+        elif noise.noisy:
+            kind = "noisy"
+            cure = ", and the measured signal looks like noise: excite it more, or leave it out."
+        elif percent < noise.attainable_fit_percent / 2:
+            kind, cure = "", "try other starts, narrower start boxes, or another model structure"
+            if isinstance(part.problem.model, StateSpace) and part.problem.model.states:
+                cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
+            attainable = f"{noise.attainable_fit_percent:.0f}"
+            cure = f", although its noise would allow about {attainable} %: {cure}."
+        else:
+            continue
+        name = output + _place(fitted, alone=alone)
+        yield (
+            f"{output} {kind}",
+            fitted.data.name or fitted.name,
+            f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
+            + cure,
+        )
 
 
 def colored_predictions(
@@ -199,7 +197,7 @@ def colored_predictions(
     values = []
     for part, fitted in tested:
         for output in fitted.outputs:
-            errors = _by_piece(fitted.data, fitted.residual(output))
+            errors = _by_piece(fitted, fitted.residual(output))
             # So long a filter leaves gusts of 0.15 to 2 s in the prediction errors. With 8 or 25
             # lags, up to a tenth fewer of these fits are found.
             test = whiteness(errors, 12, fitted.innovation_parameters(output))
@@ -208,7 +206,7 @@ def colored_predictions(
             # A gust of less correlation is not worth another criterion: it biases the estimates by
             # a fraction of a standard error.
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > 0.1:
-                place = _place(fitted.data, fitted.name, pairs)
+                place = _place(fitted, alone=len(pairs) == 1)
                 after = part.data.stretches[0].step * (lag + 1)
                 values.append(f"{r:.2g} after {after:.2g} s for {output}{place}")
 
@@ -247,9 +245,15 @@ def _in_time(
     return chosen, sum(len(fitted.outputs) for _, fitted in chosen)
 
 
-def _by_piece(record: Record, values: Array) -> list[Array]:
+def _by_piece(fitted: FittedRecord, values: Array) -> list[Array]:
     """Return values (n,) split at gaps: lags across one would compare samples far apart."""
-    return [values[rows] for rows in record.independent_pieces]
+    return [values[rows] for rows in fitted.data.independent_pieces]
+
+
+def _looks_white(fitted: FittedRecord, output: str, outputs: int) -> bool:
+    """Return whether the residuals of one of so many tested outputs look like white noise."""
+    residuals = _by_piece(fitted, fitted.residual(output))
+    return not whiteness(residuals).p_value < FALSE_ALARMS / outputs
 
 
 def biased_by_feedback(
@@ -270,15 +274,14 @@ def biased_by_feedback(
     responding = []
 
     for part, fitted in tested:
-        inputs = {name: _by_piece(fitted.data, fitted.data[name]) for name in part.system.inputs}
-        place = _place(fitted.data, fitted.name, pairs)
+        inputs = {name: _by_piece(fitted, fitted.data[name]) for name in part.system.inputs}
+        place = _place(fitted, alone=len(pairs) == 1)
         for output in fitted.outputs:
             e = fitted.residual(output)
-            residuals = _by_piece(fitted.data, e)
             # Rounding follows the inputs in advance, if these repeat.
-            is_white = not whiteness(residuals).p_value < FALSE_ALARMS / outputs
-            if is_white or not is_resolved(e, fitted.data[output]):
+            if _looks_white(fitted, output, outputs) or not is_resolved(e, fitted.data[output]):
                 continue
+            residuals = _by_piece(fitted, e)
             responding += [
                 f"{name} to {output}{place}"
                 for name, u in inputs.items()
@@ -300,16 +303,18 @@ def biased_by_feedback(
         )
 
 
-def _bounded(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[Finding]:
+def _bounded(
+    nlp: CompiledProblem, trajectories: Sequence[Trajectory], *, alone: bool
+) -> Iterator[Finding]:
     """Warn where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
         if gain is not None and gain.is_at_limit(trajectory):
-            record = gain.part.model.record
-            place = _place(record, part.problem.name, nlp.parts)
+            name = gain.part.model.record.name or part.problem.name
+            place = "" if alone else f" in {name!r}"
             yield (
                 "limit",
-                record.name or part.problem.name,
+                name,
                 f"the Kalman gain{place} reached the stability limit, as if the data showed no "
                 "process noise in a state that it corrects. The standard errors do not account for "
                 "the limit and are too small: let it correct fewer "
@@ -317,9 +322,9 @@ def _bounded(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterat
             )
 
 
-def _place(record: Record, part: str, parts: Sequence[object]) -> str:
-    """Return which of several parts is meant; nothing where there is only one."""
-    return "" if len(parts) == 1 else f" in {record.name or part!r}"
+def _place(fitted: FittedRecord, *, alone: bool) -> str:
+    """Return which record is meant; nothing where there is only one."""
+    return "" if alone else f" in {fitted.data.name or fitted.name!r}"
 
 
 def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:

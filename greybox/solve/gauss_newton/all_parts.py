@@ -37,14 +37,13 @@ class AllParts:
         self.groups = Groups(parts)
         self.parts = self.groups.parts
         self.gains = [kalman_gain(part) for part in self.parts]
-        self.has_free_gains = any(
-            gain and np.isin(gain.unknowns, gain.part.model.active).any() for gain in self.gains
-        )
+        gains = [
+            gain.part.model.outside_names[k] for gain in self.gains if gain for k in gain.unknowns
+        ]
+        self.is_gain = np.isin(free, gains)  # or process noise: neither has a scale
         self.samples = sum(part.samples for part in self.parts)
-        self.is_discontinuous = np.array(
-            [any(name in part.discontinuous_delays for part in parts) for name in free],
-            dtype=bool,
-        )
+        delays = [name for part in parts for name in part.discontinuous_delays]
+        self.is_discontinuous = np.isin(free, delays)
         self.limits = limits
         self.settings = settings
 
@@ -73,9 +72,7 @@ class AllParts:
     def first_progress(self) -> Progress:
         """Return the progress of an iteration with nodes from the data; exact without nodes."""
         with_nodes = [bool(part.gains) for part in self.parts if part.has_nodes]
-        if not with_nodes:
-            return EXACT
-        return relaxed(predicts=all(with_nodes))
+        return relaxed(predicts=all(with_nodes)) if with_nodes else EXACT
 
     # --- judging an iterate
 

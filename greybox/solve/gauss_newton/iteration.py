@@ -242,7 +242,7 @@ def _predicting(
 ) -> Iterate:
     """Return the iterate with gains to begin with, and with stable predictors simulated."""
     # Without these two, at most one of 7 runs reaches the predictors of the tilt plant.
-    if becomes_exact and parts.has_free_gains:
+    if becomes_exact and parts.is_gain.any():
         iterate = parts.at(best_gains(parts, iterate, progress.gap_variance), iterate.nodes)
     # As long as continuity is a penalty, nodes keep an unstable predictor near the data.
     if progress.is_exact:

@@ -43,8 +43,10 @@ def gauss_newton_step(
     dz = np.zeros(p)
     distance, penalty = 0.0, progress.constraint_penalty
     if not states_only:
-        # The ridge, far below what data determine, holds parameters that the data do not show.
-        damped = hessian + 1e-10 * np.eye(p) + progress.damping * np.diag(np.diag(hessian))
+        # The ridge, far below what data determine, holds parameters that the data do not show. A
+        # gain of 1e6 Pa per m/s has little information per unit, and nothing that scales it.
+        ridge = 1e-10 / np.maximum(parts.is_gain * iterate.z**2, 1.0)
+        damped = hessian + np.diag(ridge + progress.damping * np.diag(hessian))
         held = parts.is_discontinuous & progress.delays_held
         normals, bounds = parts.limits.linearized(iterate.z, held)
         dz = solve_small_qp(damped, gradient, normals, bounds)
@@ -70,8 +72,7 @@ def gauss_newton_step(
 
         # Penalties only grow: with smaller ones two iterations could undo each other.
         if progress.multipliers:
-            pairs = zip(progress.multipliers, multipliers, strict=True)
-            multipliers = [np.maximum(previous, largest) for previous, largest in pairs]
+            multipliers = list(map(np.maximum, progress.multipliers, multipliers))
     return Step(
         linearizations,
         systems,

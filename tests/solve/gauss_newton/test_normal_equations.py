@@ -218,6 +218,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
             for one, weight in zip(systems, weights, strict=True)
         ],
         is_discontinuous=np.zeros(1, dtype=bool),
+        is_gain=np.zeros(1, dtype=bool),
         gains=[None, None],
         along=lambda *others: zip(parts.parts, [None, None], *others[1:], strict=True),
         limits=SimpleNamespace(
