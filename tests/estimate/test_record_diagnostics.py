@@ -566,7 +566,8 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
             outputs=("z", "y"), fit_percent=percents.__getitem__, data=kept, name="part"
         )
         pairs = [(part, fitted)] * (1 if alone else 2)
-        return list(dict.fromkeys(text for *_, text in unexplained_outputs(pairs)))
+        found = [text for pair in pairs for *_, text in unexplained_outputs(*pair, alone=alone)]
+        return list(dict.fromkeys(found))
 
     name = "y" if alone else "y in 'run'"
     y = 0.77 * slow + random.normal(size=4000)
