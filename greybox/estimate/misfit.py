@@ -51,9 +51,9 @@ from greybox.statistics.score_test import (
 # Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
 # 0.6 % are below it; below 0.01 would be 2 %.
 FALSE_ALARMS = 0.003
-# The same of responses: of 2520 simulated right fits, whose errors are white, correlated along
-# frequency, drifting, larger at one end, or common to all points, 1.7 % are below it, and of those
-# in white ones 0.3 %.
+# The same of responses: of 1614 simulated right fits, whose errors are white, correlated along
+# frequency, or larger at one end, at both ends or in a band, 2.2 % are below it, and of those in
+# white ones 1 %.
 OF_RESPONSES = 0.01
 CONDITIONAL = 0.001  # the same where correlated errors of a response would excuse the model
 POSSIBLE = 0.05  # and where drift alone would
