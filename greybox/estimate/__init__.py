@@ -18,6 +18,8 @@ Begin with `fit`.
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
 | `misfit` | whether the model explains the data, and what it may lack |
+| `misfit_assessment` | the test that says so |
+| `misfit_regression` | what it regresses the residuals of a record or a response on |
 | `misfit_test` | the same of a fit that is at hand, with terms of your own |
 | `missing_terms` | the terms that are tried for that |
 | `repeated_inputs` | what repeats in the residuals with the inputs |

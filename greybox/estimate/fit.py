@@ -30,7 +30,7 @@ from greybox.estimate.diagnostics.noise_level import unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.diagnostics.records import resting_inputs
 from greybox.estimate.fitted_values import fitted_part
-from greybox.estimate.misfit import assessed_misfit
+from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit

@@ -5,7 +5,8 @@ from types import MappingProxyType
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.misfit import Misfit, assessed_misfit
+from greybox.estimate.misfit import Misfit
+from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.result import Fit
 from greybox.modeling.added_terms import Formula
 from greybox.solve.multistart import solver_for

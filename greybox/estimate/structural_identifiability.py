@@ -15,7 +15,7 @@ from greybox.data.record import Record
 from greybox.estimate.covariance import informations
 from greybox.estimate.identifiability import KnownDirections, identifiability
 from greybox.estimate.undetermined import Combination, invisible_groups
-from greybox.files.arrays import Array, BoolArray, all_finite, frozen, positive_or_one
+from greybox.files.arrays import Array, BoolArray, Values, all_finite, frozen, positive_or_one
 from greybox.files.text_table import as_names, counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
@@ -102,8 +102,8 @@ def structural_identifiability(
     model: Model,
     outputs: Sequence[str] | None = None,
     *,
-    at: Mapping[str, float] | None = None,
-    fixed: Mapping[str, float] | None = None,
+    at: Values | None = None,
+    fixed: Values | None = None,
     free: Sequence[str] = (),
     tied: Mapping[str, ParameterFormula] | None = None,
     initial: Mapping[str, Any] | None = None,
@@ -226,8 +226,8 @@ def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
 def _of_responses(
     model: Model,
     outputs: Sequence[str],
-    values: Mapping[str, float],
-    at: Mapping[str, float],
+    values: Values,
+    at: Values,
     options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> _Sensitivity | None:
@@ -255,7 +255,7 @@ def _of_responses(
 def _of_record(
     model: Model,
     outputs: Sequence[str],
-    values: Mapping[str, float],
+    values: Values,
     initial: Mapping[str, Any],
     options: Mapping[str, Any],
     random: np.random.Generator,
@@ -310,9 +310,7 @@ def _of_trajectory(
 
 
 @one_thread_at_a_time
-def _times(
-    model: Any, values: Mapping[str, float], random: np.random.Generator
-) -> tuple[Array, BoolArray]:
+def _times(model: Any, values: Values, random: np.random.Generator) -> tuple[Array, BoolArray]:
     """Return uniform times that suit the poles of the model, and the gaps among them."""
     n = len(model.states)
     step = 1.0

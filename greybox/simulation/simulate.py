@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
-from greybox.files.arrays import Array, BoolArray, all_finite
+from greybox.files.arrays import Array, BoolArray, Values, all_finite
 from greybox.files.text_table import as_names, counted, some
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator
@@ -33,7 +33,7 @@ DOMAINS = "keep its formulas within their domains, e.g. gb.sqrt(gb.maximum(x.lev
 
 def simulate(
     model: Model | Estimate,
-    values: Mapping[str, float] | Estimate | None = None,
+    values: Values | Estimate | None = None,
     record: Record | None = None,
     *,
     initial: Mapping[str, ArrayLike] | None = None,
@@ -161,7 +161,7 @@ def simulate(
 
 def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     model: Model | Estimate,
-    values: Mapping[str, float] | Estimate | None = None,
+    values: Values | Estimate | None = None,
     record: Record | None = None,
     *,
     horizon: float | None = None,

@@ -1,0 +1,278 @@
+"""A part as a regression of its residuals on what the model has and on what it may lack."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from greybox.compiled.disturbances import DisturbedRecord
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.compiled.record_sensitivity import sensitivity
+from greybox.compiled.response_part import ResponsePart
+from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
+from greybox.estimate.misfit import Cause
+from greybox.estimate.missing_terms import (
+    Term,
+    constants_of_record,
+    signals_of_record,
+    terms_of_response,
+)
+from greybox.files.arrays import Array, BoolArray, ComplexArray, frozen, real_and_imaginary
+from greybox.statistics.autoregressive_test import (
+    Outputs,
+)
+from greybox.statistics.column_space import (
+    DEPENDENT,
+    beside,
+    column_basis,
+    outside,
+)
+from greybox.statistics.score_test import (
+    REMAINS,
+    chance,
+    score_tests,
+)
+
+TINY = 1e-300
+STEP = 1e-6  # of the numbers of a term, for derivatives
+
+Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
+
+
+@frozen
+class Regression:
+    """A part as a regression of its residuals on the parameters of the fit and on missing terms.
+
+    All columns have N rows; `changes` returns those (N, c) of terms. `again` returns the residuals
+    and slopes (N, 1 + d + q) of a response at changes (d,) of the parameters, multiplied by the
+    first of (1 + q, n) factors; the others are those at the next numbers of a term. `outputs` has
+    the rows of every output of a record, by stretches, and `signals` returns those over which the
+    shape of a term is drawn. What parameters leave of a term is an error of the integration if it
+    is less than `remains` of it. All columns have `lost` this many degrees of freedom.
+    """
+
+    measured: Array
+    residuals: Array
+    fitted: Array
+    terms: Mapping[Key, Term]
+    changes: Callable[[Sequence[Term]], Array]
+    again: Callable[[Array, ComplexArray], Array] | None = None
+    outputs: Outputs = ()
+    causes: Sequence[Cause] = ()
+    is_unstable: bool = False
+    remains: float = REMAINS
+    lost: int = 0
+    signals: Callable[[], Mapping[str, Array]] = dict
+
+    def columns(self, keys: Sequence[Key]) -> Array:
+        """Return the columns (N, c) of terms, zero for those that this part does not have."""
+        present = [k for k, key in enumerate(keys) if key in self.terms]
+        values = np.zeros((len(keys), len(self.residuals)))
+        if present:
+            values[present] = self.changes([self.terms[keys[k]] for k in present]).T
+        # Samples of a column are neighbors in memory, as filters need them.
+        return values.T
+
+
+def regression_of_record(
+    record: DisturbedRecord, terms: Iterable[Term], by_x: Array, is_new: Array, count: int
+) -> Regression:
+    """Return the regression of one of `count` records.
+
+    It is that of the new samples (outputs, samples) on the q parameters that move; `by_x` (q, p)
+    are the derivatives of the solver's variables by them.
+    """
+    part, trajectory = record.part, record.trajectory
+    weight, data = part.residual_weight(trajectory), part.data
+    slopes = sensitivity(part, trajectory, weight)
+    noise = np.linalg.inv(weight.T @ weight)
+    # Straight lines and an autoregression leave nothing of fewer samples of an output.
+    is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= 8)
+    present = [row > 0 for row in data.unpadded(record.present * is_tested)]
+
+    def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
+        result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
+        return result.swapaxes(1, 2).reshape(len(result), measured.size).T
+
+    by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
+    starts = [*map(rows_of_stretch, by_initial, present)]
+    # An offset or a trend cannot be distinguished from a drift of the errors.
+    drifts = [
+        column_basis(np.hstack(pair)) for pair in zip(starts, map(_lines, present), strict=True)
+    ]
+    starts = [*map(column_basis, starts)]
+
+    def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
+        stretches = map(rows_of_stretch, data.unpadded(values), present)
+        # The initial states and straight lines of every stretch are fitted first.
+        return np.vstack([*map(outside, stretches, taken)])
+
+    by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
+    constants = [*constants_of_record(record)]
+    effects = record.followed_by(term.place(term.values) for term in constants if term.place)
+    with_effects = np.concatenate([record.residuals[:, None], effects], axis=1)
+    firsts = np.cumsum([0, *(row.size for row in present)])
+    outputs = [
+        [
+            first + k + len(row) * np.flatnonzero(row[k])
+            for first, row in zip(firsts, present, strict=False)
+        ]
+        for k in range(len(present[0]))
+    ]
+    offsets = _offsets(
+        constants, rows(with_effects, starts), rows(by_parameters, starts), outputs, count
+    )
+    return Regression(
+        rows(np.nan_to_num(data.measured)[:, None], [column_basis(_lines(row)) for row in present]),
+        rows(record.residuals[:, None]),
+        rows(by_parameters),
+        _numbered(terms),
+        lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
+        outputs=outputs,
+        causes=tuple(offsets),
+        # A hundredfold growth of errors of the states over the record.
+        is_unstable=record.growth > 4.6,
+        # From known initial states, terms grow as parameters do, and differ by what does not grow.
+        remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
+        lost=sum(basis.shape[1] for basis in drifts),
+        signals=partial(signals_of_record, record),
+    )
+
+
+def _offsets(
+    terms: Sequence[Term], columns: Array, fitted: Array, outputs: Outputs, count: int
+) -> Iterator[Cause]:
+    """Yield the constants that residuals follow, judged by their slow errors.
+
+    These look like a constant, too, but then pieces of the record differ as much. A constant that
+    one piece alone determines, as one before a step does, cannot be told from them. A random walk
+    from zero has an offset of p < 0.001 in one of 2000 simulated records, and each of `count`
+    records may have one. The first of the columns (N, 1 + c) has the residuals, and the others the
+    effects of the terms. Both lose what the parameters take: a gain that makes up for a constant
+    leaves residuals unlike one.
+    """
+    tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
+    columns = beside(columns, fitted)
+    pieces = np.zeros(len(columns), dtype=int)
+    for rows in map(np.concatenate, outputs):
+        pieces[rows] = np.arange(len(rows)) * 10 // len(rows)  # whose means show an offset
+    for term, (decrease, p_one, value, _), column in zip(terms, tests, columns.T[1:], strict=True):
+        if np.isnan(p_one):
+            continue
+        squares = np.bincount(pieces, column**2)
+        spread = np.linalg.norm(np.bincount(pieces, column * (columns[:, 0] - value * column)))
+        determined = float(squares.sum() ** 2 / (squares @ squares))
+        error = determined**0.5 * float(spread / squares.sum()) + TINY
+        left = 1 / (1 + (value / error) ** 2 / determined)
+        p_value = chance(left, determined - 1)
+        numbers = np.minimum(
+            [decrease / len(columns), *2 * [count * len(terms) * p_value]], 1.0
+        ).tolist()
+        yield Cause(*term.described(value, error), value, error, *numbers)
+
+
+def _lines(measured: BoolArray) -> Array:
+    """Return a constant and a straight line (n k, 2 k) for every output of a stretch (k, n)."""
+    outputs, samples = measured.shape
+    line = np.vander(np.linspace(-1, 1, samples), 2)
+    return np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1)
+
+
+def on_excerpts(
+    part: RecordPart, trajectory: Trajectory, samples: int
+) -> tuple[RecordPart, Trajectory]:
+    """Return a longer part on excerpts of this many samples, with its trajectory there."""
+    if part.samples <= samples:
+        return part, trajectory
+    excerpt = part.excerpt(samples)
+    states = np.zeros((part.states, len(part.model.record)))
+    in_order = part.data.unpadded(part.segments.in_order(trajectory.states))
+    for stretch, row in zip(part.data.stretches, in_order, strict=True):
+        states[:, stretch.rows] = row
+
+    nodes = excerpt.data.at_samples(states)[:, :: excerpt.data.segment_length].T
+    return excerpt, excerpt.trajectory(trajectory.z, nodes)
+
+
+def regression_of_response(
+    part: ResponsePart, values: Array, names: Sequence[str], moves: BoolArray
+) -> Regression:
+    """Return the regression of a response at all `values`; of the free ones some are fitted."""
+    free, places = moves.size, np.flatnonzero(moves)
+    response, criterion, data = part.response(values), part.criterion, part.data
+    # Of a response of zero, all is misfit.
+    size = criterion.error_size(response if response.any() else data.response, data)
+    if criterion.known_noise and data.dof is not None:
+        # Over an estimated variance an error is Student's t, whose tails would look like a term.
+        # Its weight is that of the likelihood, about the scale of all residuals.
+        scale = data.dof * criterion.noise_ratio(response, data) + TINY
+        size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
+    used = size > 0
+    # A single outlier would look like a narrow mode.
+    worst = largest_deviation(part, values, free)
+    if worst and len(used) * worst.probability < SIZE:
+        used[worst.index] = False
+    order = np.argsort(data.omega, kind="stable")
+    order = order[used[order]]
+
+    def rows(columns: ComplexArray) -> Array:
+        turned = columns[order] * np.exp(-1j * np.angle(response[order]))[:, None]
+        return real_and_imaginary(turned / size[order, None])
+
+    def again(change: Array, factors: ComplexArray) -> Array:
+        x = values.copy()
+        x[places] += change
+        model, slopes = part.response(x), part.sensitivity(x)[:, places]
+        by_term = model * (factors[1:] - factors[0]) / STEP
+        columns = -np.vstack([slopes.T * factors[0], by_term])
+        return rows(np.column_stack([data.response - model * factors[0], *columns]))
+
+    relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
+    states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
+    orders = [("own", part.name, 1.0)]
+    orders += [
+        ("trim" if signal in states else "schedule", signal, value)
+        for signal, value in part.problem.at.items()
+    ]
+    if sine is not None:
+        orders += [("amplitude", sine.signal, sine.amplitude)]
+    own = [
+        Term(kind, column * value, a=name, b=b)
+        for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
+        for kind, b, value in (
+            orders if k in places else [("bound" if k < free else "fixed", "", 1.0)]
+        )
+    ]
+    # Where most of a response is left, no size or correlation of its errors excuses the model.
+    path = Cause(
+        f"a response of {data.output or 'the output'} to {data.input or 'the input'}",
+        "a path between both, or wider bounds",
+        1.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+    )
+    measured, left = rows(data.response[:, None]), rows((data.response - response)[:, None])
+    return Regression(
+        measured,
+        left,
+        rows(-part.sensitivity(values)[:, places]),
+        _numbered([*terms_of_response(*data.omega.tolist()), *own]) if order.size else {},
+        lambda terms: rows(np.column_stack([response * term.values for term in terms])),
+        again if order.size else None,
+        causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),
+    )
+
+
+def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
+    """Return terms by their family and their number in it, the same in all parts."""
+    numbered: dict[Key, Term] = {}
+    counts = Counter[Any]()
+    for term in terms:
+        numbered[term.family, counts[term.family]] = term
+        counts[term.family] += 1
+    return numbered
