@@ -53,11 +53,15 @@ class Cause:
     )
 
     @property
+    def explained(self) -> str:
+        """What the term is, with the share of the misfit that it explains, and its test."""
+        return f"{self.text} ({percent(self.share)} % of the misfit, {_chance(self.p_value)})"
+
+    @property
     def remedy(self) -> str:
-        """The term with its test, how the model gets it, and what it cannot be told apart from."""
-        test = f"({percent(self.share)} % of the misfit, {_chance(self.p_value)})"
+        """The term, how the model gets it, and what it cannot be told apart from."""
         also = f"; hardly distinct from {some(self.alike)}" if self.alike else ""
-        return f"to add: {self.text} {test}{': ' * bool(self.code)}{self.code}{also}"
+        return f"to add: {self.explained}{': ' * bool(self.code)}{self.code}{also}"
 
 
 @dataclass(frozen=True)
