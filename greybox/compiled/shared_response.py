@@ -277,7 +277,7 @@ def shared_systems(
     groups: dict[Any, list[int]] = {}
     values = [ca.SX(ca.vertcat(*part.local_values(named).values())) for part in parts]
     local = [ca.Function("values", [point], [own]) for own in values]
-    systems = list[Any]()
+    systems = []
     for k, part in enumerate(parts):
         if part.amplitude is not None:
             omega = part.response.omega

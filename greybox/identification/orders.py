@@ -32,6 +32,8 @@ from greybox.regression.levy import coefficients, ratio, reweighted
 from greybox.regression.poles_and_zeros import near_pairs, root_text
 
 POLES = 4  # beside the integrators; more can seldom be distinguished in two decades of frequency
+ZEROS = 2
+INTEGRATORS = 2
 
 # Delays from zero to the one that turns the phase by this angle at the highest frequency, rad, are
 # tried first: more than one turn, in steps narrower than a minimum.
@@ -194,9 +196,9 @@ def orders_of(
     """Return the structures of a grid; see `select_orders`."""
     return [
         Orders(order, zeros, count, delay)
-        for count in integrators or range(3)
+        for count in integrators or range(INTEGRATORS + 1)
         for order in n or range(max(count, 1), count + POLES + 1)
-        for zeros in m or range(3)
+        for zeros in m or range(ZEROS + 1)
         if zeros < order and count <= order
     ]
 
