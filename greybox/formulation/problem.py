@@ -537,7 +537,10 @@ def _wrong_data(given: Any) -> str:
             f"a mapping with the keys {', '.join(map(repr, given)):.200}: give every "
             "FrequencyResponse by its pair, such as {'p/lat': response} (output/input)"
         )
-    return f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum"
+    return (
+        f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum; of objects "
+        "of python-control, gb.interop.from_control(...) makes responses"
+    )
 
 
 def _require(value: Any, kind: Any, what: str, cure: str) -> None:

@@ -137,6 +137,7 @@ def test_a_constraint_that_is_a_truth_value_is_refused():
             r"model is .*LagLagDelay.*give an instance such as Tilt\(\), not the class",
         ),
         ((LagLagDelay(), 5), "data is 5: give a FrequencyResponse"),
+        ((LagLagDelay(), 5j), "gb.interop.from_control"),
         (
             (LagLagDelay(), TWO, gb.RelativeError),
             "criterion is .*give a criterion such as RelativeError",
