@@ -101,11 +101,11 @@ def fits_a_batch(program: ca.Function | None) -> bool:
 
     The program (z, ...) -> cost, constraints needs an explicit cost (an SX function) and no
     constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
-    most of IPOPT's time, and from MOST_UNKNOWNS on eigenvalues do: a batch gains little then.
+    most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
     """
     if program is None or not program.is_a("SXFunction") or program.numel_out(1):
         return False
-    return program.numel_in(0) <= 20 and instructions(program) <= 50_000  # of a batch
+    return program.numel_in(0) <= 20 and instructions(program) <= 50_000
 
 
 def instructions(program: ca.Function) -> int:

@@ -23,10 +23,7 @@ from greybox.estimate.misfit_regression import (
     regression_of_record,
     regression_of_response,
 )
-from greybox.estimate.missing_terms import (
-    Term,
-    terms_of_record,
-)
+from greybox.estimate.missing_terms import Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
 from greybox.files.arrays import Array
 from greybox.modeling.added_terms import Formula
@@ -36,15 +33,8 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import (
-    beside,
-    triangle_of,
-)
-from greybox.statistics.score_test import (
-    correlated_fits,
-    p_values_of_fits,
-    score_tests,
-)
+from greybox.statistics.column_space import beside, triangle_of
+from greybox.statistics.score_test import correlated_fits, p_values_of_fits, score_tests
 
 # Largest probability at which a model of responses is called wrong, as `FALSE_ALARMS` of records:
 # of 1614 simulated right fits, whose errors are white, correlated along frequency, or larger at one

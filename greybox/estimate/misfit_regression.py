@@ -21,20 +21,9 @@ from greybox.estimate.missing_terms import (
     terms_of_response,
 )
 from greybox.files.arrays import Array, BoolArray, ComplexArray, frozen, real_and_imaginary
-from greybox.statistics.autoregressive_test import (
-    Outputs,
-)
-from greybox.statistics.column_space import (
-    DEPENDENT,
-    beside,
-    column_basis,
-    outside,
-)
-from greybox.statistics.score_test import (
-    REMAINS,
-    chance,
-    score_tests,
-)
+from greybox.statistics.autoregressive_test import Outputs
+from greybox.statistics.column_space import DEPENDENT, beside, column_basis, outside
+from greybox.statistics.score_test import REMAINS, chance, score_tests
 
 TINY = 1e-300
 STEP = 1e-6  # of the numbers of a term, for derivatives

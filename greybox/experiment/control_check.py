@@ -73,7 +73,7 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
         If the control does not change, or if half of it is not reproduced.
     """
     passes = controller.rate * record.step
-    # Of the loop, a minute at 400 Hz: more would not change the answer
+    # A minute of the loop at 400 Hz: more would not change the answer.
     record = record.rows(slice(max(int(24000 / max(passes, 1)), 2)))
     time, name = record.time, controller.outputs[0]
     logged = record[name]
@@ -86,7 +86,7 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
         rows = [np.asarray(spline(grid)).ravel() for spline in splines]
     simulate = _compiled(controller).mapaccum("flown", len(grid))
 
-    # s, until filters have forgotten that they began at zero
+    # After a second, filters have forgotten that they began at zero.
     settled = time > time[0] + min(1.0, record.duration / 2)
     size = float(np.std(logged[settled]))
     if not size > 0:
@@ -94,7 +94,7 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     delayed = [n for n in controller.setpoints if n in record.signals]
     names = (*controller.inputs, *controller.setpoints)
     best, late = math.inf, {}
-    # Samples by which a logged setpoint may precede the control that it belongs to
+    # A logged setpoint may precede the control that it belongs to by up to three samples.
     for samples in itertools.product(range(4), repeat=len(delayed)):
         trial = dict(zip(delayed, samples, strict=True))
         shifted = [np.roll(row, trial.get(n, 0)) for n, row in zip(names, rows, strict=True)]

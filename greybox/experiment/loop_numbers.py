@@ -292,7 +292,7 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     """
     time, steps = step_responses(loop, setpoint, response)
     rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
-    outside = np.abs(steps - 1) - 0.02
+    outside = np.abs(steps - 1) - 0.02  # of a settled response
     settling = np.where(outside[:, -1] < 0, crossings(outside, time).last.value, math.inf)
     numbers = {
         "overshoot": 100 * np.maximum(steps.max(axis=1) - 1, 0),

@@ -147,8 +147,9 @@ def select_orders(
         chain.from_iterable(stated.values()), [*names, "T_delay"], "parameter", "the grid"
     )
     least = min(fit.bic for fit in linear.values())
-    # The others are not fitted again: for random vehicles, least squares come within 1 of the least
-    # chi-square (`benchmarks/random_vehicles.py`). Nor are those behind two of their size.
+    # Only structures near the least BIC are fitted again, and of one size the best two: for random
+    # vehicles, linear least squares come within 1 of the least chi-square
+    # (`benchmarks/random_vehicles.py`).
     near = [
         orders
         for orders, (bic, _) in linear.items()

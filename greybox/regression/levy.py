@@ -79,7 +79,7 @@ class RationalFit:
 
     @property
     def near_pairs(self) -> tuple[NearPair, ...]:
-        """Poles and zeros closer than `NEAR`, stable or not, the closest first."""
+        """Poles and zeros closer than a tenth of their size, stable or not, the closest first."""
         return near_pairs(self.zeros, self.poles)
 
     @property

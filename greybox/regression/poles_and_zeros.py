@@ -28,7 +28,7 @@ class NearPair:
 
 
 def near_pairs(zeros: ArrayLike, poles: ArrayLike) -> tuple[NearPair, ...]:
-    """Match zeros and poles that are closer than `NEAR`, each used once, the closest first.
+    """Match zeros and poles closer than a tenth of their size, each used once, the closest first.
 
     Complex ones are matched in the upper half plane, one `NearPair` for a conjugate pair. Since the
     distance is relative, a zero near the origin does not cancel an integrator unless it is zero

@@ -71,7 +71,7 @@ class SharedSolver(ResponseSolver):
         ratios = np.array(FIRST)[place // 2 % 2]
         search = BatchedNewton(ProcessNoise(self._shared, z), *self.problem.bounds)
         for stage in STAGES:
-            # Iterations with one ratio of process noise: of seven starts, five take 3 to 36
+            # With one ratio of process noise, five of seven starts take 3 to 36 iterations.
             ends = search.minimize(
                 near,
                 max_iterations=40,
@@ -84,7 +84,7 @@ class SharedSolver(ResponseSolver):
             )
             near, iterations = ends.z, iterations + ends.iterations
         if near.size:
-            # Iterations of a start: some take 250, and their time would be that of the whole fit
+            # Some starts take 250 iterations, and their time would be that of the whole fit.
             limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
         first = super().improved(z[:, :1], **limits)
         others = super().improved(near, **limits, from_near=True, labels=0 * place)

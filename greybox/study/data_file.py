@@ -130,11 +130,11 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
                 f"prepare the record with gb.prepare(gb.read({str(path)!r}), {{{fields}}}) in a "
                 "file my.py whose function problem() returns gb.Problem(model, record)"
             )
-        # Characters of a list in a sentence: more would hide the cure after it
+        # More of a list would hide the cure after it.
         raise ValueError(
             f"{path} has {len(records) or 'no'} messages with the signals of {model.label} "
             f"({', '.join((*inputs, ' or '.join(outputs)))}) but has "
-            f"{available:.{200}}. To fit it, {cure}."
+            f"{available:.200}. To fit it, {cure}."
         )
 
     (record,) = records

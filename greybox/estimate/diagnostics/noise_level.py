@@ -88,7 +88,7 @@ def _of_record(
         return
     if covariance.known is None:
         counts = zip(part.outputs, part.few, covariance.counts, strict=True)
-        least = min(shared[name] if few else n for name, few, n in counts if n)
+        least = min(shared[output] if few else n for output, few, n in counts if n)
         # Of one output alone, the intervals allow for the number of samples.
         if least < min(6, total):
             text = (
