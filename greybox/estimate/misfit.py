@@ -13,6 +13,9 @@ LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 # Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
+# Share of squares, a millionth of an output, below which no sensor has errors: a simulation without
+# noise leaves rounding and integration errors, which may follow the input.
+EXACT = 1e-12
 
 
 @dataclass(frozen=True)
@@ -137,8 +140,13 @@ class Misfit(Printed):
 
     @property
     def explains(self) -> bool:
-        """Whether the residuals look like noise."""
-        return not self.p_value < self.level
+        """Whether the residuals look like noise, or are rounding."""
+        return self.is_exact or not self.p_value < self.level
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether less than a millionth of the outputs is left, as of data from a simulation."""
+        return self.left < EXACT
 
     @property
     def is_large(self) -> bool:
@@ -146,11 +154,17 @@ class Misfit(Printed):
         return not self.explains and self.left > LARGE * self.noise
 
     @property
+    def is_noisy(self) -> bool:
+        """Whether noise may be most of what is left."""
+        return not (self.is_exact or self.is_large)
+
+    @property
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
         # Where drift alone, or correlated errors of a response, would excuse the model.
         excused = 0.05 if self.is_drifting else 0.001
         limit = excused if self.explains else self.level
+        limit *= not self.is_exact
         return tuple([cause for cause in self.causes if cause.p_value < limit][:3])
 
     @property
@@ -161,6 +175,11 @@ class Misfit(Printed):
     @property
     def verdict(self) -> str:
         """Whether the model explains the data, in a few words."""
+        if self.is_exact:
+            return (
+                "reproduces the data but for rounding and integration errors, as of a simulation "
+                "without noise, so that standard errors mean little"
+            )
         left = f"{percent(self.left)} % of their variance is left and follows"
         noise = f"; noise alone would leave about {percent(self.noise)} %"
         noise *= self.noise < self.left

@@ -13,7 +13,7 @@ from greybox.compiled.disturbances import DisturbedRecord
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.misfit import FALSE_ALARMS, LARGE, Cause, Misfit, Shape
+from greybox.estimate.misfit import EXACT, FALSE_ALARMS, LARGE, Cause, Misfit, Shape
 from greybox.estimate.misfit_regression import (
     STEP,
     TINY,
@@ -102,7 +102,7 @@ def assessed_misfit(
         best.values(), key=lambda c: (c.p_value >= FALSE_ALARMS, not c.code, -round(c.share, 9))
     )
     return replace(
-        max(groups, key=lambda group: group.left - group.noise),
+        max(groups, key=lambda group: (not group.is_exact, group.left - group.noise)),
         tried=sum(group.tried for group in groups),
         causes=tuple(causes),
         p_common=min(group.p_common for group in groups),
@@ -228,7 +228,7 @@ def _shares(
         [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in residuals]
         for rows in [*map(np.concatenate, outputs)] or [...]
     ]
-    return max(shares, key=lambda pair: pair[0] - pair[1])
+    return max(shares, key=lambda pair: (pair[0] >= EXACT, pair[0] - pair[1]))
 
 
 def _shape(

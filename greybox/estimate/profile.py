@@ -349,17 +349,16 @@ def _refusals(minima: HeldMinima) -> Iterator[str]:
     # every point has the same weight in units of its error: then the curvature gives the factor.
     values = minima.nlp.all_values(minima.x)
     for part in minima.nlp.parts_of(ResponsePart):
-        bread, meat = part.criterion.spread(part.response(values), part.data, 1.0)
-        if not np.isfinite(bread) or not meat.size or not np.all(meat > 0):
-            yield f"{part.problem.name!r} is fitted exactly, so the size of its errors is unknown"
-        elif not part.criterion.weighs_alike and np.ptp(meat) > 1e-6 * meat.max():
+        _, meat = part.criterion.spread(part.response(values), part.data, 1.0)
+        if not part.criterion.weighs_alike and np.ptp(meat) > 1e-6 * meat.max(initial=0.0):
             yield (
                 f"{type(part.criterion).__name__} does not weigh the points of "
                 f"{part.problem.name!r} by their errors, so its cost is not a log-likelihood: use "
                 "RelativeError, SquaredRelativeError or MaximumLikelihood, or a bootstrap"
             )
-    if not np.nan_to_num(minima.accuracy.covariance).any():
-        yield "its errors are not known"
+    errors = np.sqrt(np.diag(minima.accuracy.covariance))
+    if not np.any(errors > 1e-12 * np.abs(values)):
+        yield "its errors are not known, or they are rounding"
 
 
 def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:

@@ -125,7 +125,10 @@ class SafeGains:
         some = f"Some sets were refused: {self.cure}" if self.cure and self.best else ""
         at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
         wider = f"At an end of the tried range: the best {listed(at_end)}." if at_end else ""
-        today = number(100 * self.today_confidence, 3)
+        share = number(100 * self.today_confidence, 3)
+        today = f"Today's gains meet the requirements with {share} % confidence."
+        if math.isnan(self.today_confidence):
+            today = "Whether today's gains meet them is not known: their crossover lies there."
         rejection = ""
         if self.best:
             pair = [self.bandwidth[self.allowed].max(), self.today_bandwidth]
@@ -136,7 +139,7 @@ class SafeGains:
             text_table(header, rows),
             wider,
             some,
-            f"Today's gains meet the requirements with {today} % confidence.",
+            today,
             rejection,
             PROMISE,
             *self.notes,

@@ -74,17 +74,18 @@ def warnings(
     best = search.minima[0]
     misfit = answer.misfit
     # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
-    feedback = misfit is None or not misfit.is_large
+    noisy = misfit is None or misfit.is_noisy
     # Residuals of a wrong model are not errors, so their correlation does not matter.
-    errors = misfit is None or misfit.explains
+    explained = misfit is None or misfit.explains
+    errors = explained and noisy
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *repeated_data(nlp),
         *discretization_warnings(nlp, trajectories, error),
-        *(() if errors else (UNEXPLAINED,)),
+        *(() if explained else (UNEXPLAINED,)),
         *record_warnings(nlp, answer, trajectories, accuracy),
-        *gusts(nlp, trajectories, accuracy, noisy=feedback),
+        *gusts(nlp, trajectories, accuracy, noisy=noisy),
         *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),
@@ -101,6 +102,6 @@ def warnings(
         *uncertain_gusts(answer),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
-        *outlying_points(nlp, best.estimate),
+        *(outlying_points(nlp, best.estimate) if errors or not explained else ()),
         *(once(outlying_samples(answer.parts)) if errors else ()),
     )

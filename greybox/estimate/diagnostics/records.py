@@ -74,6 +74,7 @@ def record_warnings(
     the model explains the data.
     """
     misfit = answer.misfit
+    noisy, unstable = (True, False) if misfit is None else (misfit.is_noisy, misfit.is_unstable)
     pairs = [
         (part, fitted)
         for part, fitted in zip(nlp.parts, answer.parts, strict=True)
@@ -82,14 +83,10 @@ def record_warnings(
     alone = len(pairs) == 1
 
     return (
-        *once(_short(answer, accuracy, alone=alone)),
+        *(once(_short(answer, accuracy, alone=alone)) if noisy else ()),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
-        *(
-            ()
-            if misfit and misfit.is_large
-            else biased_by_feedback(pairs, unstable=bool(misfit and misfit.is_unstable))
-        ),
-        *colored_predictions(pairs, explained=not misfit or misfit.explains),
+        *(biased_by_feedback(pairs, unstable=unstable) if noisy else ()),
+        *colored_predictions(pairs, explained=misfit is None or misfit.explains),
         *once(_bounded(nlp, trajectories, alone=alone)),
         *once(_flattened_inputs([part for part, _ in pairs])),
     )
