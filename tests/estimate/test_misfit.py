@@ -47,17 +47,17 @@ class Late(Spring):
     T = gb.Parameter(0.12, bounds=(0, 1), unit="s", fixed=True)
 
 
-def problem(plant=Spring, color="white", seed=0, k=25.0, airspeed=None):
+def problem(plant=Spring, color="white", seed=0, k=25.0, airspeed=None, noise=0.02):
     """Return the spring with a flight of another plant, and an airspeed that it does not use."""
     random = np.random.default_rng(seed)
     time = STEP * np.arange(SAMPLES)
     u = sum(np.sin(w * time + random.uniform(0, 6)) for w in (1, 2, 3.3, 4.7, 6.1, 9)) / 2.5
     flight = gb.Record(time, {"u": u}, hold={"u": np.inf})
     x = gb.simulate(plant(), {"k": k, "d": 2.0, "b": 25.0}, flight)["x"]
-    noise = random.normal(size=SAMPLES)
+    errors = random.normal(size=SAMPLES)
     if color == "drift":
-        noise += 0.3 * np.cumsum(random.normal(size=SAMPLES))
-    flight = flight.with_signals(x=x + 0.02 * noise)
+        errors += 0.3 * np.cumsum(random.normal(size=SAMPLES))
+    flight = flight.with_signals(x=x + noise * errors)
     if airspeed is not None:
         flight = flight.with_signals(airspeed=airspeed + 0.2 * random.normal(size=SAMPLES))
     return gb.Problem(Spring(), flight, name=f"flight {seed}")
@@ -75,6 +75,27 @@ def test_a_right_model_explains_its_data(color):
     assert fit.misfit.explains
     assert "explains the data" in str(fit)
     assert fit.to_dict()["misfit"]["explains"]
+
+
+# With 1e-8, rounding of the simulation is hidden, and with 1e-4, the noise is that of a sensor.
+@pytest.mark.parametrize("noise", [0.0, 1e-8, 1e-4])
+def test_data_from_a_simulation_are_recognized_if_they_have_no_noise(noise):
+    fit = fitted(noise=noise)
+    assert fit.misfit.explains
+    assert fit.misfit.is_exact == (noise < 1e-6)
+    assert ("without noise" in str(fit)) == (noise < 1e-6)
+    assert not any("gusts" in warning or "correlated" in warning for warning in fit.warnings)
+    assert not fitted(Cubic, noise=noise).misfit.explains
+
+
+def test_rounding_of_a_response_is_no_outlier_and_has_no_profile():
+    model, omega = DampedAngle(), np.geomspace(1, 50, 15)
+    data = gb.frequency_response(model, {}, omega)
+    fit = gb.fit(gb.Problem(model, data), starts=2, progress=False)
+    assert fit.misfit.is_exact
+    assert not fit.warnings
+    with pytest.raises(ValueError, match="rounding"):
+        gb.profile(fit)
 
 
 @pytest.mark.parametrize(("plant", "cause"), [(Cubic, "x**3"), (Late, "delay of u")])

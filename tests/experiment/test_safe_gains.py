@@ -82,6 +82,22 @@ def test_the_confidence_in_todays_gains_is_printed_in_percent(answers):
     assert f" with {100 * answer.today_confidence:.3g} % confidence" in str(answer)
 
 
+@pytest.mark.usefixtures("few_draws")
+def test_a_record_shows_where_it_was_measured_and_where_not():
+    truth = {**TRUTH, "K": 4.0, "tau": 0.0}
+    time = np.arange(0, 30, 0.02)
+    sweep = 0.3 * np.sign(np.sin(2 * np.pi * (0.1 + 0.05 * time) * time))
+    flight = gb.Record(time, {"u": sweep}, hold={"u": np.inf})
+    q = gb.simulate(RateDynamics(), truth, flight)["q"]
+    flight = flight.with_signals(q=q + 0.01 * np.random.default_rng(0).normal(size=q.size))
+    fit = gb.fit(gb.Problem(RateDynamics(), flight), starts=2, progress=False)
+    answer = gb.safe_gains(fit, RateLoop({"K_P": 0.01}), {"K_P": (0.7, 1.5)})
+    assert answer.best
+    # With so little gain there is no crossover in the band of the sweep.
+    assert np.isnan(answer.today_confidence)
+    assert "today's gains meet them is not known" in str(answer)
+
+
 def test_the_best_gain_rejects_disturbances_best(answers):
     answer = answers[0]
     assert answer.best["K_P"] == answer.values["K_P"][answer.allowed][-1]
