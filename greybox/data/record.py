@@ -18,7 +18,7 @@ from greybox.data.checked_array import (
 )
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import Array, IntArray, Values, frozen
+from greybox.files.arrays import Array, IntArray, Interval, Values, frozen
 from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
@@ -174,7 +174,7 @@ class Record:
         return 1 / self.step
 
     @property
-    def span(self) -> tuple[float, float]:
+    def span(self) -> Interval:
         """Times of the first and the last sample, s."""
         return float(self.time[0]), float(self.time[-1])
 

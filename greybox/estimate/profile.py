@@ -26,7 +26,7 @@ from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Interval, frozen
 from greybox.files.progress import bar
 from greybox.files.text_table import as_names, number
 from greybox.formulation.starts import Sobol
@@ -409,7 +409,7 @@ class _Search:
     held: Held
     best: Point
     factor: float
-    bounds: tuple[float, float]
+    bounds: Interval
     size: float
     first: float
     starts: Sequence[Point] = ()

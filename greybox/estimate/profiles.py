@@ -3,7 +3,7 @@
 import math
 from typing import Any, Literal
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Interval, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import alternatives, number, one_line
@@ -49,9 +49,9 @@ class ProfileOf:
     costs: Array
     roots: Array
     others: Array
-    interval: tuple[float, float]
+    interval: Interval
     ends: tuple[End, End]
-    bounds: tuple[float, float]
+    bounds: Interval
     bias: float = 0.0
     at_bound: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
     connected: bool = True
@@ -123,7 +123,7 @@ class Profiles(Printed):
         )
 
     @property
-    def intervals(self) -> dict[str, tuple[float, float]]:
+    def intervals(self) -> dict[str, Interval]:
         """The intervals by name; infinite on an open side."""
         return {profile.name: profile.interval for profile in self.profiles}
 

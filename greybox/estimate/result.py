@@ -32,7 +32,7 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Interval, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -75,10 +75,10 @@ class Quantity:
     kind: Literal["free", "fixed", "tied", "derived"]
     unit: str = ""
     about: str = ""
-    bounds: tuple[float, float] = (-math.inf, math.inf)
+    bounds: Interval = (-math.inf, math.inf)
     at_bound: bool = False
     dof: float = math.inf
-    box: tuple[float, float] = (-math.inf, math.inf)
+    box: Interval = (-math.inf, math.inf)
     bias: float = 0.0
 
     def __repr__(self) -> str:
@@ -359,7 +359,7 @@ class Fit(Printed):
         """Checksums of the data of all parts."""
         return " ".join(part.data.checksum for part in self.parts)
 
-    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+    def interval(self, level: float = 0.95) -> dict[str, Interval]:
         """Return confidence intervals by Student's t, by name; NaN if the error is unknown.
 
         Their centers are the values without their `Quantity.bias`.

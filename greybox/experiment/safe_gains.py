@@ -20,7 +20,7 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
-from greybox.files.arrays import Array, BoolArray, Values, frozen
+from greybox.files.arrays import Array, BoolArray, Interval, Values, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Names, require_known
@@ -150,7 +150,7 @@ class SafeGains:
 def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     fits: Fit | Sequence[Fit],
     controller: Controller | Sequence[Controller],
-    gains: Mapping[str, tuple[float, float] | None] | Sequence[str],
+    gains: Mapping[str, Interval | None] | Sequence[str],
     *,
     phase_margin: float = 45.0,
     gain_margin: float = 6.0,
@@ -249,7 +249,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     )
 
 
-def _divided(name: str, ends: tuple[float, float] | None, today: float, count: int) -> Array:
+def _divided(name: str, ends: Interval | None, today: float, count: int) -> Array:
     if ends is None and not today > 0:
         raise ValueError(f"{name} is {today:g}, which has no range about it: give its range.")
     low, high = ends or (today / TRIED, today * TRIED)

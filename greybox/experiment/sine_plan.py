@@ -19,7 +19,7 @@ from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sines import sine_schedule
-from greybox.files.arrays import Array, ComplexArray, IntArray, Values, frozen
+from greybox.files.arrays import Array, ComplexArray, IntArray, Interval, Values, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
@@ -131,7 +131,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     values: Values,
     wanted: Values,
     *,
-    band: tuple[float, float],
+    band: Interval,
     amplitude: float,
     noise: float | Record,
     input: str = "u",
@@ -244,7 +244,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
 
 def _require_valid(
-    band: tuple[float, float],
+    band: Interval,
     wanted: Values,
     positive: Values,
 ) -> None:

@@ -12,6 +12,7 @@ ComplexArray = NDArray[np.complexfloating]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
 Values = Mapping[str, float]  # by the names of parameters or signals
+Interval = tuple[float, float]  # its low and its high end
 
 Kind = TypeVar("Kind")
 

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Values, frozen
+from greybox.files.arrays import Interval, Values, frozen
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
@@ -174,9 +174,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     weight: float = 1.0
     name: str = ""
     amplitude: Sine = None  # type: ignore[assignment]
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Mapping[str, Interval] = field(default_factory=dict)
     start: Values = field(default_factory=dict)
-    starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    starts: Mapping[str, Interval] = field(default_factory=dict)
     prior: Mapping[str, Knowledge] | HeldEstimate = field(default_factory=dict)
 
     def __post_init__(self) -> None:

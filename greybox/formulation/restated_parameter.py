@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from greybox.files.arrays import Interval
 from greybox.modeling.parameter import Parameter, is_finite_number, number_pair
 
 
@@ -11,9 +12,9 @@ def restated(
     name: str,
     parameter: Parameter,
     *,
-    bounds: tuple[float, float] | None = None,
+    bounds: Interval | None = None,
     start: float | None = None,
-    starts: tuple[float, float] | None = None,
+    starts: Interval | None = None,
 ) -> Parameter:
     """Return a parameter with these bounds, start and start box in place of the declared ones.
 
@@ -61,9 +62,7 @@ def held_at(name: str, parameter: Parameter, value: Any) -> Parameter:
     return replace(parameter, start=float(value), fixed=True)
 
 
-def _cut(
-    box: tuple[float, float] | None, bounds: tuple[float, float]
-) -> tuple[float, float] | None:
+def _cut(box: Interval | None, bounds: Interval) -> Interval | None:
     """Return the part of a start box within bounds; None if it is empty."""
     if box is None:
         return None

@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Values, frozen
+from greybox.files.arrays import Interval, Values, frozen
 from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
@@ -94,7 +94,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     through: Sequence[str] | None = None,
     fixed: Values | None = None,
     free: Sequence[str] = (),
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, Interval] | None = None,
     start: Values | None = None,
     all_points: bool = False,
     starts: int = STARTS,

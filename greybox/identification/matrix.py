@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Interval, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.measurement import named_signals
@@ -53,7 +53,7 @@ def measure_matrix(
     *,
     excitations: Sequence[str] = (),
     rate: float | None = None,
-    band: tuple[float, float] | None = None,
+    band: Interval | None = None,
     settle: float = SETTLED,
 ) -> MatrixMeasurement:
     """Return the responses of all outputs to all inputs; every input has a multisine.

@@ -17,7 +17,7 @@ from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import known_unit
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Interval, frozen
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -91,7 +91,7 @@ class Settings:
     axis: str = ""
     tests: str = ""
     rate: float | None = None
-    band: tuple[float, float] | None = None
+    band: Interval | None = None
     settle: float = 2.0
     period: float | None = None
     whole: bool = False
@@ -388,7 +388,7 @@ def _require_one_axis(used: Sequence[Segment]) -> None:
         )
 
 
-def _within_band(sines: Sequence[Segment], band: tuple[float, float]) -> list[Segment]:
+def _within_band(sines: Sequence[Segment], band: Interval) -> list[Segment]:
     inside = [segment for segment in sines if band[0] <= segment.omega <= band[1]]
     if not inside:
         there = ", ".join(f"{segment.omega:.4g}" for segment in sines)

@@ -7,6 +7,7 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, Quantity
+from greybox.files.arrays import Interval
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
@@ -65,7 +66,7 @@ def fit_within_far_bounds(
     responses: Sequence[FrequencyResponse],
     points: Sequence[Mapping[str, float]],
     *,
-    bounds: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, Interval],
     stated: Mapping[str, Any],
 ) -> Fit:
     """Fit a structure, and widen a bound that holds a parameter, unless it is zero or `stated`.
@@ -88,7 +89,7 @@ def fit_within_far_bounds(
         widenings += 1
 
 
-def _wider(quantity: Quantity) -> tuple[float, float]:
+def _wider(quantity: Quantity) -> Interval:
     low, high = quantity.bounds
     if quantity.value - low < high - quantity.value:
         return (low * FACTOR if low < 0 else low / FACTOR, high)

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ComplexArray, Interval, frozen
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
@@ -106,7 +106,7 @@ def with_systematic_errors(
 
 
 def motor_saturation(
-    recording: Recording, control: str, spans: Sequence[tuple[float, float]]
+    recording: Recording, control: str, spans: Sequence[Interval]
 ) -> list[Finding]:
     """Return a finding if a motor was at its limit for long, from the motor outputs in the log."""
     share = saturation(recording, spans) if axis_of(control) else math.nan
@@ -122,7 +122,7 @@ def _thinned(
     response: FrequencyResponse,
     control: str,
     axis: str,
-    spans: Sequence[tuple[float, float]],
+    spans: Sequence[Interval],
 ) -> SystematicError | None:
     # The rate of a log may change between flights: only that during the tests counts.
     begin = min(start for start, _ in spans)
@@ -154,7 +154,7 @@ def _rounded(
     record: Record,
     response: FrequencyResponse,
     used: Sequence[Segment],
-    spans: Sequence[tuple[float, float]],
+    spans: Sequence[Interval],
     amplitudes: Array | None,
 ) -> SystematicError | None:
     steps = pwm_of_control(recording.parameters)
@@ -190,7 +190,7 @@ def _rounded(
     return SystematicError("rounded outputs", relative, finding)
 
 
-def _motion(recording: Recording, steps: float, control: Array, span: tuple[float, float]) -> float:
+def _motion(recording: Recording, steps: float, control: Array, span: Interval) -> float:
     """Return the standard deviation of the quietest motor in steps, at least by the control."""
     by_control = steps * float(np.std(control))
     outputs = motor_outputs(recording, *span)

@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.data.record import Record, Recording, runs_between_gaps
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, Interval
 
 INJECTED = "injected "  # begins the source of such a test, and the signal follows
 AXES = ("roll", "pitch", "yaw")
@@ -76,7 +76,7 @@ def _segment(
     signal: str,
     axis: str,
     kind: str,
-    band: tuple[float, float],
+    band: Interval,
 ) -> Segment:
     start, end = record.time[rows[[0, -1]]]
     size = float(np.nanmax(np.abs(record[signal.rpartition(".")[2]][rows])))

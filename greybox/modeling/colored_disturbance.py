@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from greybox.files.arrays import Interval
 from greybox.modeling.added_terms import ExtendedModel
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
@@ -28,7 +29,7 @@ class ColoredDisturbance(ExtendedModel):
     chapter 5.
     """
 
-    def __init__(self, model: StateSpace, *disturbed: tuple[str, tuple[float, float]]) -> None:
+    def __init__(self, model: StateSpace, *disturbed: tuple[str, Interval]) -> None:
         self.disturbed = tuple(state for state, _ in disturbed)
         self.gusts = tuple(map(gust_on, self.disturbed))
         require_known(self.disturbed, model.states, "state", model.label)
@@ -57,7 +58,7 @@ class ColoredDisturbance(ExtendedModel):
         return [*super().derivative(x, u, p), *decays]
 
 
-def gust_time(bounds: tuple[float, float], place: str) -> Parameter:
+def gust_time(bounds: Interval, place: str) -> Parameter:
     """Return the time constant of a disturbance on a derivative or an equation."""
     return Parameter(
         math.sqrt(math.prod(bounds)),

@@ -8,6 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
+from greybox.files.arrays import Interval
 from greybox.files.text_table import alternatives
 from greybox.modeling.parameter import Parameter
 
@@ -269,9 +270,7 @@ def equation(model: Model | type[Model]) -> str:
     return inspect.cleandoc(owner.__doc__ or "")
 
 
-def _intersect(
-    name: str, what: str, a: tuple[float, float], b: tuple[float, float]
-) -> tuple[float, float]:
+def _intersect(name: str, what: str, a: Interval, b: Interval) -> Interval:
     low, high = max(a[0], b[0]), min(a[1], b[1])
     if low > high or (low == high and what == "bounds"):
         raise ValueError(

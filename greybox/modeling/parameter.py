@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Interval
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Parameter:
     """
 
     start: float
-    bounds: tuple[float, float] = (-math.inf, math.inf)
+    bounds: Interval = (-math.inf, math.inf)
     unit: str = "1"
     about: str = ""
     fixed: bool = False
-    starts: tuple[float, float] | None = None
+    starts: Interval | None = None
     scale: str = "linear"
     prior: tuple[float, float] | None = None
 
@@ -100,7 +100,7 @@ class Parameter:
             normal_prior(self.prior, "prior")
 
     @property
-    def box(self) -> tuple[float, float]:
+    def box(self) -> Interval:
         """The interval in which random starts are drawn: `starts`, else the bounds."""
         return self.starts if self.starts is not None else self.bounds
 
@@ -145,7 +145,7 @@ def require_whole(name: str, value: Any, least: int) -> None:
         raise ValueError(f"{name} is {value!r}: give a whole number of at least {least}.")
 
 
-def number_pair(value: object, what: str) -> tuple[float, float]:
+def number_pair(value: object, what: str) -> Interval:
     """Return two numbers (low, high), neither of them NaN; ValueError for anything else."""
     try:
         low, high = value  # type: ignore[misc]

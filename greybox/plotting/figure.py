@@ -6,10 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ComplexArray, Interval, frozen
 from greybox.files.text_table import number
-
-Limits = tuple[float, float]
 
 GRAY = -1  # colors without a number
 INK = -2
@@ -104,7 +102,7 @@ class Panel:
     series: Sequence[Series]
     height: float = 1.0
     is_logarithmic: bool = False
-    limits: Limits | None = None
+    limits: Interval | None = None
     steps: Sequence[float] = ()
     title: str = ""
     ticks: Sequence[str] = ()
@@ -156,7 +154,7 @@ class Figure:
     is_plane: bool = False
     is_whole: bool = False
     is_wide: bool = False
-    limits: Limits | None = None
+    limits: Interval | None = None
     ticks: Sequence[str] = ()
     unit: str = "rad/s"
 

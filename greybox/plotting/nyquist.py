@@ -8,7 +8,8 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
-from greybox.plotting.figure import Figure, Limits, Panel, outlined
+from greybox.files.arrays import Interval
+from greybox.plotting.figure import Figure, Panel, outlined
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
 
@@ -137,7 +138,7 @@ def in_plane(response: FrequencyResponse, level: float | None) -> dict[str, Any]
     return look
 
 
-def _limits(responses: Sequence[DrawnResponse]) -> tuple[Limits, Limits] | None:
+def _limits(responses: Sequence[DrawnResponse]) -> tuple[Interval, Interval] | None:
     """Return both limits where curves would make the data a dot."""
     measured = [drawn.response.response for drawn in responses if drawn.is_measured]
     # The origin is always visible: stability is read from where the curve passes it.

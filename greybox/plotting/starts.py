@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Interval
 from greybox.files.text_table import counted
-from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Limits, Panel, Series
+from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
 from greybox.solve.runs import SCREENED, Run
 
@@ -111,7 +112,7 @@ def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
     return series
 
 
-def _limits(costs: Sequence[float], is_logarithmic: bool) -> Limits:
+def _limits(costs: Sequence[float], is_logarithmic: bool) -> Interval:
     """Return limits that hide no minimum among the sorted costs and do not magnify rounding."""
     if not costs:
         return 0.0, 1.0

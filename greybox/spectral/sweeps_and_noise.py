@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, Interval
 from greybox.spectral.estimated_points import HZ, response_at, without_incoherent
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches
@@ -29,7 +29,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     instrument: str | None = None,
     conditioned: Sequence[str] = (),
     omega: ArrayLike | None = None,
-    band: tuple[float, float] | None = None,
+    band: Interval | None = None,
     points: int = 40,
     name: str = "",
     near: Callable[[Array], ComplexArray] | None = None,
@@ -112,7 +112,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     return response if omega is not None else without_incoherent(response)
 
 
-def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[float, float]:
+def _within(band: Interval, lowest: float, highest: float) -> Interval:
     """Return the part of a band that the records resolve."""
     low, high = band
     if not 0 < low < high < math.inf:
@@ -126,7 +126,7 @@ def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[f
     return max(low, lowest), min(high, highest)
 
 
-def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, float]:
+def _excited_band(lines: Lines, lowest: float, highest: float) -> Interval:
     """Return the band around the strongest excitation, up to the first gap in it on either side."""
     if lowest >= highest:
         raise ValueError(

@@ -10,6 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
+from greybox.files.arrays import Interval
 from greybox.files.text_table import counted, one_line
 from greybox.spectral.saturation import at_limit
 
@@ -137,7 +138,7 @@ def check(
     return Quality(()).with_findings(*findings)
 
 
-def graded(about: str, value: float, limits: tuple[float, float], text: str) -> Iterator[Finding]:
+def graded(about: str, value: float, limits: Interval, text: str) -> Iterator[Finding]:
     """Yield a warning beyond the first limit, and a refusal beyond the second."""
     warning, refusal = limits
     sign = 1 if refusal > warning else -1  # too much, or too little
@@ -224,9 +225,7 @@ def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
         yield Finding("segments", "refusal", 0.0, text)
 
 
-def _highest_lowest(
-    response: FrequencyResponse | None, segments: Sequence[Segment]
-) -> tuple[float, float]:
+def _highest_lowest(response: FrequencyResponse | None, segments: Sequence[Segment]) -> Interval:
     # A response shows what was measured, segments only what was planned.
     if response is not None:
         return float(response.omega.max()), float(response.omega.min())

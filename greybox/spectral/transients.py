@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, Interval
 from greybox.files.text_table import as_names
 from greybox.spectral.uniform_stretches import uniform_stretches
 
@@ -21,7 +21,7 @@ def transient_spectrum(
     record: Record,
     inputs: str | Sequence[str],
     outputs: str | Sequence[str],
-    band: tuple[float, float],
+    band: Interval,
 ) -> TransientSpectrum:
     """Return the Fourier integrals of a manoeuvre at the multiples of 2π / duration in `band`.
 
@@ -88,7 +88,7 @@ def transient_spectrum(
     return replace(spectrum, inputs=delayed)
 
 
-def lines_in_band(band: tuple[float, float], duration: float, step: float) -> Array:
+def lines_in_band(band: Interval, duration: float, step: float) -> Array:
     """Return the multiples of 2π / duration within the band, rad/s; refuse a band without any."""
     low, high = map(float, band)
     spacing = 2 * np.pi / duration

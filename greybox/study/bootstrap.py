@@ -23,7 +23,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Interval, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
@@ -119,7 +119,7 @@ class Bootstrap(Printed):
         bias = self._successful.mean(axis=0) - self.estimate
         return dict(zip(self.names, bias.tolist(), strict=True))
 
-    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+    def interval(self, level: float = 0.95) -> dict[str, Interval]:
         """Return percentile intervals by name: quantiles of the replicates; NaN without replicates.
 
         A side on which the replicates reach the bound of a parameter is infinite. Source:
@@ -233,14 +233,14 @@ def tail(level: float, dof: float) -> float:
     return float(ndtr(-t_quantile(level, dof)))
 
 
-def _percentiles(values: Array, share: float) -> tuple[float, float]:
+def _percentiles(values: Array, share: float) -> Interval:
     if not values.size or not math.isfinite(share):
         return math.nan, math.nan
     low, high = np.quantile(values, [share, 1 - share])
     return float(low), float(high)
 
 
-def _ends(interval: tuple[float, float]) -> list[float | None] | None:
+def _ends(interval: Interval) -> list[float | None] | None:
     return None if any(map(math.isnan, interval)) else [finite(end) for end in interval]
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array, Interval, Values
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
 DEFAULTS = {
@@ -96,13 +96,13 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
     )
 
 
-def limits(parameters: Values) -> tuple[float, float]:
+def limits(parameters: Values) -> Interval:
     """Return the least and the greatest PWM of a flying motor, µs."""
     least, greatest = _range(parameters)
     return round(least), round(greatest)
 
 
-def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> float:
+def saturation(recording: Recording, spans: Sequence[Interval]) -> float:
     """Return the share of time during which a motor is at its limit; NaN without logged outputs."""
     low, high = limits(recording.parameters)
     at_limit = []
@@ -115,7 +115,7 @@ def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> fl
     return float(np.mean(np.concatenate(at_limit))) if at_limit else math.nan
 
 
-def _range(parameters: Values) -> tuple[float, float]:
+def _range(parameters: Values) -> Interval:
     low, high = (parameters.get(name, 0) for name in ("MOT_PWM_MIN", "MOT_PWM_MAX"))
     low, high = (low, high) if 0 < low < high else PWM
     values = {**DEFAULTS, **parameters}
