@@ -106,10 +106,11 @@ def _of_record(
         # The parameters may fit few samples exactly: then the given noise counts, not theirs.
         if (count < 8 and ratio < 1) or _is_likely(ratio, dof, 0.01 * count / total):
             continue
+        incomplete = "the model is incomplete or the given value is too small"
         text = (
             f"the residual of {output} in {name!r} is {ratio**0.5:.2g} times the given standard "
-            "deviation: the model is incomplete or the given value is wrong; the standard errors "
-            "use the variance of the residuals."
+            f"deviation: {incomplete if ratio > 1 else 'the given value is too large'}; the "
+            "standard errors use the variance of the residuals."
         )
         yield f"{output} {ratio > 1}", name, text
 

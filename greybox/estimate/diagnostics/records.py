@@ -86,7 +86,7 @@ def record_warnings(
         *(once(_short(answer, accuracy, alone=alone)) if noisy else ()),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
         *(biased_by_feedback(pairs, unstable=unstable) if noisy else ()),
-        *colored_predictions(pairs, explained=misfit is None or misfit.explains),
+        *(colored_predictions(pairs, explained=misfit is None or misfit.explains) if noisy else ()),
         *once(_bounded(nlp, trajectories, alone=alone)),
         *once(_flattened_inputs([part for part, _ in pairs])),
     )
