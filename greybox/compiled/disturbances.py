@@ -4,9 +4,10 @@ The outputs follow a term to first order, with the initial states fitted too, as
 parameter. No other model is compiled, and models that are unstable without feedback are served.
 """
 
-import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,11 @@ import numpy as np
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array
 from greybox.modeling.added_terms import factors_of_derivatives
 
 Effect = tuple[Array, Array]
-"""What every sample adds to the next state (n, columns) and to the outputs (k, columns)."""
+"""What c terms add to the next states (c, n, columns) and to the residuals (c, k, columns)."""
 
 
 class DisturbedRecord:
@@ -33,6 +33,7 @@ class DisturbedRecord:
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
         self.residuals = part.residuals(trajectory)
+        self.weight = part.residual_weight(trajectory)
         # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
@@ -54,34 +55,29 @@ class DisturbedRecord:
         return data.padded(rows)[0]
 
     def by_output(self, place: int, values: Array) -> Effect:
-        """Return the effect of values (samples,) that add to an output."""
-        outputs = np.zeros_like(self.present)
-        outputs[place] = values
-        return np.zeros_like(self.trajectory.states), self.part.segments.columns(outputs)
+        """Return the effect of values (c, samples) that add to an output."""
+        row = np.eye(len(self._slopes_of_formulas))[self.part.states + place]
+        return self._by_formulas(row[:, None], values)
 
     def by_parameter(self, place: int, values: Array) -> Effect:
-        """Return the effect of an active parameter that changes by values (samples,)."""
-        change = self.part.segments.columns(values[None])[0]
+        """Return the effect of an active parameter that changes by values (c, samples)."""
+        change = self.part.segments.columns(values)[:, None]
         following, residuals = (slope[self.part.states + place] for slope in self._slopes)
-        return following * change, -residuals * change
+        return following * change, residuals * change
 
     def by_state(self, place: int, values: Array) -> Effect:
-        """Return the effect of values (samples,) that add to the derivative of a state."""
-        derivatives = np.zeros_like(self.states)
-        derivatives[place] = values
-        outputs = self.measured_derivatives[:, [place]] * values
-        return self._by_derivatives(derivatives), self.part.segments.columns(outputs)
+        """Return the effect of values (c, samples) that add to the derivative of a state."""
+        row = np.append(np.eye(self.part.states)[place], self.measured_derivatives[:, place])
+        return self._by_formulas(row[:, None], values)
 
     def by_input(self, place: int, values: Array) -> Effect:
-        """Return the effect of values (samples,) that add to an input."""
-        way = self.part.model.between[place]
-        return self.by_formulas(place - self.inputs.shape[0], values, way.held)
+        """Return the effect of values (c, samples) that add to an input."""
+        slopes = self._slopes_of_formulas[:, place - self.inputs.shape[0]]
+        return self._by_formulas(slopes, values, self.part.model.between[place].held)
 
-    def by_formulas(self, place: int, values: Array, is_held: bool = False) -> Effect:
-        """Return the effect of values (samples,) that add to a parameter, also to a fixed one."""
-        changes, n = self._slopes_of_formulas[:, place] * values, self.part.states
-        effect = self._by_derivatives(changes[:n], is_held)
-        return effect, self.part.segments.columns(changes[n:])
+    def by_constant(self, place: int, values: Array) -> Effect:
+        """Return the effect of values (c, samples) that add to a parameter, also a fixed one."""
+        return self._by_formulas(self._slopes_of_formulas[:, place], values)
 
     @cached_property
     def measured_derivatives(self) -> Array:
@@ -101,56 +97,64 @@ class DisturbedRecord:
         q = self._placed.q[: len(system.parameters)]
         return system.slopes(self.states, self.inputs, np.where(q == 0, 1e-12, q))[rows]
 
-    def _by_derivatives(self, derivatives: Array, is_held: bool = False) -> Array:
-        """Return the mean of additional derivatives over a step, propagated over half of it."""
+    def _by_formulas(self, slopes: Array, values: Array, is_held: bool = False) -> Effect:
+        """Return the effect of values (c, samples) times the slopes (n + k, samples) of formulas.
+
+        The next states get the mean of the additional derivatives over a step, propagated over half
+        of it.
+        """
+        segments, n = self.part.segments, self.part.states
+        derivatives, outputs = np.split(slopes * values[:, None], [n], axis=1)
         # Terms have values at samples, and a step lasts until the next sample.
-        later = np.hstack([derivatives[:, 1:], derivatives[:, -1:]])
+        later = np.concatenate([derivatives[..., 1:], derivatives[..., -1:]], axis=2)
         later = derivatives if self.is_predicted or is_held else later
-        mean = self.part.segments.columns((derivatives + later) / 2)
+        mean = segments.columns((derivatives + later) / 2)
         # Most terms add to one state: of 20 states the others take a quarter of the test's time.
-        moved = mean.any(axis=1)
-        A = self._slopes[0][: self.part.states][moved]
-        return self._placed.data[-1] / 2 * (mean + np.einsum("jac,jc->ac", A, mean[moved]))
+        moved = mean.any(axis=(0, 2))
+        change = np.einsum("jac,vjc->vac", self._slopes[0][:n][moved], mean[:, moved])
+        return self._placed.data[-1] / 2 * (mean + change), segments.columns(-outputs)
 
-    @cached_property
-    def _linearized(self) -> tuple[Array, Linearization]:
-        weight = self.part.residual_weight(self.trajectory)
-        return weight, self.part.linearize(self.trajectory, weight)
+    def followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
+        """Return how outputs (k, c, samples) follow changes, with initial states fitted too.
 
-    def followed_by(self, effects: Iterable[Effect]) -> Array:
-        """Return how outputs (k, c, samples) follow effects, with initial states fitted too."""
+        Changes are pairs of a function of values (c, samples) that returns their effect, and of
+        values (samples,). Those of the same function are best neighbors.
+        """
         # Numbers of the effects in memory at once: 40 MB. A rod of 100 states has 2700 terms, 300
         # MB.
-        effects, size = iter(effects), max(5_000_000 // max(self.states.size, 1), 1)
-        batches = iter(lambda: list(itertools.islice(effects, size)), [])
+        size = max(5_000_000 // max(self.states.size, 1), 1)
+        batches = [changes[k : k + size] for k in range(0, len(changes), size)]
         return np.concatenate([self._followed_by(batch) for batch in batches], axis=1)
 
-    def _followed_by(self, effects: Sequence[Effect]) -> Array:
+    def _followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
         part, n = self.part, self.part.states
-        # No residual follows where nothing was measured.
-        present = part.segments.columns(self.present)
-        A, C = (slope[:n] for slope in self._slopes)
+        A, C = ([slope[:n]] for slope in self._slopes)
+        # Residuals are measured less simulated outputs: they follow what is taken off as outputs
+        # follow what is added.
+        for place, group in groupby(changes, itemgetter(0)):
+            following, residuals = place(-np.array([values for _, values in group]))
+            A.append(following)
+            # No residual follows where nothing was measured.
+            C.append(residuals * part.segments.columns(self.present))
         ends, J = part.segments.propagated(
-            np.stack([*A, *(-following for following, _ in effects)]),
-            np.stack([*C, *(outputs * present for _, outputs in effects)]),
-            part.segments.count,
+            np.concatenate(A), np.concatenate(C), part.segments.count
         )
-        J = J.transpose(3, 0, 1, 2)
+        J = J.transpose(3, 2, 0, 1).reshape(*J.shape[:1:-1], -1)
+        ends = ends.transpose(2, 0, 1)
         if n:
-            weight, linearization = self._linearized
-            rows = np.einsum("ab,slbv->slav", weight, J).reshape(len(J), -1, J.shape[-1])
-            known = part.known_states
-            cross = -rows[:, :, :n].swapaxes(1, 2) @ rows[:, :, n:]
-            cross[known] = 0
-            nodes, _ = solve_continuity(
-                linearization.node_hessian,
-                linearization.transition,
+            # Known initial states cannot compensate for a term.
+            J[:, :n][part.known_states] = 0
+            ends.swapaxes(1, 2)[:, :n][part.known_states] = 0
+            weighted = J[:, :n].reshape(-1, len(self.weight)) @ (self.weight.T @ self.weight)
+            products = weighted.reshape(len(J), n, -1) @ J.swapaxes(1, 2)
+            moved, _ = solve_continuity(
+                products[:, :, :n],
+                ends[:, :, :n],
                 part.data.coupled,
-                cross,
-                -ends.transpose(2, 0, 1)[:, :, n:],
+                -products[:, :, n:],
+                -ends[:, :, n:],
                 np.zeros(n),
             )
-            # Known initial states cannot compensate for a term.
-            nodes[known] = 0
-            J = J[..., :n] @ nodes[:, None] + J[..., n:]
-        return J.transpose(2, 3, 0, 1).reshape(*J.shape[2:], -1)
+            J[:, n:] += moved.swapaxes(1, 2) @ J[:, :n]
+        J = J[:, n:].swapaxes(0, 1).reshape(J.shape[1] - n, -1, len(self.weight))
+        return J.transpose(2, 0, 1)

@@ -54,7 +54,13 @@ class InitialStates:
         unknown = np.flatnonzero(hidden & ~is_known)
         states = self._sized(measured_states, unknown, measured, inputs, p)
 
-        return self._mended(states, measured, inputs, p)
+        # A few samples outside the domain, as noise below an empty tank, must not spoil a start:
+        # they get the states of the nearest finite one.
+        finite, _ = self._judged(states, measured, inputs, p)
+        if not finite.any():
+            return np.zeros_like(states)
+        usable = np.flatnonzero(finite)
+        return states[:, usable[np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)]]
 
     def as_measured(self, states: Array, measured: Array) -> Array:
         """Return the states (n, s); those that outputs show are as measured."""
@@ -94,16 +100,6 @@ class InitialStates:
                     best, least = trial, trial_score
 
         return best
-
-    def _mended(self, states: Array, measured: Array, inputs: Array, p: Array) -> Array:
-        """Give samples where the model is not finite the states of the nearest finite one."""
-        # A few samples outside the domain, as noise below an empty tank, must not spoil a start.
-        finite, _ = self._judged(states, measured, inputs, p)
-        if not finite.any():
-            return np.zeros_like(states)
-        usable = np.flatnonzero(finite)
-        nearest = usable[np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)]
-        return states[:, nearest]
 
     def _judged(
         self, states: Array, measured: Array, inputs: Array, p: Array

@@ -378,14 +378,13 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
         for formula in response_formulas(
             first.model, omega, pairs, symbol, at=first.at, pade=delay_order(first.delay)
         ):
-            yield Trimmed(formula.root, _mapped(formula.function, omega)) if is_large else formula
-
-
-def _mapped(function: ca.Function, omega: Array) -> ca.Function:
-    """Return a response (p, w, omega) at all frequencies, as a function (p, w)."""
-    p, w, _ = function.mx_in()
-    rows = function.map("rows", "serial", omega.size, [0, 1], [])(p, w, omega[None])
-    return ca.Function("response", [p, w], [row.T for row in rows])
+            if is_large:
+                p, w, _ = formula.function.mx_in()
+                over_all = formula.function.map("rows", "serial", omega.size, [0, 1], [])
+                rows = [row.T for row in over_all(p, w, omega[None])]
+                yield Trimmed(formula.root, ca.Function("response", [p, w], rows))
+            else:
+                yield formula
 
 
 # --- the costs

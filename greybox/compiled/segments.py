@@ -143,8 +143,8 @@ class Segments:
         return self._ordered[1]
 
     def columns(self, values: Array) -> Array:
-        """Return values (r, samples) in the order of the samples as columns."""
-        by_segment = values.reshape(len(values), self.count, self.length)
+        """Return values (..., samples) in the order of the samples as columns."""
+        by_segment = values.reshape(-1, self.count, self.length)
         return by_segment.swapaxes(1, 2).reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:

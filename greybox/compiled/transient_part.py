@@ -154,7 +154,13 @@ class TransientPart(Part):
         try:
             inverse = np.linalg.inv(pencil)
             by_ends = C @ inverse
-            transform = self._transform(by_ends, pencil)
+            # For an equation error, of all states or of the one output; errors drive the last
+            # states: all, or the gusts.
+            transform: Any = np.broadcast_to(np.eye(k, dtype=complex), (len(pencil), k, k))
+            if self._is_equation_error and k == 1:
+                transform = np.linalg.det(pencil)[:, None, None]
+            elif self._is_equation_error:
+                transform = np.linalg.inv(by_ends[:, :, -k:])
         except np.linalg.LinAlgError:
             # A pole lies on the imaginary axis, at one of the frequencies.
             return None
@@ -188,16 +194,6 @@ class TransientPart(Part):
             covariance=covariance,
             logarithms=logarithms,
         )
-
-    def _transform(self, by_ends: Any, pencil: ComplexArray) -> ComplexArray:
-        """Return T (lines, k, k): for an equation error of all states, or of the one output."""
-        k = len(self.outputs)
-        if not self._is_equation_error:
-            return np.broadcast_to(np.eye(k, dtype=complex), (len(pencil), k, k))
-        if k == 1:
-            return np.linalg.det(pencil)[:, None, None]
-        # Errors drive the last states: all, or the gusts.
-        return np.linalg.inv(by_ends[:, :, -k:])
 
     def _transformed(self, transform: ComplexArray, values: ComplexArray) -> Array:
         """Return T times complex values (k, lines), as real ones (k, 2 lines)."""

@@ -467,21 +467,17 @@ def _at_bound(
     deviation = np.sqrt(np.where(is_seen, spread, 0.0))
     close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & ~held
     if close.any() and trajectories and all(t is not None for t in trajectories):
-        outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
+        # The derivatives of the cost along the best trajectories.
+        gradient = sum(
+            part.weight * quadratic_model(part, trajectory, part.residual_weight(trajectory))[1]
+            for part, trajectory in zip(nlp.parts, trajectories, strict=True)
+            if trajectory is not None
+        )
+        outward = np.where(bound == nlp.lower, 1.0, -1.0) * gradient * nlp.scaling.slope(x)
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
         # flat valley, a minimum may lie this close to a bound that is not active.
         held |= close & (outward > 0.01 * deviation)
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
-
-
-def _gradient(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None]) -> Array:
-    """Return the derivatives (p,) of the cost by the unknowns along the best trajectories."""
-    total = np.zeros(len(x))
-    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
-        assert trajectory is not None
-        _, gradient = quadratic_model(part, trajectory, part.residual_weight(trajectory))
-        total += part.weight * gradient
-    return total * nlp.scaling.slope(x)
 
 
 @one_thread_at_a_time

@@ -251,25 +251,39 @@ def _shape(
     best, least = None, np.inf
     # A value that one record needs has no place in the others.
     terms = [part.terms[key] for part in parts if key in part.terms]
-    by_part = [part.signals() for part in parts] if len(terms) == len(parts) else [{}]
-    for name in by_part[0]:
-        signals = [of_part[name] for of_part in by_part]
-        knots = np.linspace(np.min(np.hstack(signals)), np.max(np.hstack(signals)) + TINY, KNOTS)
-        hats = np.eye(KNOTS)
-        columns = [
-            part.changes([replace(term, values=np.interp(row, knots, hat)) for hat in hats])
-            for part, term, row in zip(parts, terms, signals, strict=True)
-        ]
-        # What the parameters explain is determined neither here nor in the shape of the term, nor
-        # are knots with too few samples.
-        effects = beside(white(np.vstack(columns)), fitted)
-        inverse = np.linalg.pinv(effects, rcond=0.02)
+    by_part = [part.signals() for part in parts]
+    if len(terms) < len(parts) or not by_part[0]:
+        return None
+    knots = {
+        name: np.linspace(
+            (row := np.hstack([signals[name] for signals in by_part])).min(),
+            row.max() + TINY,
+            KNOTS,
+        )
+        for name in by_part[0]
+    }
+    columns = [
+        part.changes(
+            [
+                replace(term, values=np.interp(signals[name], at, hat))
+                for name, at in knots.items()
+                for hat in np.eye(KNOTS)
+            ]
+        )
+        for part, term, signals in zip(parts, terms, by_part, strict=True)
+    ]
+    # What the parameters explain is determined neither here nor in the shape of the term, nor are
+    # knots with too few samples.
+    effects = beside(white(np.hstack([np.vstack(columns), cause.value * column])), fitted)
+    by_signal = np.split(effects[:, :-1], len(knots), axis=1)
+    for (name, at), of_hats in zip(knots.items(), by_signal, strict=True):
+        inverse = np.linalg.pinv(of_hats, rcond=0.02)
         values = inverse @ residuals
-        size = float(np.std(residuals - effects @ values))
+        size = float(np.std(residuals - of_hats @ values))
         if size < least:
             errors = size * np.linalg.norm(inverse, axis=1)
-            by_term = inverse @ beside(white(cause.value * column), fitted)
-            rows = (np.ravel(row).tolist() for row in (knots, values, errors, by_term))
+            by_term = inverse @ effects[:, -1]
+            rows = (np.ravel(row).tolist() for row in (at, values, errors, by_term))
             best, least = Shape(cause.text, name, *map(tuple, rows)), size
     return best
 
@@ -296,7 +310,7 @@ def _ranked(
     remains = min(part.remains for part in parts)
     # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
     # time and 370 MB.
-    size = 600_000 // (len(residuals) + 1) + 1
+    size = 300_000 // (len(residuals) + 1) + 1
     for first in range(0, len(keys), size):
         chosen = keys[first : first + size]
         columns = np.vstack([part.columns(chosen) for part in parts])

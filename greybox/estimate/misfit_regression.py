@@ -74,17 +74,16 @@ def regression_of_record(
     It is that of the new samples (outputs, samples) on the q parameters that move; `by_x` (q, p)
     are the derivatives of the solver's variables by them.
     """
-    part, trajectory = record.part, record.trajectory
-    weight, data = part.residual_weight(trajectory), part.data
-    slopes = sensitivity(part, trajectory, weight)
+    part, weight, data = record.part, record.weight, record.part.data
+    slopes = sensitivity(part, record.trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
     # Straight lines and an autoregression leave nothing of fewer samples of an output.
     is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= 8)
     present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
-        result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
-        return result.swapaxes(1, 2).reshape(len(result), measured.size).T
+        result = np.where(measured.T, values.transpose(1, 2, 0) @ weight.T, 0.0)
+        return result.reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
@@ -99,9 +98,12 @@ def regression_of_record(
         # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(outside, stretches, taken)])
 
+    def followed(terms: Sequence[Term]) -> Array:
+        return record.followed_by([(term.place, term.values) for term in terms if term.place])
+
     by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
     constants = [*constants_of_record(record)]
-    effects = record.followed_by(term.place(term.values) for term in constants if term.place)
+    effects = followed(constants)
     with_effects = np.concatenate([record.residuals[:, None], effects], axis=1)
     firsts = np.cumsum([0, *(row.size for row in present)])
     outputs = [
@@ -119,7 +121,7 @@ def regression_of_record(
         rows(record.residuals[:, None]),
         rows(by_parameters),
         _numbered(terms),
-        lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
+        lambda terms: rows(followed(terms)),
         outputs=outputs,
         causes=tuple(offsets),
         # A hundredfold growth of errors of the states over the record.

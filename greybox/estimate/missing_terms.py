@@ -24,6 +24,7 @@ from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.functions import maximum, minimum, tanh
 from greybox.modeling.model import Names
+from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
 
 # A term in words, also for a negative factor if that differs, and the code that adds it.
@@ -303,13 +304,14 @@ def terms_of_record(
             yield from _of_input(record, j, u, a)
 
     for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
+        by_output = partial(record.by_output, k)
         if len(part.outputs) > 1:
             for row, T in _delays(record, y):
-                yield Term("sensor", row, partial(record.by_output, k), b=b, scale=T)
+                yield Term("sensor", row, by_output, b=b, scale=T)
         for u, a in inputs:
             # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
-            yield Term("direct", past, partial(record.by_output, k), a, b)
+            yield Term("direct", past, by_output, a, b)
 
     # As an impulse that lasts half of the first step.
     still = np.zeros(part.samples)
@@ -357,13 +359,13 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
         # Gains correct what the model misses: they are not what it misses.
         if part.model.parameters[k] in gains:
             continue
-        name = part.model.outside_names[k]
+        name, by_parameter = part.model.outside_names[k], partial(record.by_parameter, place)
         for kind, row, b in [("bound", ones, "")] if name in at_bound else changes:
-            yield Term(kind, row, partial(record.by_parameter, place), name, b)
+            yield Term(kind, row, by_parameter, name, b)
     for k in range(len(part.system.parameters)):
         if k not in part.model.active:
-            by_formulas = partial(record.by_formulas, k)
-            yield Term("fixed", ones, by_formulas, part.model.outside_names[k])
+            by_constant = partial(record.by_constant, k)
+            yield Term("fixed", ones, by_constant, part.model.outside_names[k])
 
 
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
@@ -463,11 +465,12 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
                 yield Term(
                     "equation", row, by_state, a, b, added=formula, code=code, outputs=outputs
                 )
-        for a, share in itertools.product([name for name in x if name in names], STOPS):
-            level, bound = float(np.quantile(x[a], share)), maximum if share > 0.5 else minimum
-            formula = _formula(lambda a, level=level, bound=bound: bound(a - level, 0.0), a)
-            row = formula(*signals)
-            yield Term("limit", row, by_state, a, b, level, added=formula, outputs=outputs)
+        for a in [name for name in x if name in names]:
+            for share, level in zip(STOPS, np.quantile(x[a], STOPS).tolist(), strict=True):
+                bound = maximum if share > 0.5 else minimum
+                formula = _formula(lambda a, level=level, bound=bound: bound(a - level, 0.0), a)
+                row = formula(*signals)
+                yield Term("limit", row, by_state, a, b, level, added=formula, outputs=outputs)
 
 
 def _formula(form: Callable[..., Any], *names: str) -> Formula:
@@ -488,6 +491,7 @@ def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:
     }
 
 
+@once  # of constants, of other terms, and of a warning
 def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[str]]]:
     """Return the signals in the derivative of each state by its place, and those with a parameter.
 
@@ -529,13 +533,13 @@ def _delayed(piece: Array, step: float, T: float) -> Array:
 
 def _followed(piece: Array, step: float, reach: float, is_slow: bool) -> Array:
     """Return the lag of what follows a signal by `reach` a sample, or with such a play."""
-
-    def moved(y: float, u: float) -> float:
+    y, moved = float(piece[0]), []
+    for u in piece.tolist():
         a, b = (u, y) if is_slow else (y, u)
         # The functions `min` and `max` take three times as long.
-        return b + reach if a > b + reach else b - reach if a < b - reach else a
-
-    return np.array([*itertools.accumulate(piece.tolist(), moved)]) - piece
+        y = b + reach if a > b + reach else b - reach if a < b - reach else a
+        moved.append(y)
+    return np.array(moved) - piece
 
 
 def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:

@@ -54,7 +54,15 @@ def multisine(
             f"a period of {period:g} s at {rate:g} Hz has {period * rate:g} samples: make that a "
             "whole number."
         )
-    assigned = _assigned(low, high, period, len(signals))
+    # The harmonics in the band are assigned to the signals in turn.
+    step = 2 * math.pi / period
+    harmonics = np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    if not 0 < 2 * len(signals) <= harmonics.size:
+        raise ValueError(
+            f"a period of {period:g} s has {harmonics.size} harmonics from {low:g} to {high:g} "
+            f"rad/s for {len(signals)} signals: lengthen the period or widen the band."
+        )
+    assigned = [harmonics[k :: len(signals)] for k in range(len(signals))]
     phases = [_phases(harmonics) for harmonics in assigned]
     values = [_sum(h, p, count) for h, p in zip(assigned, phases, strict=True)]
     values = [amplitude * v / np.max(np.abs(v)) for v in values]
@@ -74,21 +82,9 @@ def multisine(
     return Excitation(time, repeated, dict.fromkeys(signals, unit), rate, schedule, settings)
 
 
-def _assigned(low: float, high: float, period: float, signals: int) -> list[IntArray]:
-    """Assign the harmonics in the band to the signals in turn."""
-    step = 2 * math.pi / period
-    harmonics = np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    if not 0 < 2 * signals <= harmonics.size:
-        raise ValueError(
-            f"a period of {period:g} s has {harmonics.size} harmonics from {low:g} to {high:g} "
-            f"rad/s for {signals} signals: lengthen the period or widen the band."
-        )
-    return [harmonics[k::signals] for k in range(signals)]
-
-
 def _phases(harmonics: IntArray) -> Array:
     """Return phases (n,) of equal sines whose sum has a low peak and begins at zero."""
-    from scipy.optimize import minimize  # noqa: PLC0415  (slow import)
+    from scipy.optimize import brentq, minimize  # noqa: PLC0415  (slow import)
 
     n = harmonics.size
     # Eight samples per period of the highest harmonic: the peak between samples is at most
@@ -113,13 +109,8 @@ def _phases(harmonics: IntArray) -> Array:
             norm, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": 100}
         )
         phases = outcome.x
-    return _from_zero(harmonics, phases, count)
 
-
-def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
-    """Shift time to a rising zero crossing."""
-    from scipy.optimize import brentq  # noqa: PLC0415  (slow import)
-
+    # Shift time to a rising zero crossing.
     values = _sum(harmonics, phases, count)
     k = int(np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0])
 

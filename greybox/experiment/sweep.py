@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
-from greybox.files.arrays import Array
 
 # Periods of the lowest frequency before a sweep: ArduPilot's SystemID mode; Tischler and Remple,
 # section 5.6.
@@ -64,11 +63,13 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     rise = math.log(high / low)
     # The integral of a frequency that grows exponentially; expm1 keeps digits at the start.
     phase = low * span / rise * np.expm1(rise * late / span)
-    values = (
-        amplitude
-        * _fades(time, duration, fade_in, fade_out)
-        * np.sin(phase + low * np.minimum(time - hold, 0))
-    )
+    # Half cosines at both ends.
+    window = np.ones(time.size)
+    if fade_in > 0:
+        window *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(time / fade_in, 1))
+    if fade_out > 0:
+        window *= 0.5 - 0.5 * np.cos(math.pi * np.clip((duration - time) / fade_out, 0, 1))
+    values = amplitude * window * np.sin(phase + low * np.minimum(time - hold, 0))
 
     settings = {
         "low": low,
@@ -81,13 +82,3 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     }
     maneuver = Maneuver(signal, "logarithmic sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
     return Excitation(time, {signal: values}, {signal: unit}, rate, (maneuver,), settings)
-
-
-def _fades(time: Array, duration: float, fade_in: float, fade_out: float) -> Array:
-    """Half cosines at both ends."""
-    window = np.ones(time.size)
-    if fade_in > 0:
-        window *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(time / fade_in, 1))
-    if fade_out > 0:
-        window *= 0.5 - 0.5 * np.cos(math.pi * np.clip((duration - time) / fade_out, 0, 1))
-    return window

@@ -79,8 +79,14 @@ def linear_fits(
         raise ValueError(
             f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
         )
-    # The longest response only: they choose what is fitted by all.
-    plant = _before(max(responses, key=len), through)
+    # The longest response only, ahead of filters in series: they choose what is fitted by all.
+    # Without common errors, which least squares with one variance per point cannot represent.
+    longest = max(responses, key=len)
+    gain = math.prod(frequency_response(f, None, longest.omega).response for f in through)
+    variance = None if longest.variance is None else longest.variance / np.abs(gain) ** 2
+    plant = replace(
+        longest, response=longest.response / gain, variance=variance, common_errors=None
+    )
     fits = {orders: _linear_fit(plant, orders) for orders in grid}
     # Errors beyond the given variances count as in `select`.
     inflation = max(1.0, min(squares for squares, _ in fits.values()) / len(plant))
@@ -202,16 +208,6 @@ def orders_of(
         for zeros in m or range(ZEROS + 1)
         if zeros < order and count <= order
     ]
-
-
-def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) -> FrequencyResponse:
-    """Return the response ahead of filters in series."""
-    # Without common errors, which least squares with one variance per point cannot represent.
-    gain = math.prod(frequency_response(f, None, response.omega).response for f in through)
-    variance = None if response.variance is None else response.variance / np.abs(gain) ** 2
-    return replace(
-        response, response=response.response / gain, variance=variance, common_errors=None
-    )
 
 
 def _polynomials(orders: Orders, values: Values) -> tuple[list[float], list[float]]:

@@ -16,7 +16,6 @@ from greybox.modeling.parameter import start_values
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
-    dense_jacobian,
     parameter_names,
     require_no_nan,
     symbols,
@@ -80,8 +79,12 @@ class Dynamics:
         symbols = self.symbols
         formulas = ca.vertcat(self.derivative(*symbols), self.output(*symbols))
         by = ca.vertcat(*symbols[:0:-1])
-        slope = ca.Function("slope", symbols, [ca.vec(dense_jacobian(formulas, by))])
-        return slope(x, u, p).full().reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
+        # Most slopes are always zero: to turn them into an array would take most of the time.
+        slopes = ca.jacobian(formulas, by)
+        values = ca.Function("slopes", symbols, [ca.vec(slopes.nz[:])])(x, u, p).full()
+        result = np.zeros((*slopes.shape, values.shape[1]))
+        result[tuple(slopes.sparsity().get_triplet())] = values
+        return result
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":
         """Return the same dynamics with inputs that act later by these seconds (m,)."""
@@ -152,7 +155,13 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
 
     # With time in units of the poles, all states have one size; in seconds, the coefficients of a
     # fast system of order n would differ by the n-th power of its poles.
-    scale = _time_scale(rational.denominator, p, model)
+    values = ca.Function("a", [p], [ca.vertcat(*rational.denominator)])
+    coefficients = values(start_values(model.parameters)).full().ravel()
+    # Any scale is right: the geometric mean of the magnitudes at the starts keeps the states of one
+    # size. Within rounding errors of the roots, a pole below 1e-9 rad/s is an integrator.
+    poles = np.abs(np.roots(coefficients)) if all_finite(coefficients) else np.zeros(0)
+    poles = poles[poles > 1e-9]
+    scale = float(np.exp(np.mean(np.log(poles)))) if poles.size else 1.0
     unit = rational.denominator[0] * scale ** np.arange(n + 1)
     a = ca.vertcat(*rational.denominator) / unit
     b = ca.vertcat(ca.SX.zeros(n - improper), *rational.numerator) / unit
@@ -182,19 +191,6 @@ def _functions(
         "output": ca.Function("output", [x, u, p], [output]),
         "delay": ca.Function("delay", [p], [delay]),
     }
-
-
-def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
-    """Return the geometric mean of the magnitudes of nonzero poles at the starts, rad/s, or 1."""
-    values = ca.Function("a", [p], [ca.vertcat(*a)])(start_values(model.parameters))
-    coefficients = np.asarray(values).ravel()
-    # Any scale is right; this one only keeps the states of one size.
-    if not all_finite(coefficients):
-        return 1.0
-    poles = np.abs(np.roots(coefficients))
-    # Within rounding errors of the roots, a pole below 1e-9 rad/s is an integrator.
-    poles = poles[poles > 1e-9]
-    return float(np.exp(np.mean(np.log(poles)))) if poles.size else 1.0
 
 
 def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:

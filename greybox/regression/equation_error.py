@@ -7,7 +7,7 @@ Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 a
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,7 +189,13 @@ def equation_error(
         )
 
     at_bound = tuple(name for name, (value, a, b) in estimates.items() if not a < value < b)
-    used = list(_used_equations(equations, data, values, residuals))
+    errors, used = data.rows.errors(values), list[UsedEquation]()
+    for k, (equation, band) in enumerate(zip(equations.equations, data.bands, strict=True)):
+        of = data.rows.equation == k
+        share, count = explained(data.rows.target[of], errors[of]), int(of.sum())
+        band_hz = band / (2 * math.pi)
+        left, names = equation.left, equation.parameters
+        used.append(UsedEquation(left, names, share, count, band_hz, float(residuals[k])))
     return EquationErrorEstimate(
         name=f"{model.label}, {record.name or 'record'}",
         estimate={name: value for name, (value, *_) in estimates.items()},
@@ -247,18 +253,6 @@ def _solved(data: Regressors, low: Array, high: Array) -> tuple[Array, Array]:
         sizes = rows.spread(rows.errors(values), count)
         values = rows.solution(1 / sizes, low, high)
     return values, rows.spread(rows.errors(values), count)
-
-
-def _used_equations(
-    equations: Equations, data: Regressors, values: Array, residuals: Array
-) -> Iterator[UsedEquation]:
-    errors = data.rows.errors(values)
-    for k, (equation, band) in enumerate(zip(equations.equations, data.bands, strict=True)):
-        of = data.rows.equation == k
-        share, count = explained(data.rows.target[of], errors[of]), int(of.sum())
-        band_hz = band / (2 * math.pi)
-        left, names = equation.left, equation.parameters
-        yield UsedEquation(left, names, share, count, band_hz, float(residuals[k]))
 
 
 def explained(target: Array, errors: Array) -> float:

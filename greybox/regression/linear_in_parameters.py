@@ -139,7 +139,13 @@ class _Analysis:
         """Go through the states, then the equations, then the parameters."""
         # Each step needs the previous one: only known states make equations, and only the equations
         # show which parameters are linear.
-        self._know_measured_states()
+        for name in self.model.states:
+            if name in self.signals:
+                self.states[name] = KnownState(name, "signal", name, None)
+                self.measured[name] = name
+        # Each state may make another one known: x from a position, then v from x.
+        while self._one_more_state():
+            pass
         candidates = list(self._candidates())
         equations = tuple(equation for _, equation in candidates)
         rows = _column([row for row, _ in candidates])
@@ -163,16 +169,6 @@ class _Analysis:
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             left_out=tuple(self.left_out),
         )
-
-    def _know_measured_states(self) -> None:
-        """Take states from signals, then from outputs and derivatives of known states."""
-        for name in self.model.states:
-            if name in self.signals:
-                self.states[name] = KnownState(name, "signal", name, None)
-                self.measured[name] = name
-        # Each state may make another one known: x from a position, then v from x.
-        while self._one_more_state():
-            pass
 
     def _one_more_state(self) -> bool:
         """Find one more state that is a signal or a derivative, up to constants."""

@@ -121,7 +121,11 @@ def check(
     """
     require_time(record, "a test")
     usable = [segment for segment in segments if segment.usable]
-    band = _highest_lowest(response, usable)
+    ends = [edge for segment in usable for edge in segment.band]
+    if response is not None:
+        # A response shows what was measured, segments only what was planned.
+        ends = response.omega.tolist()
+    band = max(ends, default=math.nan), min(ends, default=math.nan)
     findings = [
         *_filters(record, (input, output)),
         *_gaps(record, usable),
@@ -223,14 +227,6 @@ def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
     if segments and not any(segment.usable for segment in segments):
         text = "no excited segment is usable: fly the test again."
         yield Finding("segments", "refusal", 0.0, text)
-
-
-def _highest_lowest(response: FrequencyResponse | None, segments: Sequence[Segment]) -> Interval:
-    # A response shows what was measured, segments only what was planned.
-    if response is not None:
-        return float(response.omega.max()), float(response.omega.min())
-    ends = [edge for segment in segments for edge in segment.band]
-    return (max(ends), min(ends)) if ends else (math.nan, math.nan)
 
 
 def _spread(high: float, low: float) -> Iterator[Finding]:

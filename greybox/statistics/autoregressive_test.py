@@ -111,26 +111,30 @@ def autoregressive_p_values(
     squares = values.T @ values + TINY * np.eye(values.shape[1])
     p_values, factors = list[Array](), _least(squares, used)
     shared = np.ones(count)
+    # Pairs of columns that no fit has, such as two terms, would take most of the time.
+    i, j = np.nonzero(used.any(axis=0))
+    squares = np.zeros(used.shape)
     counts, whole = zip(
         *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
     )
     for times in range(2):
         # Differences of the samples in a window are a window of one order less.
-        sums = [np.diff(np.diff(each, times), times, axis=2) for each in whole]
+        sums = [np.diff(np.diff(each[i, j], times), times, axis=1) for each in whole]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
         for _ in range(ROUNDS):
-            filters = map(_filters, repeat(factors), counts, sums)
+            filters = map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)
             added = [
-                np.tensordot(each, w[..., None] * w[:, None], ((2, 3), (1, 2)))
+                np.tensordot(w[..., None] * w[:, None], each, ((1, 2), (1, 2)))
                 for each, w in zip(sums, filters, strict=True)
             ]
-            earlier, factors = factors, _least(np.sum(added, axis=0).T, used)
+            squares[:, i, j] = np.sum(added, axis=0)
+            earlier, factors = factors, _least(squares, used)
             # At a maximum, the likelihood changes with the square of a change of the factors.
             if np.allclose(factors, earlier):
                 break
-        filters = [*map(_filters, repeat(factors), counts, sums)]
+        filters = [*map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)]
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
@@ -146,8 +150,8 @@ def autoregressive_p_values(
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output."""
     return [
-        _filters(np.ones((1, 1)), *_products([residuals[rows, None] for rows in stretches]))[0]
-        for stretches in outputs
+        _filters(np.ones((1, 1)), count, sums[0])[0]
+        for count, sums in [_products([residuals[rows, None] for rows in s]) for s in outputs]
     ]
 
 
@@ -181,14 +185,14 @@ def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
 
 
 def _filters(factors: Array, count: int, sums: Array) -> Array:
-    """Return filters (h, q + 1) of columns by factors (h, k), from sums (k, k, q + 1, q + 1).
+    """Return filters (h, q + 1) by factors (h, m) on sums (m, q + 1, q + 1) of products of columns.
 
     They follow by least squares, which the ends of a record do not disturb.
     """
-    moments = np.tensordot(factors[..., None] * factors[:, None], sums, 2)
+    moments = np.tensordot(factors, sums, 1)
     weights = _least(moments)
-    squares = np.einsum("hl,hlm,hm->h", weights, moments, weights)[:, None]
-    return weights / np.sqrt(squares / max(count, 1))
+    squares = weights[:, None] @ moments @ weights[..., None]
+    return weights / np.sqrt(squares[:, 0] / max(count, 1))
 
 
 def _least(squares: Array, used: Any = True) -> Array:
@@ -198,4 +202,4 @@ def _least(squares: Array, used: Any = True) -> Array:
     """
     squares = np.where(used, squares, np.eye(squares.shape[-1]))
     others = -np.linalg.solve(squares[:, 1:, 1:], squares[:, 1:, :1])[..., 0]
-    return np.insert(others, 0, 1.0, axis=1)
+    return np.hstack([np.ones((len(others), 1)), others])

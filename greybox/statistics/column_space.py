@@ -41,7 +41,9 @@ def beside(values: Array, columns: Array) -> Array:
 
 def outside(values: Array, basis: Array) -> Array:
     """Return the part of values (n, c) that is orthogonal to an orthonormal basis (n, r)."""
+    # In memory, the samples of a column are neighbors.
+    columns = values.T.copy()
     # The second time takes out what rounding left the first time.
     for _ in range(2):
-        values = values - basis @ (basis.T @ values)
-    return values
+        columns -= (columns @ basis) @ basis.T
+    return columns.T

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -25,7 +25,12 @@ def rms(error: ArrayLike) -> float:
 
 def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
     """Return 100 (1 - |y - ŷ| / |y - mean y|), the fit of MATLAB's `compare`."""
-    y, p = _pairs(measured, predicted)
+    y, p = np.asarray(measured, dtype=float).ravel(), np.asarray(predicted, dtype=float).ravel()
+    if y.size != p.size:
+        raise ValueError(
+            f"there are {y.size} measured and {p.size} predicted values: give as many of both."
+        )
+    y, p = np.array([y, p])[:, np.isfinite(y) & np.isfinite(p)]
     spread = float(np.linalg.norm(y - y.mean())) if y.size else 0.0
     return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
 
@@ -165,16 +170,17 @@ def _present(values: ArrayLike) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, IntArray]:
+def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and the numbers of pairs."""
-    sums = np.zeros(lags + 1)
-    pairs = np.zeros(lags + 1, dtype=np.int64)
-    for a, b in zip(e, u, strict=True):
-        for k in range(min(lags, a.size - 1) + 1):
-            product = a[k:] * b[: b.size - k]
-            sums[k] += np.nansum(product)
-            pairs[k] += np.isfinite(product).sum()
-    return sums, pairs
+    sums = np.zeros((2, lags + 1))
+    for pair in zip(e, u, strict=True):
+        if not pair[0].size:
+            continue
+        present = [np.isfinite(values) for values in pair]
+        values = map(np.nan_to_num, pair)
+        for k, (later, earlier) in enumerate((values, present)):
+            sums[k] += np.correlate(np.append(later, np.zeros(lags)), earlier)
+    return sums[0], sums[1]
 
 
 def _tested(statistic: float, dof: float, correlations: Array, bound: float) -> CorrelationTest:
@@ -185,13 +191,3 @@ def _tested(statistic: float, dof: float, correlations: Array, bound: float) -> 
 
 def _unknown(lags: int) -> CorrelationTest:
     return CorrelationTest(math.nan, 0, math.nan, np.full(lags, np.nan), math.nan)
-
-
-def _pairs(measured: ArrayLike, predicted: ArrayLike) -> tuple[Array, Array]:
-    y, p = np.asarray(measured, dtype=float).ravel(), np.asarray(predicted, dtype=float).ravel()
-    if y.size != p.size:
-        raise ValueError(
-            f"there are {y.size} measured and {p.size} predicted values: give as many of both."
-        )
-    complete = np.isfinite(y) & np.isfinite(p)
-    return y[complete], p[complete]

@@ -9,9 +9,9 @@ HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 
 def autocovariance(stretches: list[Array], lags: int) -> Array:
     """Return mean products (lags + 1,) of samples in stretches (n,); zeros are gaps."""
-    rows = [[e[k:] @ e[: max(e.size - k, 0)] for k in range(lags + 1)] for e in stretches]
+    rows = (np.correlate(np.append(e, np.zeros(lags)), e) for e in stretches if e.size)
     count = sum(map(np.count_nonzero, stretches))
-    return np.sum(rows, axis=0) / max(count, 1)
+    return sum(rows, np.zeros(lags + 1)) / max(count, 1)
 
 
 def levinson(r: Array) -> list[tuple[Array, float]]:
@@ -27,8 +27,9 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
     steps: list[tuple[Array, float]] = [(a, variance)]
     for k in range(1, len(r)):
         reflection = -float(a @ r[k:0:-1]) / variance
-        a = np.append(a, 0.0)
-        a = a + reflection * a[::-1]
+        longer = np.zeros(k + 1)  # np.append takes half of the time
+        longer[:k] = a
+        a = longer + reflection * longer[::-1]
         variance *= 1 - reflection**2
         # Innovations of less relative variance are rounding.
         if not variance > 1e-12 * r[0]:

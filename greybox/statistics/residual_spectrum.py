@@ -173,28 +173,27 @@ def colored_information(
 def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, bool]":
     """Return the average of the spectra, and whether it is corrected for what the fit took."""
     lags, banded = spectra.periodogram
-    others = spectra.others(lags, banded)
-    if sum(e.shape[1] for e in spectra.residuals) > LONGEST_CORRECTED:
-        return spectra.with_process_noise(others), False
+    others, corrected = spectra.others(lags, banded), False
+    is_short = sum(e.shape[1] for e in spectra.residuals) <= LONGEST_CORRECTED
 
     # A third correction changes standard errors by less than 2 % (records of 100 samples,
     # correlation times of 10).
-    for iteration in range(2):
+    for _ in range(2 * is_short):
         taken, score = others.taken, others.score
         # What they took if these spectra hold: process noise has its own expectation, and an
         # average of both would be the spectrum of neither.
         taken_lags, taken_banded = spectra.taken_power(others.density)
         if not np.all((lags + taken_lags)[0] > 0):
             # A fit to such errors would bring more power into an output than its residuals have.
-            return spectra.with_process_noise(others), iteration > 0
+            break
         others = spectra.others(lags + taken_lags, banded + taken_banded)
         # They are as likely as the best of them.
-        others = replace(others, score=min(score, others.score))
+        others, corrected = replace(others, score=min(score, others.score)), True
         # Another correction would change the variance by the square of this change, 1 %.
         if abs(others.taken - taken) < 0.1 * taken:
             break
 
-    return spectra.with_process_noise(others), True
+    return spectra.with_process_noise(others), corrected
 
 
 @frozen
@@ -331,6 +330,10 @@ class ResidualSpectra:
         phi = np.exp(-1 / times)[:, None, None]
         slow = (1 - phi**2) / (1 - 2 * phi * np.cos(omega) + phi**2)
         return np.maximum(1 - share + share * slow, ROUNDING).reshape(-1, len(omega))
+
+    @cached_property
+    def _slow_level(self) -> Array:
+        return self.grid.mean(np.log(self.slow))
 
     def transforms(self) -> Iterator[ComplexArray]:
         """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch.
@@ -506,7 +509,7 @@ class ResidualSpectra:
         slow_scale = (grid.band_weight / self.slow) @ np.maximum(banded, ROUNDING)
         # All members are equally likely before the data: a family counts with its mean likelihood,
         # whatever its number of members.
-        slow_score = n * (np.log(slow_scale) + grid.mean(np.log(self.slow)))
+        slow_score = n * (np.log(slow_scale) + self._slow_level)
         slow_score += 2 * math.log(len(slow_scale)) + aicc_penalty(1, n)
         variances = np.array([variance for _, variance in steps])
         scale = np.concatenate([variances, slow_scale])
@@ -516,10 +519,11 @@ class ResidualSpectra:
 
         # Less likely spectra, by one to 10 000, do not change the mean.
         likely = score < score.min() + 18.0
-        likely_steps = [a for (a, _), is_likely in zip(steps, likely, strict=False) if is_likely]
-        responses = [np.abs(a @ grid.delays[: len(a)]) ** 2 for a in likely_steps]
-        autoregressions = 1 / np.array(responses).reshape(-1, len(grid.omega))
-        shapes = [autoregressions, self.slow[likely[len(steps) :]]]
+        coefficients = np.zeros((len(steps), len(grid.delays)))
+        for row, (a, _) in zip(coefficients, steps, strict=True):
+            row[: len(a)] = a
+        responses = coefficients[likely[: len(steps)]] @ grid.delays
+        shapes = [1 / np.abs(responses) ** 2, self.slow[likely[len(steps) :]]]
         spectra = scale[likely, None] * np.concatenate(shapes)
         taken = grid.mean(spectra * self.power[i, i].real)
         return averaged(score[likely], spectra, spectra, taken, within[likely])

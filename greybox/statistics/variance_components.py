@@ -57,9 +57,12 @@ def whittle_score(
     own mean are returned last.
     """
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
-    inverse = np.linalg.inv(spectrum)
+    if spectrum.shape[1] > 1:
+        inverse, logarithm = np.linalg.inv(spectrum), np.linalg.slogdet(spectrum)[1]
+    else:  # one output: LAPACK would take half of the time
+        inverse, logarithm = 1 / spectrum, np.log(np.abs(spectrum[:, 0, 0]))
     ratio = inverse @ periodogram
-    terms = np.linalg.slogdet(spectrum)[1] + np.trace(ratio, axis1=1, axis2=2).real
+    terms = logarithm + np.trace(ratio, axis1=1, axis2=2).real
     most = numbers.max(0)
     repeated = (most - numbers).T
     mean, power = np.einsum("abii->abi", [spectrum, periodogram]).real

@@ -130,7 +130,10 @@ class Bootstrap(Printed):
         # lie as far out as those of Student's t with the degrees of freedom of the fit.
         intervals = {}
         for k, name in enumerate(self.names):
-            low, high = _percentiles(self._successful[:, k], tail(level, float(self.dof[k])))
+            values, share = self._successful[:, k], tail(level, float(self.dof[k]))
+            low = high = math.nan
+            if values.size and math.isfinite(share):
+                low, high = np.quantile(values, [share, 1 - share]).tolist()
             lower, upper = self.bounds[k]
             intervals[name] = (
                 # IPOPT's barrier keeps an estimate this far from its bound.
@@ -231,13 +234,6 @@ def tail(level: float, dof: float) -> float:
     from scipy.special import ndtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
     return float(ndtr(-t_quantile(level, dof)))
-
-
-def _percentiles(values: Array, share: float) -> Interval:
-    if not values.size or not math.isfinite(share):
-        return math.nan, math.nan
-    low, high = np.quantile(values, [share, 1 - share])
-    return float(low), float(high)
 
 
 def _ends(interval: Interval) -> list[float | None] | None:

@@ -54,12 +54,6 @@ class DrawnResponse:
 
     def drawn(self, random: np.random.Generator) -> ComplexArray:
         """Return the fitted response with normal errors."""
-        measured = self.response + self.size * self._normal_errors(random)
-        if self.common is not None:
-            measured = measured + random.standard_normal(len(self.common)) @ self.common
-        return measured
-
-    def _normal_errors(self, random: np.random.Generator) -> ComplexArray:
         count = len(self.response)
         normal = random.standard_normal(count) + 1j * random.standard_normal(count)
         if self.neighbors is not None:
@@ -67,7 +61,10 @@ class DrawnResponse:
         # The size is an estimate itself: the errors over it have Student's t distribution.
         if self.dof is not None:
             normal = normal / np.sqrt(random.chisquare(self.dof) / self.dof)
-        return self.deviation * normal
+        measured = self.response + self.size * (self.deviation * normal)
+        if self.common is not None:
+            measured = measured + random.standard_normal(len(self.common)) @ self.common
+        return measured
 
     def _correlated(self, normal: ComplexArray, correlation: float, scale: float) -> ComplexArray:
         """Return errors that are correlated between neighbors, along and across the response."""

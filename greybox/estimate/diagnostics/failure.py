@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.covariance import assess
 from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.files.text_table import counted
 from greybox.solve.local_solver import LocalSolver
@@ -27,8 +27,16 @@ def failure_warnings(
         f"estimate: {_cure(run)}."
     )
     # A run that was cut short says nothing about what blocks it.
-    accuracy = None if run.status in CUT_SHORT else _accuracy_at_end(nlp, search, solver, run)
-    if accuracy is None:
+    if run.status in CUT_SHORT:
+        return
+    nodes = search.ends[run.index] if search.ends else None
+    try:
+        profile = solver.profile(run.estimate, nodes)
+        is_known = nodes is not None or profile.converged
+        if not (is_known and all(t.finite for t in profile.trajectories)):
+            return
+        accuracy = assess(nlp, run.estimate, profile.trajectories)
+    except np.linalg.LinAlgError:
         return
 
     for name in accuracy.at_bound:
@@ -45,18 +53,3 @@ def _cure(run: Run) -> str:
     return (
         "start elsewhere, narrow the start boxes, or fix parameters that the data do not determine"
     )
-
-
-def _accuracy_at_end(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, run: Run
-) -> Accuracy | None:
-    """Return the accuracy that the end of a run would have; None if it is unknown or diverges."""
-    nodes = search.ends[run.index] if search.ends else None
-    try:
-        profile = solver.profile(run.estimate, nodes)
-        is_known = nodes is not None or profile.converged
-        if is_known and all(t.finite for t in profile.trajectories):
-            return assess(nlp, run.estimate, profile.trajectories)
-    except np.linalg.LinAlgError:
-        pass
-    return None
