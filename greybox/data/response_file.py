@@ -18,6 +18,7 @@ from greybox.files.safe_files import require_file
 UNIT = "unit of "  # begins the key of a unit
 STRETCH = "stretch "  # begins the key of a stretch
 PAIRS = "pairs"  # key of the pairs of a matrix, output/input
+PAIR = "output", "input"  # columns of a table whose rows name their responses
 NAMES = ("input", "output", "name", "source", PAIRS)
 
 
@@ -72,7 +73,9 @@ def read_response(
     except ValueError as error:
         raise ValueError(f"{path} {error}") from None
 
-    values = table.numbers({role: column.place for role, column in places.items()})
+    # In a table of points of several responses, those of the chosen one.
+    pair = {"output": output, "input": input} if output and {*PAIR} <= {*table.header} else {}
+    values = table.numbers({role: column.place for role, column in places.items()}, pair)
     # The comments of a file describe its only response, not those of a matrix.
     about = described({} if prefix else table.facts)
     about["input"] = input or about["input"]
@@ -83,8 +86,13 @@ def read_response(
         raise ValueError(f"{path}: {error}") from None
 
 
-def read_responses(path: str | Path) -> tuple[FrequencyResponse, ...]:
-    """Read all responses of a matrix, as `write_responses` writes it, in the order of the columns.
+def read_responses(
+    path: str | Path, *, columns: Mapping[str, str] | None = None
+) -> tuple[FrequencyResponse, ...]:
+    """Read all responses of a matrix, in their order in the file.
+
+    The table is one of `write_responses`. Or each row is a point of the response that its cells
+    under ``output`` and ``input`` name, beside the columns that `read_response` takes.
 
     Raises
     ------
@@ -98,12 +106,18 @@ def read_responses(path: str | Path) -> tuple[FrequencyResponse, ...]:
     prefixes = [name.removesuffix("_alpha") for name in table.header if name.endswith("_alpha")]
     stated = {pair.replace("/", "_"): pair for pair in table.facts.get(PAIRS, "").split()}
     pairs = [stated.get(prefix, prefix.replace("_", "/")).split("/") for prefix in prefixes]
+    if {*PAIR} <= {*table.header}:
+        o, i = map(table.header.index, PAIR)
+        pairs = [*dict.fromkeys((*row[o : o + 1], *row[i : i + 1]) for _, row in table.rows())]
     if not pairs or any(len(pair) != 2 for pair in pairs):
         raise ValueError(
             f"{path} has no columns OUTPUT_INPUT_alpha, or signals with '_' in their names: state "
-            "the pairs in a comment, # pairs: output/input output/input."
+            "the pairs in a comment, # pairs: output/input output/input; or name the pair of every "
+            "row in columns output and input."
         )
-    return tuple(read_response(path, input=i, output=o, name=f"{o}/{i}") for o, i in pairs)
+    return tuple(
+        read_response(path, input=i, output=o, name=f"{o}/{i}", columns=columns) for o, i in pairs
+    )
 
 
 def write_response(response: FrequencyResponse, path: str | Path) -> None:

@@ -84,10 +84,10 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
 
     Newton's method searches frequency responses from all starts at once (``search="batched"``), and
     IPOPT polishes every minimum. Large problems of state spaces are searched together, too, with
-    one solution of (jωI - A)⁻¹ for all responses; there, three of four starts, also of your own
-    list, first move to a minimum of the equation error. Other problems that do not fit into a batch
-    (finite amplitudes, large ones) are solved by IPOPT from every start, as with
-    ``search="multistart"``.
+    one solution of (jωI - A)⁻¹ for all responses; there, all starts but the most promising one of a
+    batch, or the first of your own list, first move to a minimum with process noise. Other problems
+    that do not fit into a batch (finite amplitudes, large ones) are solved by IPOPT from every
+    start, as with ``search="multistart"``.
 
     Parameters
     ----------

@@ -117,7 +117,9 @@ class Fit(Printed):
         All runs in the order of their starts, and the distinct minima, best first.
     agreeing : int
         Number of runs whose cost differs from the best by less than 0.1 in log-likelihood, or, for
-        other criteria, by an equivalent amount. It is 0 if the best response is nearly zero.
+        other criteria, by an equivalent amount. It is 0 if the best response is nearly zero. Where
+        parameters of frequency responses share no data, it counts the runs that reached the minimum
+        of the block that fewest of them reached.
     white : (p, p) array or None
         Covariance of the free parameters if the cost were the likelihood of white errors.
     independent : (p, p) array and float, or None

@@ -86,10 +86,11 @@ class DelimitedText:
                 f"{self.path} is not a table of numbers ({problem}): save it as plain CSV."
             ) from None
 
-    def numbers(self, places: Mapping[str, int]) -> dict[str, Array]:
+    def numbers(self, places: Mapping[str, int], texts: Mapping[str, str]) -> dict[str, Array]:
         """Return columns of numbers, (n,) arrays, by name from their places, from 0.
 
-        Rows in which only the first of these columns has a value are left out.
+        Rows in which only the first of these columns has a value are left out, and rows without
+        these `texts` in other columns of the header.
 
         Raises
         ------
@@ -105,22 +106,23 @@ class DelimitedText:
                 )
             cells = [row[place] for place in places.values()]
             # A matrix of responses has blanks at the frequencies of its other responses.
-            if any(cells[1:]):
+            named = dict(zip(self.header, row, strict=False))
+            if any(cells[1:]) and texts.items() <= named.items():
                 rows.append((number, cells))
 
         # All cells decide together: 1,234 alone may be either.
         comma = has_decimal_comma(self.path, rows)
-        table = np.empty((len(rows), len(places)))
-        for k, (number, cells) in enumerate(rows):
-            for j, (cell, place) in enumerate(zip(cells, places.values(), strict=True)):
-                table[k, j] = number_in(cell, comma)
-                if np.isnan(table[k, j]):
+        values = []
+        for number, cells in rows:
+            for cell, place in zip(cells, places.values(), strict=True):
+                values.append(number_in(cell, comma))
+                if math.isnan(values[-1]):
                     raise ValueError(
                         f"{self.path}, line {number}: {self.header[place]} is {cell!r}, which is "
                         "not a number."
                     )
 
-        return dict(zip(places, table.T, strict=True))
+        return dict(zip(places, np.reshape(values, (-1, len(places))).T, strict=True))
 
 
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:

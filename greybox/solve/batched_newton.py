@@ -52,9 +52,6 @@ from greybox.solve.newton_iteration import (
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
 SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
 LAST = BARRIERS.shape[1] - 1
-# Searches this close in all variables become one: a ten-thousandth of the start box, where steps of
-# Newton's method have all but arrived. With a thousandth they end alike, and take as long.
-MET = 1e-4
 NO_DATA = np.zeros(0)
 
 
@@ -149,16 +146,12 @@ class BatchedNewton:
         smoothing: float | None = None,
         given: Array | None = None,
         bounds: tuple[Array, Array] | None = None,
-        labels: Array | None = None,
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
-        A `smoothing` replaces those of the levels. Searches of one of the `labels` (m,) become one
-        where they meet.
-
-        A search ends where its projected gradient is at most the `tolerance`, relative to the cost
-        where that is above one. The columns of `given` (g, m) are the data of each search, and
-        `bounds`, (p, m) each, replace those of the problem.
+        A `smoothing` replaces those of the levels. A search ends where its projected gradient is at
+        most the `tolerance`, relative to the cost where that is above one. The columns of `given`
+        (g, m) are the data of each search, and `bounds`, (p, m) each, replace those of the problem.
         """
         m = z.shape[1]
         data = np.repeat(self._data, m, axis=1) if given is None else given
@@ -170,7 +163,7 @@ class BatchedNewton:
         # A search begins at least a hundredth of the interval inside its bounds, as in IPOPT.
         margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
         z = np.clip(z, low + margin, high - margin)
-        rows, leader = self._rows, np.arange(m)  # the leader is the search whose end counts
+        rows = self._rows
         numbers = np.zeros((rows.size, m))
         numbers[rows.z] = numbers[rows.trial] = z
         numbers[rows.lower], numbers[rows.upper] = low, high
@@ -179,34 +172,20 @@ class BatchedNewton:
         numbers[LEVEL] = LAST - 1 if from_near else -1
         numbers[SWITCHED] = numbers[RADIUS] = 1
         numbers[ITERATIONS] = -1
-        searches = _Searches(leader, numbers, np.ones(m, bool), data)
+        searches = _Searches(np.arange(m), numbers, np.ones(m, bool), data)
         self._advance(searches, tolerance, smoothing)
         for _ in range(max_iterations):
             ended = searches.live & (searches.numbers[END] != 0)
             # For few searches `any` takes ten times as long.
             if np.count_nonzero(ended):
                 self._end(searches, ended, ends)
-            if labels is not None:
-                leader = self._merged(searches, labels)[leader]
             live = np.count_nonzero(searches.live)
             if reason_to_end() or not live:
                 break
             searches = _narrowed(searches, live)
             self._advance(searches, tolerance, smoothing)
         self._end(searches, searches.live, ends)
-        return Ends._make(values[..., leader] for values in ends)
-
-    def _merged(self, searches: _Searches, labels: Array) -> IntArray:
-        """End those that have met another search, and return which one goes on for each of m."""
-        owner, live = searches.owner, searches.live
-        ended = ~live * (1 + owner)  # these meet none
-        alike = np.vstack([searches.numbers[LEVEL : self._rows.trial.stop], labels[owner], ended])
-        first = (np.abs(alike[:, :, None] - alike[:, None]).max(0) < MET).argmax(0)
-        met = live & (first[first] == first) & (owner[first] != owner)
-        live &= ~met
-        leader = np.arange(len(labels))
-        leader[owner[met]] = owner[first[met]]
-        return leader
+        return ends
 
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
         """Move searches to the ends."""
@@ -223,9 +202,9 @@ class BatchedNewton:
         trial = numbers[rows.trial]
         levels = (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
         smoothings = SMOOTHINGS if smoothing is None else np.full(LAST + 1, smoothing)
-        inputs = [trial, smoothings[levels][None], searches.data]
-        inputs += [] if self._roots is None else self._roots(trial, searches.data)
-        cost, gradient, hessian = self._function(*inputs)
+        roots = [] if self._roots is None else self._roots(trial, searches.data)
+        inputs = trial, smoothings[levels][None], searches.data
+        cost, gradient, hessian = self._function(*inputs, *roots)
 
         advance, within_radius = _iterations.result(p)
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]

@@ -101,9 +101,9 @@ class LocalSolver(Runner):
         """Return a run that did not converge with more iterations, if the solver can."""
         return outcome
 
-    def judged(self, estimates: Array) -> tuple[Array, Any] | None:
-        """Return costs (r,) and signatures (r, m) at ends (r, p); None if outcomes have them."""
-        return None
+    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
+        """Return outcomes with costs and signatures."""
+        return outcomes
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
         """Return outcomes that replace runs, by number: every minimum needs a certified run."""

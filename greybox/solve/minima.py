@@ -192,15 +192,10 @@ def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:
     """Return the root mean square differences of responses from that of one run, relative to it."""
     reference = np.asarray(signatures[of], dtype=float)
     size = np.maximum(np.abs(reference), 1.0)  # signatures come in units of the measured signals
-    differences = np.empty(len(indices))
-
-    # In batches: the responses of 100 000 runs would fill the memory.
-    for begin in range(0, len(indices), AT_ONCE):
-        batch = indices[begin : begin + AT_ONCE]
-        responses = np.array([signatures[index] for index in batch], dtype=float)
-        relative = (responses - reference) / size
-        differences[begin : begin + AT_ONCE] = np.sqrt(np.mean(relative**2, axis=1))
-    return differences
+    # One by one: the responses of 100 000 runs would fill the memory.
+    return np.array(
+        [np.sqrt(np.mean(((signatures[index] - reference) / size) ** 2)) for index in indices]
+    )
 
 
 def same_cost(nlp: CompiledProblem, cost: float) -> float:

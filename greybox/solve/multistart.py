@@ -126,12 +126,11 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     if screened is not None and not stop_requested():
         # Starts that were only compared are listed too, so that the answer counts them.
         made = dict(zip(rows, runs, strict=True))
-        only_compared = {"status": SCREENED, "converged": False, "stage": SCREENED}
         runs = Runs.of(
             replace(made[k], index=k)
             if k in made
-            else Run(k, start, start, float(screened.costs[k]), **only_compared)
-            for k, start in enumerate(starts)
+            else Run(k, start, start, float(cost), SCREENED, converged=False, stage=SCREENED)
+            for k, (start, cost) in enumerate(zip(starts, screened.costs, strict=True))
         )
         minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
     return Multistart(runs, minima, nodes, ends)
@@ -160,20 +159,16 @@ def _certified(
     """Return the runs, by row and in columns, and their minima, certified by the solver."""
     rows = sorted(results)
     starts = [results[row][0] for row in rows]
-    outcomes = [results[row][1] for row in rows]
-    judged = solver.judged(np.array([outcome.estimate for outcome in outcomes]))
-    if judged is not None:
-        ends = zip(outcomes, *judged, strict=True)
-        outcomes = [replace(outcome, cost=float(c), signature=s) for outcome, c, s in ends]
+    outcomes = solver.judged([results[row][1] for row in rows])
     while True:
-        pairs = zip(starts, outcomes, strict=True)
+        pairs = [*zip(starts, outcomes, strict=True)]
 
         # A certified run may end lower, and change which runs share a minimum.
         runs = Runs.of(outcome.as_run(k, start) for k, (start, outcome) in enumerate(pairs))
         minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
         changed = solver.certified(runs, minima)
         if not changed:
-            return dict(zip(rows, zip(starts, outcomes, strict=True), strict=True)), runs, minima
+            return dict(zip(rows, pairs, strict=True)), runs, minima
         for k, outcome in changed.items():
             outcomes[k] = outcome
 

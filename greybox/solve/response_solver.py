@@ -14,7 +14,9 @@ from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
+import casadi as ca
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
@@ -25,7 +27,15 @@ from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONFIRMING, CONVERGED, ROUNDED, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
-from greybox.solve.minima import AT_ONCE, Minimum, Multistart, explains_nothing, same_cost
+from greybox.solve.minima import (
+    AT_ONCE,
+    RIVAL,
+    Minimum,
+    Multistart,
+    explains_nothing,
+    likelihood_unit,
+    same_cost,
+)
 from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs, spent
 from greybox.solve.zero_response import walled
 
@@ -131,14 +141,54 @@ class ResponseSolver(LocalSolver):
         trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
         return Profile(z, trajectories, self.problem.costs(x[None]).item(), converged=True)
 
-    def judged(self, estimates: Array) -> tuple[Array, Any]:
-        """Return the costs, without smoothing, and signatures."""
+    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
+        """Return outcomes with costs, without smoothing, and signatures; blocks are exchanged."""
+        ends = np.array([outcome.estimate for outcome in outcomes])
+        arrived = [k for k, outcome in enumerate(outcomes) if outcome.converged]
+        is_alone = self.together == 1 or self.problem.programs[-1].roots is not None
+        if len(arrived) > 1 and not is_alone:
+            ends[arrived] = self._exchanged(ends[arrived])
+        return [
+            replace(outcome, estimate=x, cost=float(cost), signature=signature)
+            for outcome, x, cost, signature in zip(outcomes, ends, *self._judged(ends), strict=True)
+        ]
+
+    def _judged(self, estimates: Array) -> tuple[Array, Array]:
+        """Return costs (r,) and signatures (r, m) at ends (r, p)."""
         firsts = range(0, max(len(estimates), 1), AT_ONCE)
         batches = (self.problem.judged(estimates[k : k + AT_ONCE]) for k in firsts)
         # In single precision: they are stored for every run, and compared to a percent.
         pairs = ((costs, signatures.astype(np.float32)) for costs, signatures in batches)
         costs, signatures = zip(*pairs, strict=True)
         return np.concatenate(costs), np.concatenate(signatures)
+
+    def _exchanged(self, ends: Array) -> Array:
+        """Return the ends (r, p) of runs, with independent blocks exchanged between them.
+
+        Parameters that share no data, such as those of the longitudinal and the lateral motion, are
+        two blocks: the cost is a sum of two, and a run seldom reaches the minima of both. The best
+        ends of each block become those of the same runs. So as many runs reach the best minimum as
+        reach that of the block which fewest of them solve.
+        """
+        # In a few points: at zero, a parameter may seem to couple nothing.
+        z = self.problem.scaling.to_solver(ends[-8:]).T
+        ones, data = np.ones_like(z[:1]), self.problem.data[:, None]
+        hessian = self.problem.programs[-1].second_order(z, SMOOTHING * ones, data * ones)[2]
+        slopes = ca.DM(self.problem.constraint.jac_sparsity(0, 0), 1).full()[:, : len(z)]
+        hessian = np.any(hessian, axis=1).reshape(len(z), -1)
+        blocks, of = connected_components(hessian + slopes.T @ slopes)
+        if blocks == 1:
+            return ends
+        mixed = np.where((of == np.arange(blocks)[:, None])[:, None], ends, ends[0])
+        costs = self._judged(mixed.reshape(-1, len(of)))[0].reshape(blocks, -1)
+        lowest = costs.min(axis=1)
+        # All blocks at their best.
+        best = np.sum(lowest) - (blocks - 1) * costs[0, 0]
+        limits = lowest + RIVAL * likelihood_unit(self.problem, best)
+        # Ends that the data do not exclude keep their order: sorted, a rival of the best would
+        # always meet the worst ends of other blocks, and nobody would see it.
+        order = np.argsort(np.maximum(costs, limits[:, None]), axis=1, kind="stable")
+        return np.take_along_axis(ends, order[of][:, np.argsort(order[0])].T, axis=0)
 
     # --- many starts
 
@@ -240,7 +290,7 @@ class ResponseSolver(LocalSolver):
                 continue
             for k in minimum.runs:
                 if k not in certified and not stop_requested():
-                    certified[k] = self._judged_run(runs[k], runs[k].start, NO_OPTIONS)
+                    [certified[k]] = self.judged([self.again(runs[k].start, runs[k])])
         return certified
 
     def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
@@ -248,7 +298,7 @@ class ResponseSolver(LocalSolver):
         if stop_requested():
             return True
         # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.
-        outcome = self._judged_run(run, run.estimate, CONFIRMING)
+        [outcome] = self.judged([self.again(run.estimate, run, CONFIRMING)])
 
         # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost
@@ -257,12 +307,6 @@ class ResponseSolver(LocalSolver):
             return False
         certified[run.index] = outcome
         return higher >= -tolerated
-
-    def _judged_run(self, run: Run, x: Array, options: Mapping[str, Any]) -> Outcome:
-        """Return the end of IPOPT from x (p,) after an earlier run, with cost and signature."""
-        outcome = self.again(x, run, options)
-        [cost], [signature] = self.judged(outcome.estimate[None])
-        return replace(outcome, cost=float(cost), signature=signature)
 
     # --- the last digits
 
@@ -291,11 +335,12 @@ class ResponseSolver(LocalSolver):
         gets which value.
         """
         problem, order = self.problem, np.argsort(first, kind="stable").tolist()
+        response = problem.judged(x[None])[1]
         for i, j in combinations(order, 2):
             y = x.copy()
             y[[i, j]] = x[[j, i]]
             if x[i] > x[j] and np.all(y == np.clip(y, problem.lower, problem.upper)):
-                change = np.ptp(problem.judged(np.array([x, y]))[1], axis=0)
+                change = np.abs(problem.judged(y[None])[1] - response)
                 # Relative change of a response: rounding leaves 1e-13, and less for parameters that
                 # no data show.
                 x = y if change.max() < 1e-9 else x

@@ -39,7 +39,9 @@ class Run:
     index : int
         Number of the start.
     start, estimate : (p,) arrays
-        The start and where the run ended, in the order of the free parameters.
+        The start and where the run ended, in the order of the free parameters. Runs of frequency
+        responses exchange the ends of blocks of parameters that share no data: in one block, the
+        estimate may be where another run ended.
     cost : float
         The criterion without smoothing, at the end.
     status : str

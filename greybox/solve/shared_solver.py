@@ -67,8 +67,7 @@ class SharedSolver(ResponseSolver):
             return ends
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
         near, iterations = z[:, 1:], 0
-        place = np.arange(near.shape[1])
-        ratios = np.array(FIRST)[place // 2 % 2]
+        ratios = np.array(FIRST)[np.arange(near.shape[1]) // 2 % 2]
         search = BatchedNewton(ProcessNoise(self._shared, z), *self.problem.bounds)
         for stage in STAGES:
             # With one ratio of process noise, five of seven starts take 3 to 36 iterations.
@@ -80,16 +79,16 @@ class SharedSolver(ResponseSolver):
                 tolerance=1e-4,
                 from_near=stage < 1,
                 given=stage * ratios[None],
-                labels=place % 4,  # equal ratios and barriers
             )
             near, iterations = ends.z, iterations + ends.iterations
         if near.size:
             # Some starts take 250 iterations, and their time would be that of the whole fit.
             limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
-        first = super().improved(z[:, :1], **limits)
-        others = super().improved(near, **limits, from_near=True, labels=0 * place)
-        others.iterations[:] += iterations
-        return Ends._make(np.concatenate(pair, -1) for pair in zip(first, others, strict=True))
+        # Without a barrier: the first start may be a minimum of a similar problem.
+        near = np.column_stack([z[:, 0], near])
+        ends = super().improved(near, **limits, from_near=True)
+        ends.iterations[1:] += iterations
+        return ends
 
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS

@@ -8,7 +8,7 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
-from greybox.data.response_file import read_response, read_responses
+from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
@@ -31,7 +31,7 @@ def read_data(
 ) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record:
     """Return a response, or the only record with the model's signals.
 
-    A table of several responses, as `write_responses` writes it, gives all of them.
+    A table of several responses, see `read_responses`, gives all of them.
 
     `columns` name the columns of a table, with units: ``{"theta": "pitch:deg"}``. They are those of
     a response if they contain its frequency or magnitude. The `rate` in Hz is that of a table
@@ -58,9 +58,9 @@ def read_data(
     if is_response:
         names = _header(path) or ()
         has_pairs = len(model.input_names) * len(model.output_names) > 1
-        matrix = has_pairs and any(name.endswith("_alpha") for name in names)
-        if matrix and not (input or output or columns):
-            return read_responses(path)
+        matrix = not columns and any(name.endswith("_alpha") for name in names)
+        if has_pairs and (matrix or {*PAIR} <= {*names}) and not (input or output):
+            return read_responses(path, columns=columns)
         if f"{output}_{input}_alpha" not in names:
             require_known(filter(None, [input]), model.input_names, "input", model.label)
             require_known(filter(None, [output]), model.output_names, "output", model.label)

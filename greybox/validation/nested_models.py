@@ -111,10 +111,11 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     Sources: Rotnitzky and Jewell (1990), Biometrika 77; Satorra and Bentler (1994); Klein and
     Morelli, chapter 5; Self and Liang (1987), Journal of the American Statistical Association 82.
     """
-    check_fits((small, large))
-    first, second = labels_of((small, large))
+    fits = small, large
+    check_fits(fits)
+    first, second = labels_of(fits)
     labels = first, second
-    different = data_difference((small, large), labels) or other_samples((small, large), labels)
+    different = data_difference(fits, labels) or other_samples(fits, labels)
     if different:
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
 
@@ -138,7 +139,8 @@ def nested_test_at(
 ) -> NestedTest:
     """Test a fit against a larger one that is the same model where its terms have these `values`.
 
-    With `independent`, errors count as independent along frequency.
+    With `independent`, errors count as independent along frequency, and as of equal size if `large`
+    does not explain the data.
 
     Raises
     ------
@@ -183,6 +185,10 @@ def nested_test_at(
         if rows:
             white = large.white[np.ix_(rows, rows)]
             scale = float(np.trace(np.linalg.solve(white, covariance))) / len(rows)
+        if independent and large.misfit is not None and not large.misfit.explains:
+            # Where a misfit counts as noise, the noise of the responses that lack another term is
+            # so large that no term of theirs would be found: errors count as equal.
+            scale = 1.0 if is_likelihood(large) or math.isinf(dof) else 2 * large.cost / dof
         statistic = max(ratio, 0.0) / (scale * removed)
     p_value = f_tail(statistic, removed, dof, on_bound=bool(on_bound))
     return NestedTest(*labels, tuple(values), ratio, scale, statistic, (removed, dof), p_value)

@@ -109,12 +109,18 @@ class StepwiseSelection:
         return one_line(self, self.fit.name, ", ".join(self.terms) or "no term")
 
     def __str__(self) -> str:
-        rows = []
-        for trial in self.trials:
-            p = trial.why_not or number(trial.p_value, 2)
-            outcome = {"add": "added", "remove": "removed"}[trial.change] if trial.done else ""
-            change = [str(trial.step), trial.change, trial.term]
-            rows.append([*change, number(trial.cost, 4), p, f"{trial.limit:.2g}", outcome])
+        rows = [
+            [
+                str(trial.step),
+                trial.change,
+                trial.term,
+                number(trial.cost, 4),
+                trial.why_not or number(trial.p_value, 2),
+                f"{trial.limit:.2g}",
+                {"add": "added", "remove": "removed"}[trial.change] if trial.done else "",
+            ]
+            for trial in self.trials
+        ]
         table = text_table(["step", "", "term", "cost", "p", "limit", ""], rows, left=(1, 2, 6))
         text = f"{self.fit.name}: stepwise selection at {100 * SIGNIFICANT:g} % (Bonferroni)"
         text += f"\n\n{self.verdict}\n\n{table}\n"
@@ -132,7 +138,9 @@ def stepwise(
 ) -> StepwiseSelection:
     """Choose terms of a model from a list of candidates, by adding and removing them one at a time.
 
-    If several terms lower the cost equally, the first in the list is added.
+    If several terms lower the cost equally, the first in the list is added. Where the larger model
+    of a test does not explain the data, since more terms are missing, errors of responses count as
+    of equal size.
 
     Parameters
     ----------
@@ -170,7 +178,7 @@ def stepwise(
         step += 1
         left_out = [name for name in absent if name not in current]
         # Bonferroni: the smallest of many p-values is small by chance.
-        tried = [fits.trial(step, "add", n, current, SIGNIFICANT / len(left_out)) for n in left_out]
+        tried = [fits.trial(step, n, current, SIGNIFICANT / len(left_out)) for n in left_out]
         best = _best([t for t in tried if t.p_value < t.limit])
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
@@ -179,7 +187,7 @@ def stepwise(
         seen.add(current)
         while len(current) > 1:
             chosen = [name for name in absent if name in current]
-            tried = [fits.trial(step, "remove", n, current, SIGNIFICANT) for n in chosen]
+            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in chosen]
             idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
             worst = max(idle, key=lambda t: t.p_value, default=None)
             trials += [replace(t, done=t is worst) for t in tried]
@@ -244,13 +252,13 @@ class _Fits:
         rules = [start, Sobol(self.starts, 0)]
         return fit_problem(problem, rules, profiles=profiles, progress=False)
 
-    def trial(self, step: int, change: str, term: str, terms: Terms, limit: float) -> Trial:
+    def trial(self, step: int, term: str, terms: Terms, limit: float) -> Trial:
         """Test a term that is added to these terms, or removed from them."""
         fit = self.cache[terms]
         changed = self.fitted(terms ^ {term}, fit)
         p_value, why_not = math.nan, "no fit converged"
+        change, *pair = ("remove", changed, fit) if term in terms else ("add", fit, changed)
         if changed.converged:
-            pair = (fit, changed) if change == "add" else (changed, fit)
             test = self._tested(term, *pair)
             p_value, why_not = (math.nan, test) if isinstance(test, str) else (test.p_value, "")
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)

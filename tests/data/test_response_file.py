@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from measured_responses import EXTRAS, RESPONSE, assert_same, measured
+from numpy.testing import assert_allclose
 
 import greybox as gb
 
@@ -148,3 +149,23 @@ def test_what_a_response_says_about_itself_survives_the_file(tmp_path):
     assert gb.read_response(path, output="y").output == "y"
     assert back.times_s("q").units == {"u": "1", "q": "rad/s"}
     assert back.times_s("q").over_s("theta").units == {"u": "1", "theta": "rad"}
+
+
+def test_a_table_with_a_row_for_each_point_of_several_responses_is_a_matrix(tmp_path):
+    text = """output,input,f,mag_db,phase_deg
+p,lat,1,20,-90
+q,lat,2,0,180
+p,lat,3,-20,0
+q,lon,1,6,10
+"""
+    columns = {"frequency": "f:Hz", "magnitude": "mag_db:dB", "phase": "phase_deg:deg"}
+    path = file(tmp_path, text)
+    p, q, other = gb.data.read_responses(path, columns=columns)
+    assert [each.name for each in (p, q, other)] == ["p/lat", "q/lat", "q/lon"]
+    assert (p.output, p.input, other.input) == ("p", "lat", "lon")
+    assert_allclose(p.omega, 2 * np.pi * np.array([1, 3]))
+    assert_allclose(p.response, [-10j, 0.1], atol=1e-12)
+    assert_allclose(q.response, [-1], atol=1e-12)
+    assert_same(gb.read_response(path, input="lon", output="q", columns=columns), other)
+    with pytest.raises(ValueError, match="name the pair of every row"):
+        gb.data.read_responses(file(tmp_path, "output,omega_rad_s,alpha,beta\np,1,2,3\n"))

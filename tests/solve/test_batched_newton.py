@@ -56,34 +56,6 @@ def test_one_step_leads_to_the_minimum_of_a_quadratic_nearby():
     assert np.linalg.norm(cut.z[:, 1] - far) > 1
 
 
-def test_searches_of_one_label_become_one_where_they_meet():
-    """Each ends at the minimum that it would reach alone; two wells stay two."""
-    z, smoothing, given = ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX.sym("given", 0)
-    wells = SecondOrder([z, smoothing, given], (z[0] ** 2 - 1) ** 2 + (z[1] - 2) ** 4 + 0.1 * z[0])
-    points = np.random.default_rng(1).uniform(-3, 3, (2, 12))
-
-    def searched(labels):
-        widths = []
-
-        def counted(z, *others):
-            widths.append(z.shape[1])
-            return wells(z, *others)
-
-        limits = {"max_iterations": 90, "tolerance": 1e-12}
-        return BatchedNewton(counted, -FAR, FAR).minimize(points, **limits, labels=labels), widths
-
-    (alone, all_widths), (ends, widths) = searched(None), searched(np.zeros(12))
-    assert alone.at_minimum.all()
-    assert ends.at_minimum.all()
-    assert len(np.unique(np.sign(alone.z[0]))) == 2
-    assert_allclose(ends.z, alone.z, atol=1e-3)  # (z - 2)⁴ is flat
-    assert_allclose(ends.cost, alone.cost, atol=1e-11)
-    assert sum(widths) < sum(all_widths)
-    apart, apart_widths = searched(np.arange(12))
-    assert_array_equal(apart.z, alone.z)
-    assert apart_widths == all_widths
-
-
 @pytest.mark.parametrize("count", [1, 3, 8, 150])
 def test_every_search_has_what_is_given_for_it_however_many_are_left(count):
     """Powers of unlike curvature end at unlike times.

@@ -145,8 +145,8 @@ def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_mu
             began.append(start)
             return Outcome(start, "converged", 1, 0.0, True, 1.0, np.zeros(1))
 
-        def judged(self, estimates):
-            return None
+        def judged(self, outcomes):
+            return outcomes
 
     multistart(nlp, Bounded(nlp, batched=False), np.array([home, away]))
     moved = [nlp.scaling.to_solver(start) for start in began]
@@ -221,8 +221,8 @@ class Compared(ResponseSolver):
     def run_together(self, starts):
         return [self.run(start) for start in starts]
 
-    def judged(self, estimates):
-        return None
+    def judged(self, outcomes):
+        return outcomes
 
 
 @pytest.mark.parametrize(("agreeing", "count"), [(2, 3), (3, 6)])

@@ -381,3 +381,43 @@ def test_the_last_digits_do_not_depend_on_the_starts():
     assert list(fits[0].estimate.values()) == pytest.approx(
         list(fits[1].estimate.values()), rel=1e-9
     )
+
+
+def test_axes_that_share_no_parameters_agree_as_often_as_the_harder_one():
+    """Every run ends in a minimum of each axis, and the best ends of both are those of the same runs."""
+
+    def axis(k, values):
+        renamed = {name: f"{name}_{k}" for name in values}
+        omega = np.geomspace(0.3, 30, 15)
+        data = measured(Resonance(), omega, values, noise=0.05, seed=k)
+        return gb.Problem(Resonance(), data, gb.SquaredRelativeError(), rename=renamed)
+
+    values = {"k": 3.0, "w": 4.0, "z": 0.2, "tau": 0.05, "b": -2.0}
+    axes = [axis(1, values), axis(2, {"k": -6.0, "w": 9.0, "z": 0.6, "tau": 0.1, "b": 4.0})]
+    fit = gb.fit(axes[0] + axes[1], 40, progress=False, profiles=False)
+    counts = []
+    for each in axes:
+        ends = fit.runs.estimate[fit.runs.converged][
+            :, [fit.free.index(n) for n in each.parameters]
+        ]
+        costs = compile_problem(each).costs(ends)
+        counts.append(np.count_nonzero(costs < 1.01 * costs.min()))
+    assert counts[0] != counts[1]
+    assert fit.agreeing == min(counts)
+    alone = [gb.fit(each, progress=False, profiles=False) for each in axes]
+    assert fit.cost == pytest.approx(alone[0].cost + alone[1].cost, rel=1e-9)
+    assert fit.estimate == pytest.approx(alone[0].estimate | alone[1].estimate, rel=1e-5)
+
+
+class Resonance(gb.TransferFunction):
+    """A resonance with a delay, whose searches often end elsewhere."""
+
+    k = gb.Parameter(1.0, bounds=(-20, 20))
+    w = gb.Parameter(2.0, bounds=(0.1, 50), scale="log")
+    z = gb.Parameter(0.5, bounds=(0.01, 3))
+    tau = gb.Parameter(0.0, bounds=(0, 0.3))
+    b = gb.Parameter(1.0, bounds=(-30, 30))
+
+    def response(self, s, p):
+        denominator = s**2 + 2 * p.z * p.w * s + p.w**2
+        return (p.k + p.b * s) / denominator * gb.exp(-p.tau * s)

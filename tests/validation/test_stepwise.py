@@ -285,3 +285,36 @@ def test_a_misfit_without_a_significant_term_has_no_candidates():
     misfit = replace(gb.fit(right, starts=1, progress=False).misfit, causes=())
     with pytest.raises(ValueError, match="no significant cause"):
         gb.stepwise(right, misfit)
+
+
+def test_two_terms_that_are_missing_together_are_found():
+    """Without one of them, what the other explains is small beside the misfit of another response."""
+
+    class Rates(gb.StateSpace):
+        states, inputs, outputs = ("p", "q"), ("lat", "lon"), ("p", "q", "ay")
+        Lp, Mq, Llat, Mlon, Ylat, Yp = (
+            gb.Parameter(0.7 * value, bounds=(-50, 50)) for value in (-4, -2, 20, 12, 4, -0.8)
+        )
+        Lq, Mp, Yq, Mlat = (gb.Parameter(0.1, bounds=(-50, 50)) for _ in range(4))
+
+        def derivative(self, x, u, p):
+            q = p.Mp * x.p + p.Mq * x.q + p.Mlon * u.lon + p.Mlat * u.lat
+            return p.Lp * x.p + p.Lq * x.q + p.Llat * u.lat, q
+
+        def output(self, x, u, p):
+            return x.p, x.q, p.Yp * x.p + p.Yq * x.q + p.Ylat * u.lat
+
+    truth = {"Lp": -4.0, "Mq": -2.0, "Llat": 20.0, "Mlon": 12.0, "Ylat": 4.0, "Yp": -0.8}
+    truth |= {"Lq": 0.7, "Mp": 1.6, "Yq": 0.3, "Mlat": -5.0}
+    omega, random = np.geomspace(0.3, 15, 12), np.random.default_rng(1)
+    data = []
+    for i in Rates.inputs:
+        for o in Rates.outputs:
+            exact = gb.frequency_response(Rates(), truth, omega, input=i, output=o).response
+            errors = random.standard_normal((2, omega.size)) * 0.05 / np.sqrt(2)
+            noisy = exact * (1 + errors[0] + 1j * errors[1])
+            data.append(gb.FrequencyResponse(omega, noisy, input=i, output=o))
+    problem = gb.Problem(Rates(), data, gb.SquaredRelativeError())
+    chosen = gb.stepwise(problem, ["Mp", "Mlat"], starts=1)
+    assert chosen.terms == ("Mp", "Mlat")
+    assert all(trial.p_value < 1e-3 for trial in chosen.trials)
