@@ -325,8 +325,8 @@ class ResidualSpectra:
 
         They have many correlation times, and every share of the variance.
         """
-        # In a record of this length, slower errors look like a random walk.
-        times = np.geomspace(1.0, max(2.0 * self.grid.longest, 2.0), 18)
+        # In a record of this length, slower errors look like a constant.
+        times = np.geomspace(1.0, max(self.grid.longest / 3, 2.0), 14)
         omega, share = self.grid.omega, SHARES[:, None]
         phi = np.exp(-1 / times)[:, None, None]
         slow = (1 - phi**2) / (1 - 2 * phi * np.cos(omega) + phi**2)

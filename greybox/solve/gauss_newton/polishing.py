@@ -40,7 +40,7 @@ def polished(parts: AllParts, start: Iterate) -> Iterate:
     # Initial states that the data hardly determine may creep on, which moves no parameter.
     if LONG_STEP < distance < EXACT.undamped_decrease:
         progress = replace(EXACT, undamped_decrease=LONG_STEP)
-        damped = descend(parts, end, progress, MOST_STEPS, restarts=False)
+        damped = descend(parts, end, progress, MOST_STEPS)
         end, _ = _undamped(parts, damped.iterate)
     return end
 
