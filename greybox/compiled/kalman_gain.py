@@ -96,7 +96,8 @@ class KalmanGain:
         A = self.error_transition(trajectory, placed)
         if not all_finite(A):
             return np.array([-np.inf])
-        poles, r = np.linalg.eigvals(A), self.radius(trajectory, placed)
+        poles = np.linalg.eigvals(A)
+        r = self.radius(trajectory, placed)
         upper = poles[poles.imag > 0]
         real = np.sort(poles[poles.imag == 0].real)[::-1]
         # Neighbors may meet; a pole without one has a partner at zero.
@@ -137,9 +138,9 @@ class KalmanGain:
             gain = steady_state_gain(F, root @ C, process) @ root
             K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
         else:
-            intensities = np.sqrt(variance[noise.driven] / noise.step)
-            deviations = np.sqrt(np.diag(errors.covariance(trajectory.products)))
-            q[self.unknowns] = unknowns = np.append(intensities, deviations)
+            deviations = np.diag(errors.covariance(trajectory.products))
+            unknowns = np.sqrt(np.append(variance[noise.driven] / noise.step, deviations))
+            q[self.unknowns] = unknowns
             K = noise.at(q).gain
         if spectral_radius(self._reached(F - F @ K @ C)) >= self.limit:
             return np.nan * z

@@ -250,8 +250,8 @@ def _by_piece(fitted: FittedRecord, values: Array) -> list[Array]:
 
 def _looks_white(fitted: FittedRecord, output: str, outputs: int) -> bool:
     """Return whether the residuals of one of so many tested outputs look like white noise."""
-    residuals = _by_piece(fitted, fitted.residual(output))
-    return not whiteness(residuals).p_value < FALSE_ALARMS / outputs
+    test = whiteness(_by_piece(fitted, fitted.residual(output)))
+    return not test.p_value < FALSE_ALARMS / outputs
 
 
 def biased_by_feedback(pairs: Pairs, *, unstable: bool = False) -> Iterator[str]:

@@ -90,7 +90,9 @@ def _attempted(parts: AllParts, iterate: Iterate, *options: Any, states_only: bo
 def _iterated(
     parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
 ) -> End:
-    weights, linearizations, gained = list[Array](), list[Any](), 0.0
+    weights = list[Array]()
+    linearizations = list[Any]()
+    gained = 0.0
     for count in range(iterations):
         if interruption := reason_to_end():
             return End(iterate, interruption, count)

@@ -31,7 +31,9 @@ def gauss_newton_step(
     exact = [None] * len(parts.parts)
     variances = exact if progress.is_exact else progress.continuity_variance
     systems: list[Any] = []
-    hessian, gradient, decrease = np.zeros((p, p)), np.zeros(p), 0.0
+    hessian = np.zeros((p, p))
+    gradient = np.zeros(p)
+    decrease = distance = 0.0
     for part, trajectory, linearization, variance in parts.along(
         iterate, linearizations, variances
     ):
@@ -42,7 +44,7 @@ def gauss_newton_step(
         systems.append(system)
 
     dz = np.zeros(p)
-    distance, penalty = 0.0, progress.constraint_penalty
+    penalty = progress.constraint_penalty
     if not states_only:
         # The ridge, far below what data determine, holds parameters that the data do not show. A
         # gain of 1e6 Pa per m/s has little information per unit, and nothing that scales it.

@@ -84,13 +84,16 @@ def stable_step(
     def room(z: Array) -> Array:
         return np.concatenate([gain.room(t, gain.part.place(z)) for gain, t in unstable])
 
-    rooms, steps = room(iterate.z), 1e-6 * np.maximum(np.abs(iterate.z), 1.0)
+    rooms = room(iterate.z)
+    steps = 1e-6 * np.maximum(np.abs(iterate.z), 1.0)
     slopes = [room(z) - rooms for z in iterate.z + np.diag(steps)]
     normals = np.vstack([constraints[0], np.transpose(slopes) / steps])
     # One step goes only part of the way to the limit.
-    limits, left = np.append(constraints[1], -0.9 * rooms), -np.inf
+    limits = np.append(constraints[1], -0.9 * rooms)
+    left = -np.inf
     for _ in range(6):
-        trial, last = solve(normals, limits), left
+        last = left
+        trial = solve(normals, limits)
         left = room(iterate.z + trial).min()
         # Steps that are longer than the limit is curved are left to the line search.
         if not left > last:
