@@ -6,7 +6,6 @@ not diverge, and no nodes are needed in between.
 """
 
 import math
-from collections.abc import Sequence
 from typing import cast
 
 import numpy as np
@@ -50,22 +49,30 @@ class KalmanGain:
         # Three time constants of the slowest pole.
         return 1 - 3.0 / max(map(len, self.part.data.stretches))
 
+    def radius(self, trajectory: Trajectory, placed: Placed | None = None) -> float:
+        """Return how large a pole may be: errors of the states fade within the limit.
+
+        Or as those of the model do: without process noise, slow states need no correction.
+        """
+        of_model = spectral_radius(self.error_transition(trajectory, placed, gain=0))
+        return max(self.limit, of_model if of_model < 1 else 0.0)
+
     def is_stable(self, trajectory: Trajectory, placed: Placed | None = None) -> bool:
         """Return whether errors of the states fade within the limit, or as those of the model do.
 
         By the poles of the mean linearization of a trajectory, at its own parameters or at those
-        `placed` elsewhere. Without process noise, states that settle slowly need no correction.
+        `placed` elsewhere.
         """
-        radius = spectral_radius(self.error_transition(trajectory, placed))
-        return radius < self.limit or (
-            radius <= spectral_radius(self.error_transition(trajectory, placed, gain=0)) < 1
-        )
+        radius = self.radius(trajectory, placed)
+        return spectral_radius(self.error_transition(trajectory, placed)) <= radius
 
     def is_at_limit(self, trajectory: Trajectory) -> bool:
         """Return whether a pole has come to the limit, where the likelihood has no maximum."""
-        distance = self.limit - spectral_radius(self.error_transition(trajectory))
-        # Steps go at most 0.9 of the way to the limit: two of them come within 0.01.
-        return abs(distance) < 0.02 * (1 - self.limit)
+        radius = self.radius(trajectory)
+        largest = spectral_radius(self.error_transition(trajectory))
+        # Steps go at most 0.9 of the way to the limit: two of them come within 0.01. Without any
+        # gain, poles are those of the model, and nothing limits them.
+        return 0 < abs(radius - largest) < 0.02 * (1 - radius)
 
     def error_transition(
         self, trajectory: Trajectory, placed: Placed | None = None, gain: float = 1.0
@@ -80,24 +87,25 @@ class KalmanGain:
         A, _ = self.part.segments.mean_transition(trajectory.states, q, at.data)
         return self._reached(A)
 
-    def pole_derivatives(self, trajectory: Trajectory, z: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the poles' magnitudes (m, p) by z, and their room to grow (m,).
+    def room(self, trajectory: Trajectory, placed: Placed) -> Array:
+        """Return how far the poles are from what limits them (m,), negative beyond it.
 
-        By finite differences of the transition along a trajectory.
+        Two poles, the roots of λ² - tλ + d, lie within a circle of radius r if d <= r² and ±rt <=
+        r² + d (Jury's criterion). Where two poles meet, t and d are smooth, and the poles are not.
         """
-        A = self.error_transition(trajectory)
-        steps = 1e-6 * np.maximum(np.abs(z), 1.0)
-        slopes = [
-            (self.error_transition(trajectory, self.part.place(z + row)) - A) / step
-            for row, step in zip(np.diag(steps), steps, strict=True)
-        ]
-        poles, right = np.linalg.eig(A)
-        left = np.linalg.pinv(right)
-        slopes = np.einsum("mi,pij,jm->mp", left, np.array(slopes), right)
-        # A pole at zero has no direction, and is far from the limit.
-        size = np.maximum(np.abs(poles), 1e-12)
-
-        return np.real(np.conj(poles)[:, None] * slopes) / size[:, None], self.limit - np.abs(poles)
+        A = self.error_transition(trajectory, placed)
+        if not all_finite(A):
+            return np.array([-np.inf])
+        poles = np.linalg.eigvals(A)
+        r = self.radius(trajectory, placed)
+        upper = poles[poles.imag > 0]
+        real = np.sort(poles[poles.imag == 0].real)[::-1]
+        # Neighbors may meet; a pole without one has a partner at zero.
+        first, second = np.pad(real, (0, len(real) % 2)).reshape(-1, 2).T
+        total = np.append(2 * upper.real, first + second)
+        product = np.append(np.abs(upper) ** 2, first * second)
+        inner = r**2 + product
+        return np.sort([r**2 - product, inner - r * total, inner + r * total]).ravel()
 
     def _reached(self, A: Array) -> Array:
         noise = self.part.noise_model
@@ -109,45 +117,39 @@ class KalmanGain:
         products = self.part.trajectory(z, nodes, simulated=True).products
         return self.part.covariance.cost(products)
 
-    def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
-        """Return the unknowns (u,) of steady Kalman filters; None for an unstable predictor.
+    def filtered(self, trajectory: Trajectory, z: Array, variance: Array) -> Array:
+        """Return z (p,) with the unknowns of a steady Kalman filter; NaN for an unstable one.
 
-        The process noise has variances (n,) per sample in the corrected or driven states; the
+        The process noise has the variances (n,) per sample in the corrected or driven states; the
         residuals of the trajectory are the measurement noise.
         """
         placed = trajectory.detail
         q = placed.q.copy()
         q[self.places] = 0
         F, C = self.part.segments.mean_transition(trajectory.states, q, placed.data)
+        K = 0 * C.T
         noise = self.part.noise_model
-        covariance = self.part.covariance.covariance(trajectory.products)
-        # In units of the measurement noise, as the equation of the filter needs them.
-        root = self.part.covariance.weight(trajectory.products)
-        corrected = np.isin(np.arange(len(F)), self.states)
+        errors = self.part.covariance
+        if noise is None:
+            # In units of the measurement noise, as the equation of the filter needs them.
+            root = errors.weight(trajectory.products)
+            process = 0 * variance
+            process[self.states] = variance[self.states]
+            gain = steady_state_gain(F, root @ C, process) @ root
+            K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
+        else:
+            deviations = np.diag(errors.covariance(trajectory.products))
+            unknowns = np.sqrt(np.append(variance[noise.driven] / noise.step, deviations))
+            q[self.unknowns] = unknowns
+            K = noise.at(q).gain
+        if spectral_radius(self._reached(F - F @ K @ C)) >= self.limit:
+            return np.nan * z
 
-        filters: list[Array | None] = []
-        for variance in process:
-            K = np.zeros((len(F), len(C)))
-            if noise is None:
-                gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
-                K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
-            else:
-                intensities = np.sqrt(variance[noise.driven] / noise.step)
-                unknowns = np.concatenate([intensities, np.sqrt(np.diag(covariance))])
-                q[self.unknowns] = unknowns
-                K = noise.at(q).gain
-            stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
-            filters.append(unknowns if stable else None)
-
-        return filters
-
-    def placed(self, trajectory: Trajectory, z: Array, values: Array) -> Array:
-        """Return the point z (p,) with the values (u,) of unknowns that one variable each sets."""
-        slope, z = trajectory.detail.slope, z.copy()
+        z = z.copy()
         active = self.part.model.active.tolist()
-        for k, value in zip(self.unknowns.tolist(), values, strict=True):
+        for k, value in zip(self.unknowns.tolist(), unknowns, strict=True):
             # An unknown that several variables determine cannot be set by one of them.
-            row = slope[active.index(k)] if k in active else np.zeros(len(z))
+            row = placed.slope[active.index(k)] if k in active else 0 * z
             (variables,) = np.nonzero(row)
             if len(variables) == 1:
                 z[variables] = value / row[variables]

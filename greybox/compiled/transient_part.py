@@ -118,8 +118,8 @@ class TransientPart(Part):
         self.outputs = outputs_in_spectrum(problem.criterion, problem.model, problem.data)
         system = dynamics(problem.model, delay_order(problem.delay))
         # A gust in every equation: as many gusts as outputs, with one time constant.
-        is_colored = len(problem.declared) > len(problem.model.parameters)
-        gusts = tuple(f"gust_{name}" for name in self.outputs if is_colored)
+        colored = self.outputs if len(problem.declared) > len(problem.model.parameters) else ()
+        gusts = tuple(f"gust_{name}" for name in colored)
         self.states, self.inputs = (*system.states, *gusts), system.inputs
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
@@ -280,12 +280,14 @@ class TransientPart(Part):
         at, slope = self._at(z)
         if at is None:
             return
-        _, total, _ = self.derivatives(at, slope)
-        turned = np.exp(-1j * np.angle(at.modeled))
-        rows = np.concatenate([at.errors[..., None], total, at.basis], axis=-1)
-
-        for name, turn, of_output in zip(self.outputs, turned, rows, strict=True):
-            values = turn[:, None] * (of_output[: len(turn)] + 1j * of_output[len(turn) :])
+        _, total, change = self.derivatives(at, slope)
+        # The fitted size of the noise takes up what all lines have in common.
+        common = np.einsum("laax->lax", change).real.mean(axis=(0, 1))
+        errors = at.errors[..., None]
+        rows = np.concatenate([errors, total - errors * common, at.basis], axis=-1)
+        real, imaginary = np.split(rows, 2, axis=1)
+        turned = (real + 1j * imaginary) * np.exp(-1j * np.angle(at.modeled))[..., None]
+        for name, values in zip(self.outputs, turned, strict=True):
             yield name, values[:, 0], values[:, 1:]
 
     def doubtful(self, z: Array) -> Iterator[str]:

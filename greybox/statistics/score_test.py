@@ -40,8 +40,9 @@ RATIOS = np.array([0.02, 50.0])[:, None]
 TWELFTHS = np.arange(12)
 BANDS = itertools.combinations(range(13), 2)
 SIZES = np.vstack([RATIOS ** np.isin(TWELFTHS, range(*band)) for band in BANDS])
-# Powers of frequency by which errors fall: none, then those of a gust through up to two lags.
-POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
+# Powers of frequency by which errors fall: none, those of a gust through up to two lags, and those
+# of one that acts where the input does, through zeros.
+POWERS = np.array([0, 1, 2, 4, 6, -2, -4])[:, None, None]
 
 Fits = tuple[Array, Array, Array]  # see `correlated_fits`
 
@@ -166,7 +167,7 @@ def _variances(n: int) -> Array:
 
 
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
-    """Return -2 log likelihood of residuals (2n,) whose power falls with frequency by POWERS.
+    """Return -2 log likelihood of residuals (2n,) whose power falls with frequency by `POWERS`.
 
     Residuals at `omega` (n,) are real parts, then imaginary parts. It is the restricted likelihood:
     the columns `fitted` (2n, p) are projected out.

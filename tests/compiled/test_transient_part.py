@@ -172,12 +172,19 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
 
 
 def test_errors_by_output_follow_the_parameters(made):
-    """Turned by the phase of the modelled output, which is held."""
+    """Turned by the phase of the modelled output, which is held, without a common factor of all errors."""
     _, part, z, trajectory = made
     turn = np.exp(-1j * np.angle(trajectory.detail.modeled))
     lines = len(part.data)
-    slopes = numeric_jacobian(lambda v: fixed_ends(part, v, trajectory.detail.ends).ravel(), z)
-    slopes = slopes.reshape(len(part.outputs), 2 * lines, -1)
+    numbers, held = lines * len(part.outputs), trajectory.detail
+
+    def errors_of_one_size(v):
+        logarithms = part.along(part.locate(v)[0].full().ravel()).logarithms
+        return fixed_ends(part, v, held.ends).ravel() / np.exp(
+            (logarithms - held.logarithms) / numbers
+        )
+
+    slopes = numeric_jacobian(errors_of_one_size, z).reshape(len(part.outputs), 2 * lines, -1)
     found = list(part.errors_by_output(z))
     assert [name for name, *_ in found] == list(part.outputs)
     for k, (_, errors, by) in enumerate(found):

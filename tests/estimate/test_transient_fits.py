@@ -235,6 +235,18 @@ def test_turbulence_is_named_and_its_color_estimated(clean, fit):
         assert aware.standard_error[name] == pytest.approx(modeled.standard_error[name], rel=1e-3)
 
 
+def test_gusts_that_act_where_the_elevator_does_leave_no_interval(clean):
+    """They reach the equation through the zero of the plant, so that its errors rise with frequency."""
+    noise, still = 0.03 * np.random.default_rng(3).normal(size=len(clean)), np.zeros(len(clean))
+    pushed = gb.simulate(ShortPeriod(), SHORT_PERIOD, clean.with_signals(u=noise, q=still))
+    noisy = clean.with_signals(q=clean["q"] + pushed["q"])
+    spectrum = transient_spectrum(noisy, "u", "q", (0.5, 30.0))
+    problem = gb.Problem(ShortPeriod(), spectrum, gb.EquationError())
+    blind = gb.fit(problem, starts=[SHORT_PERIOD], progress=False)
+    assert "larger at low or at high frequencies" in " ".join(blind.warnings)
+    assert all(np.isnan(error) for error in blind.standard_error.values())
+
+
 class Twice(gb.TransferFunction):
     """A gain that is a product of two."""
 

@@ -67,10 +67,11 @@ def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
         if information.doubtful:
             yield (
                 f"the errors of {some(information.doubtful)} of {information.part.problem.name!r} "
-                "are larger at low frequencies or correlated along frequency, like those of "
-                "turbulence or of a model that misses something. Intervals would be too narrow, so "
-                "there are none: in turbulence, use EquationError(gusts=True), or the record "
-                "itself with PredictionError(disturbance={state: 'colored'})."
+                "are larger at low or at high frequencies, or correlated along frequency, like "
+                "those of turbulence or of a model that misses something. Intervals would be too "
+                "narrow, so there are none: in turbulence, use EquationError(gusts=True), or, if "
+                "that says the same, the record itself with PredictionError(process_noise=states) "
+                "or PredictionError(disturbance={state: 'colored'})."
             )
 
 

@@ -21,10 +21,12 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.grouping import grouped
 from greybox.files.text_table import listed, some
-from greybox.modeling.colored_disturbance import undisturbed
+from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.state_space import StateSpace
 from greybox.statistics.metrics import cross_correlation, is_resolved, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
+
+Pairs = Sequence[tuple[RecordPart, FittedRecord]]
 
 # Share of fits with a false alarm about feedback, and about colored prediction errors.
 FALSE_ALARMS = 0.01
@@ -88,13 +90,13 @@ def record_warnings(
         *(biased_by_feedback(pairs, unstable=unstable) if noisy else ()),
         *(colored_predictions(pairs, explained=misfit is None or misfit.explains) if noisy else ()),
         *once(_bounded(nlp, trajectories, alone=alone)),
-        *once(_flattened_inputs([part for part, _ in pairs])),
+        *once(_flattened_inputs(pairs)),
     )
 
 
-def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
+def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
     """Name inputs of a limited band that lines between samples attenuate."""
-    for part in parts:
+    for part, _ in pairs:
         stretch, record = max(part.data.stretches, key=len), part.model.record
         is_uniform = record.has_time and stretch.times is None
         if not is_uniform or part.model.criterion.inputs == "linear":
@@ -183,9 +185,7 @@ def unexplained_outputs(
         )
 
 
-def colored_predictions(
-    pairs: Sequence[tuple[RecordPart, FittedRecord]], *, explained: bool = True
-) -> Iterator[str]:
+def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Iterator[str]:
     """Warn where prediction errors are correlated in time: another disturbance causes them.
 
     A free gain removes the correlation from one sample to the next, so that many lags are tested.
@@ -209,7 +209,7 @@ def colored_predictions(
 
     if values:
         part, _ = tested[0]
-        has_gusts = part.problem.model is not undisturbed(part.problem.model)
+        has_gusts = isinstance(part.problem.model, ColoredDisturbance)
         cause = (
             f"as in gusts, which last longer than a sample: use {gust_criterion(part)}; or as if "
             "signals were low-pass filtered"
@@ -230,9 +230,7 @@ def gust_criterion(part: RecordPart) -> str:
     return f"PredictionError(disturbance={{{part.system.states[place]!r}: 'colored'}})"
 
 
-def _in_time(
-    pairs: Sequence[tuple[RecordPart, FittedRecord]], *, corrected: bool
-) -> tuple[list[tuple[RecordPart, FittedRecord]], int]:
+def _in_time(pairs: Pairs, *, corrected: bool) -> tuple[Pairs, int]:
     """Return the pairs in time whose states are corrected, or not, and their number of outputs."""
     chosen = [
         (part, fitted)
@@ -249,13 +247,11 @@ def _by_piece(fitted: FittedRecord, values: Array) -> list[Array]:
 
 def _looks_white(fitted: FittedRecord, output: str, outputs: int) -> bool:
     """Return whether the residuals of one of so many tested outputs look like white noise."""
-    residuals = _by_piece(fitted, fitted.residual(output))
-    return not whiteness(residuals).p_value < FALSE_ALARMS / outputs
+    test = whiteness(_by_piece(fitted, fitted.residual(output)))
+    return not test.p_value < FALSE_ALARMS / outputs
 
 
-def biased_by_feedback(
-    pairs: Sequence[tuple[RecordPart, FittedRecord]], *, unstable: bool = False
-) -> Iterator[str]:
+def biased_by_feedback(pairs: Pairs, *, unstable: bool = False) -> Iterator[str]:
     """Warn where feedback responds to errors correlated in time: output error is then biased.
 
     Output error needs errors that are independent of past inputs. Feedback makes later inputs
@@ -306,7 +302,7 @@ def _bounded(
     """Warn where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
-        if gain is not None and gain.is_at_limit(trajectory):
+        if gain and gain.is_at_limit(trajectory):
             name = gain.part.model.record.name or part.problem.name
             place = "" if alone else f" in {name!r}"
             yield (

@@ -42,11 +42,12 @@ shrinks in stages to zero; the first iterations move the nodes alone.
 **Many starts.** Of the default starts only the promising ones are run, from where short segments,
 evaluated for all starts at once, have led. Starts whose number the user chose are all run.
 
-**Where Newton steps fail**, delays at which the cost jumps are held, and a run that fails begins
-once more at its start, with simulated nodes. `settings` has the limits of a run.
+**Where Newton steps fail**, delays at which the cost jumps are held, and a run without Kalman gains
+that fails begins once more at its start, with simulated nodes. `settings` has the limits of a run.
 `greybox.solve.multistart` has the search over the runs.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is
 exact. Stable predictors forget their initial state and are simulated over whole stretches
-(`greybox.compiled.kalman_gain`).
+(`greybox.compiled.kalman_gain`). Where the likelihood grows toward their stability limit, steps go
+along it.
 """

@@ -100,7 +100,8 @@ class GaussNewton(LocalSolver):
         nlp, began = self.nlp, time.perf_counter()
         most = iterations or self.settings.max_iter
         end = descend(self._parts, iterate, progress, most)
-        iterate, status = end.iterate, end.status
+        iterate = end.iterate
+        status = end.status
 
         # Only where it matters: exact derivatives take as long as several iterations.
         # Workers lack the information of some parts, and results must be the same in every process.
@@ -184,12 +185,15 @@ class GaussNewton(LocalSolver):
     def profile(self, x: Array, nodes: Nodes | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
         if nodes is not None:
-            iterate, converged = self._at(x, nodes), True
+            iterate = self._at(x, nodes)
+            converged = True
         else:
             first = self._parts.at(self.nlp.scaling.to_solver(x))
-            progress, most = self._parts.first_progress(), self.settings.max_iter
+            progress = self._parts.first_progress()
+            most = self.settings.max_iter
             end = descend(self._parts, first, progress, most, states_only=True)
-            iterate, converged = end.iterate, end.status == CONVERGED
+            iterate = end.iterate
+            converged = end.status == CONVERGED
 
         # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)
@@ -206,7 +210,8 @@ class GaussNewton(LocalSolver):
         ValueError
             For another value of a fixed parameter: it is compiled in.
         """
-        nlp, count = self.nlp, len(self.nlp.free)
+        nlp = self.nlp
+        count = len(nlp.free)
         for name, value, compiled in zip(
             nlp.constants, values[count:], nlp.constant_values, strict=True
         ):

@@ -3,7 +3,6 @@
 A run that fails begins once more, at its start, with nodes that are simulated.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +20,12 @@ from greybox.solve.gauss_newton.iterate import (
 )
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
-from greybox.solve.gauss_newton.stability import are_stable, best_gains, simulate_stable
+from greybox.solve.gauss_newton.stability import (
+    are_stable,
+    best_gains,
+    predictors,
+    simulate_stable,
+)
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE
 
@@ -55,7 +59,6 @@ def descend(
     iterations: int,
     *,
     states_only: bool = False,
-    restarts: bool = True,
 ) -> End:
     """Iterate from a start; with `states_only` the parameters are held.
 
@@ -64,36 +67,38 @@ def descend(
     # Where states die away or jump, noise of nodes from the data leads anywhere: without this, five
     # of 25 stiff or large models have no run from the true parameters (a flame, the Oregonator). Of
     # 156 runs of 29 hard problems, 72 % reach the best minimum, 71 % if they begin near the data.
-    end = End(iterate, NOT_FINITE, 0)
-    if iterate.finite:
-        try:
-            end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
-        except np.linalg.LinAlgError:
-            end = End(iterate, SINGULAR, 0)
-    if end.status not in (NOT_FINITE, SINGULAR, STALLED) or not restarts:
+    # In segments, gains would follow the data beyond the stability limit.
+    end = _attempted(parts, iterate, progress, iterations, states_only=states_only)
+    if end.status not in (NOT_FINITE, SINGULAR, STALLED) or parts.is_gain.any():
         return end
     nodes = [part.trajectory(iterate.z, simulated=True).nodes for part in parts.parts]
-    later = descend(
-        parts,
-        parts.at(iterate.z, nodes),
-        EXACT,
-        iterations - end.iterations,
-        states_only=states_only,
-        restarts=False,
-    )
+    remaining = iterations - end.iterations
+    later = _attempted(parts, parts.at(iterate.z, nodes), EXACT, remaining, states_only=states_only)
     better = later if later.status == CONVERGED else end
     return replace(better, iterations=end.iterations + later.iterations)
+
+
+def _attempted(parts: AllParts, iterate: Iterate, *options: Any, states_only: bool) -> End:
+    if not iterate.finite:
+        return End(iterate, NOT_FINITE, 0)
+    try:
+        return _iterated(parts, iterate, *options, states_only=states_only)
+    except np.linalg.LinAlgError:
+        return End(iterate, SINGULAR, 0)
 
 
 def _iterated(
     parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
 ) -> End:
-    settings = parts.settings
-    weights, linearizations, gained = list[Array](), list[Any](), 0.0
+    weights = list[Array]()
+    linearizations = list[Any]()
+    gained = 0.0
     for count in range(iterations):
         if interruption := reason_to_end():
             return End(iterate, interruption, count)
 
+        # As long as continuity is a penalty, nodes keep an unstable predictor near the data.
+        iterate = simulate_stable(parts, iterate) if progress.is_exact else iterate
         # Linearize, unless the last step failed, and step.
         if not linearizations:
             weights = (
@@ -103,7 +108,10 @@ def _iterated(
                 else [part.initial_weight() for part in parts.parts]
             )
             linearizations = parts.linearize(iterate, weights)
-            progress = _with_gap_variance(parts, linearizations, progress)
+            # The first linearization gives the variances of the gaps.
+            pairs = zip(parts.parts, linearizations, strict=True)
+            variances = progress.gap_variance or [part.continuity_variance(b) for part, b in pairs]
+            progress = replace(progress, gap_variance=variances)
         nodes_alone = states_only or progress.state_iterations > 0
         step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
         progress = progress.with_penalties(step)
@@ -112,7 +120,7 @@ def _iterated(
 
         # Converged?
         settled = _is_settled(parts, iterate, step, start, progress, states_only=nodes_alone)
-        if settled and step.distance <= settings.tol:
+        if settled and step.distance <= parts.settings.tol:
             # The step is known already: polishing then has one less to compute.
             end = followed(parts, iterate, step)
             return End(end or iterate, CONVERGED, count, step.hessian)
@@ -126,13 +134,24 @@ def _iterated(
 
         # Line search.
         trial, length = line_search(parts, iterate, step, merit, start)
-        if trial is None and settled and step.distance <= 1e3 * settings.tol:
+        # Where poles meet at the stability limit, it has no tangent: runs would creep for thousands
+        # of steps, for hundredths of the cost.
+        at_limit = (
+            progress.is_exact
+            and progress.damping >= 1e3
+            and any(gain.is_at_limit(t) for gain, t in predictors(parts, iterate))
+        )
+        if at_limit or (trial is None and settled and step.distance <= 1e3 * parts.settings.tol):
             # The merit function shows only rounding.
             return End(iterate, CONVERGED, count, step.hessian)
         if trial is None and progress.damping <= LARGEST_DAMPING:
             progress = replace(progress, damping=after_failure(progress.damping))
             continue
-        if _delays_block(parts, progress):
+        # Delays at which the cost jumps block the steps: heavy damping has not helped. Held, they
+        # halve the time where a held input reaches an output directly. Otherwise a run whose
+        # minimum lies at a jump may take 2000 iterations, and the fit another minimum.
+        blocked = parts.is_discontinuous.any() and not progress.delays_held
+        if blocked and progress.is_exact and progress.damping >= 1e2:
             progress = replace(progress, delays_held=True, damping=0.0)
             continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
@@ -141,10 +160,13 @@ def _iterated(
         # Accept.
         gained = 0.0 if trial is None else start - merit(trial)
         following = progress.after(step, start, gained, length)
-        becomes_exact = following.is_exact and not progress.is_exact and not states_only
+        becomes_exact = following.is_exact and not (progress.is_exact or states_only)
         progress = following
         iterate = trial or iterate
-        iterate = _predicting(parts, iterate, progress, becomes_exact=becomes_exact)
+        # Without good gains to begin with, and stable predictors that are simulated, at most one of
+        # 7 runs reaches the predictors of the tilt plant.
+        z = best_gains(parts, iterate, progress.gap_variance) if becomes_exact else iterate.z
+        iterate = iterate if z is iterate.z else parts.at(z, iterate.nodes)
         # Of a long record, they are a tenth of what fits into memory.
         del step, trial, closed
         linearizations = []
@@ -156,17 +178,6 @@ def followed(parts: AllParts, iterate: Iterate, step: Step) -> Iterate | None:
     end = parts.made_continuous(parts.moved(iterate, step, 1.0), step)
     dearer = parts.cost(end) > with_rounding(parts.cost(iterate))
     return None if dearer or not (parts.is_continuous(end) and are_stable(parts, end)) else end
-
-
-def _with_gap_variance(
-    parts: AllParts, linearizations: Sequence[Any], progress: Progress
-) -> Progress:
-    """Return the progress with the variances of the gaps, which the first linearization gives."""
-    if progress.gap_variance:
-        return progress
-    pairs = zip(parts.parts, linearizations, strict=True)
-    variances = [part.continuity_variance(linear) for part, linear in pairs]
-    return replace(progress, gap_variance=variances)
 
 
 def _is_settled(
@@ -221,30 +232,3 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gain
     unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
     is_noise = undamped.distance <= 5e-3 and gained <= undamped.decrease <= 0.01 * unknowns / 2
     return stopped and is_noise
-
-
-def _delays_block(parts: AllParts, progress: Progress) -> bool:
-    """Return whether delays at which the cost jumps block the steps: heavy damping has not helped.
-
-    Held, they halve the time where a held input reaches an output directly. Otherwise a run whose
-    minimum lies at a jump may take 2000 iterations without an end, and the fit another minimum.
-    """
-    return (
-        progress.is_exact
-        and not progress.delays_held
-        and progress.damping >= 1e2
-        and bool(parts.is_discontinuous.any())
-    )
-
-
-def _predicting(
-    parts: AllParts, iterate: Iterate, progress: Progress, *, becomes_exact: bool
-) -> Iterate:
-    """Return the iterate with gains to begin with, and with stable predictors simulated."""
-    # Without these two, at most one of 7 runs reaches the predictors of the tilt plant.
-    if becomes_exact and parts.is_gain.any():
-        iterate = parts.at(best_gains(parts, iterate, progress.gap_variance), iterate.nodes)
-    # As long as continuity is a penalty, nodes keep an unstable predictor near the data.
-    if progress.is_exact:
-        return simulate_stable(parts, iterate)
-    return iterate

@@ -1,6 +1,7 @@
 """The step: the condensed systems of all parts add up to a quadratic program in the parameters."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate, Progress, Step
-from greybox.solve.gauss_newton.stability import stability_constraints
+from greybox.solve.gauss_newton.stability import stable_step
 from greybox.solve.quadratic_program import solve_small_qp
 
 # Penalties exceed the largest multiplier so far by this factor: an l1 merit function is exact when
@@ -30,7 +31,9 @@ def gauss_newton_step(
     exact = [None] * len(parts.parts)
     variances = exact if progress.is_exact else progress.continuity_variance
     systems: list[Any] = []
-    hessian, gradient, decrease = np.zeros((p, p)), np.zeros(p), 0.0
+    hessian = np.zeros((p, p))
+    gradient = np.zeros(p)
+    decrease = distance = 0.0
     for part, trajectory, linearization, variance in parts.along(
         iterate, linearizations, variances
     ):
@@ -41,22 +44,17 @@ def gauss_newton_step(
         systems.append(system)
 
     dz = np.zeros(p)
-    distance, penalty = 0.0, progress.constraint_penalty
+    penalty = progress.constraint_penalty
     if not states_only:
         # The ridge, far below what data determine, holds parameters that the data do not show. A
         # gain of 1e6 Pa per m/s has little information per unit, and nothing that scales it.
         ridge = 1e-10 / np.maximum(parts.is_gain * iterate.z**2, 1.0)
         damped = hessian + np.diag(ridge + progress.damping * np.diag(hessian))
-        held = parts.is_discontinuous & progress.delays_held
-        normals, bounds = parts.limits.linearized(iterate.z, held)
-        dz = solve_small_qp(damped, gradient, normals, bounds)
-
-        # Most steps keep predictors stable, and derivatives of poles take long.
-        stable_normals, stable_bounds = stability_constraints(parts, iterate, dz)
-        if len(stable_bounds):
-            normals = np.vstack([normals, stable_normals])
-            bounds = np.concatenate([bounds, stable_bounds])
-            dz = solve_small_qp(damped, gradient, normals, bounds)
+        constraints = parts.limits.linearized(
+            iterate.z, parts.is_discontinuous & progress.delays_held
+        )
+        solve = partial(solve_small_qp, damped, gradient)
+        dz, normals, bounds = stable_step(parts, iterate, constraints, solve)
 
         force = damped @ dz + gradient
         multiplier = largest_multiplier(force, normals, normals @ dz - bounds)

@@ -40,7 +40,7 @@ def polished(parts: AllParts, start: Iterate) -> Iterate:
     # Initial states that the data hardly determine may creep on, which moves no parameter.
     if LONG_STEP < distance < EXACT.undamped_decrease:
         progress = replace(EXACT, undamped_decrease=LONG_STEP)
-        damped = descend(parts, end, progress, MOST_STEPS, restarts=False)
+        damped = descend(parts, end, progress, MOST_STEPS)
         end, _ = _undamped(parts, damped.iterate)
     return end
 
@@ -54,7 +54,8 @@ def exact_step(parts: AllParts, iterate: Iterate, progress: Progress) -> Step:
 def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
     """Return the end of undamped steps, and the squared length of the next one."""
     progress = EXACT
-    end, shortest, distance = iterate, math.inf, math.inf
+    end = iterate
+    shortest = distance = math.inf
     for _ in range(MOST_STEPS):
         step = exact_step(parts, iterate, progress)
         progress = progress.with_penalties(step)

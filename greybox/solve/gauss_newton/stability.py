@@ -1,10 +1,12 @@
 """Kalman gains within an iteration: good ones to begin with, and predictors that must be stable."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.compiled.kalman_gain import KalmanGain
+from greybox.compiled.part import Trajectory
+from greybox.files.arrays import Array, all_finite
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate
 
@@ -19,71 +21,93 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
     `variances` (n,) for every part are those by which each state moves at all; the filters' process
     noise is a share of them.
     """
-    predictors = [
+    corrected = [
         (gain, trajectory, size)
         for gain, trajectory, size in zip(parts.gains, iterate.trajectories, variances, strict=True)
-        if gain is not None
-    ]
-    filters = [
-        gain.steady_state(trajectory, [share * size for share in DECADES])
-        for gain, trajectory, size in predictors
+        if gain
     ]
     candidates = [iterate.z] if are_stable(parts, iterate) else []
-
-    # The same share for all records at a time: all combinations would be too many.
-    for entries in zip(*filters, strict=True):
-        trial = iterate.z
-        for (gain, trajectory, _), values in zip(predictors, entries, strict=True):
-            trial = trial if values is None else gain.placed(trajectory, trial, values)
-        if all(values is not None for values in entries):
-            candidates.append(parts.limits.clipped(trial))
+    for share in DECADES:
+        # The same share for all records at a time: all combinations would be too many.
+        z = iterate.z
+        for gain, trajectory, size in corrected:
+            z = gain.filtered(trajectory, z, share * size)
+        if all_finite(z):
+            candidates.append(parts.limits.clipped(z))
 
     def cost(z: Array) -> float:
         return sum(
             gain.part.weight * gain.simulated_cost(z, trajectory.nodes)
-            for gain, trajectory, _ in predictors
+            for gain, trajectory, _ in corrected
         )
 
     return min(candidates, key=cost, default=iterate.z)
 
 
+def predictors(
+    parts: AllParts, iterate: Iterate, *, simulated: bool = False
+) -> list[tuple[KalmanGain, Trajectory]]:
+    """Return the gains with their trajectories, or those of the `simulated` ones."""
+    pairs = zip(parts.gains, iterate.trajectories, strict=True)
+    return [(gain, t) for gain, t in pairs if gain and (t.simulated or not simulated)]
+
+
 def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) -> bool:
     """Return whether all predictors, or all `simulated` ones, are stable at an iterate."""
-    return all(
-        gain.is_stable(trajectory)
-        for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True)
-        if gain is not None and (trajectory.simulated or not simulated)
-    )
+    return all(gain.is_stable(t) for gain, t in predictors(parts, iterate, simulated=simulated))
 
 
-def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple[Array, Array]:
-    """Return normals (n, p) and limits (n,) of steps, normals · step >= limits.
+def stable_step(
+    parts: AllParts,
+    iterate: Iterate,
+    constraints: tuple[Array, Array],
+    solve: Callable[[Array, Array], Array],
+) -> tuple[Array, Array, Array]:
+    """Return a step that keeps simulated predictors stable, and its constraints.
 
-    They keep those simulated predictors stable that dz would make unstable, and follow from the
-    derivatives of the poles' magnitudes. Without them runs crawl where the likelihood grows toward
-    the stability limit (`tests/compiled/test_kalman_gain.py`).
+    These are normals (n, p) and limits (n,) with normals · step >= limits, and `solve` gives the
+    best step within them. Where that makes predictors unstable, the room of their poles is added.
+    The limit is curved: what a step still violates, the next one allows for. Otherwise runs crawl
+    where the likelihood grows toward the limit (`tests/compiled/test_kalman_gain.py`).
     """
-    normals: list[Array] = [np.zeros((0, len(dz)))]
-    limits: list[Array] = [np.zeros(0)]
-    for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
-        # In segments, nodes keep an unstable predictor near the data.
-        if gain is None or not trajectory.simulated:
-            continue
-        if gain.is_stable(trajectory, gain.part.place(iterate.z + dz)):
-            continue
-        slopes, distances = gain.pole_derivatives(trajectory, iterate.z)
-        # Poles that coincide have no derivative; the line search still keeps them inside.
-        finite = np.isfinite(slopes).all(axis=1)
-        normals.append(-slopes[finite])
-        limits.append(-0.9 * distances[finite])  # one step goes only part of the way to the limit
-    return np.vstack(normals), np.concatenate(limits)
+    dz = solve(*constraints)
+    # In segments, nodes keep an unstable predictor near the data.
+    unstable = [
+        (gain, trajectory)
+        for gain, trajectory in predictors(parts, iterate, simulated=True)
+        if not gain.is_stable(trajectory, gain.part.place(iterate.z + dz))
+    ]
+    # Most steps keep predictors stable, and derivatives of poles take long.
+    if not unstable:
+        return dz, *constraints
+
+    def room(z: Array) -> Array:
+        return np.concatenate([gain.room(t, gain.part.place(z)) for gain, t in unstable])
+
+    rooms = room(iterate.z)
+    steps = 1e-6 * np.maximum(np.abs(iterate.z), 1.0)
+    slopes = [room(z) - rooms for z in iterate.z + np.diag(steps)]
+    normals = np.vstack([constraints[0], np.transpose(slopes) / steps])
+    # One step goes only part of the way to the limit.
+    limits = np.append(constraints[1], -0.9 * rooms)
+    left = -np.inf
+    for _ in range(6):
+        last = left
+        trial = solve(normals, limits)
+        left = room(iterate.z + trial).min()
+        # Steps that are longer than the limit is curved are left to the line search.
+        if not left > last:
+            break
+        dz = trial
+        limits[-len(rooms) :] -= 1.5 * min(left, 0.0)
+    return dz, normals, limits
 
 
 def simulate_stable(parts: AllParts, iterate: Iterate) -> Iterate:
     """Return the iterate with stable predictors simulated over whole stretches, where finite."""
     trajectories = []
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
-        if gain is not None and not trajectory.simulated and gain.is_stable(trajectory):
+        if gain and not trajectory.simulated and gain.is_stable(trajectory):
             simulated = gain.part.trajectory(iterate.z, trajectory.nodes, simulated=True)
             trajectory = simulated if simulated.finite else trajectory  # noqa: PLW2901
         trajectories.append(trajectory)

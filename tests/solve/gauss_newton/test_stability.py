@@ -11,8 +11,9 @@ from greybox.solve.gauss_newton.stability import (
     are_stable,
     best_gains,
     simulate_stable,
-    stability_constraints,
+    stable_step,
 )
+from greybox.solve.quadratic_program import solve_small_qp
 
 
 class Gain:
@@ -21,16 +22,13 @@ class Gain:
     A filter of process noise of a variance has that as gain.
     """
 
-    def __init__(self, place, slopes=None, left=None, diverges=False):
-        self.place, self.slopes, self.left = place, slopes, left
+    def __init__(self, place, diverges=False):
+        self.place = place
         self.part = SimpleNamespace(place=lambda z: z[place], trajectory=self.simulated)
         self.diverges = diverges
 
     def is_stable(self, trajectory, placed=None):
         return (trajectory.gain if placed is None else placed) < 1
-
-    def pole_derivatives(self, trajectory, z):
-        return self.slopes, self.left
 
     def simulated(self, z, nodes, *, simulated):
         assert simulated
@@ -38,12 +36,9 @@ class Gain:
             gain=z[self.place], nodes=nodes, simulated=True, finite=not self.diverges
         )
 
-    def steady_state(self, trajectory, process):
-        return [float(variance[0]) if variance[0] < 1 else None for variance in process]
-
-    def placed(self, trajectory, z, value):
+    def filtered(self, trajectory, z, variance):
         z = z.copy()
-        z[self.place] = value
+        z[self.place] = variance[0] if variance[0] < 1 else np.nan
         return z
 
     def simulated_cost(self, z, nodes):
@@ -89,26 +84,49 @@ def test_stable_predictors_are_simulated_where_they_stay_finite(gain, began, div
     assert (first is trajectory) == (began or not simulated)
 
 
-def test_steps_to_unstable_predictors_go_part_of_the_way_to_the_limit():
-    slopes, left = np.array([[2.0, 1.0], [np.inf, 0.0], [3.0, -1.0]]), np.array([0.1, 0.2, 0.3])
-    parts = parts_of(Gain(0, slopes, left), Gain(1, slopes, left), None, weights=(1, 1, 1))
-    z = np.array([0.9, 0.5])
-    simulated = [along(v, simulated=True) for v in (0.9, 0.5, 9.0)]
-    iterate = Iterate(z, tuple(simulated))
-    normals, limits = stability_constraints(
-        parts, iterate, np.array([0.2, 0.4])
-    )  # the first alone is lost
-    assert_allclose(normals, -slopes[[0, 2]])
-    assert_allclose(limits, -0.9 * left[[0, 2]])
-    assert len(stability_constraints(parts, iterate, np.array([0.2, 0.6]))[1]) == 4
-    for none in (
-        stability_constraints(parts, iterate, np.zeros(2)),
-        stability_constraints(
-            parts, Iterate(z, (along(0.9), along(0.5), along(9.0))), np.array([0.2, 0.6])
-        ),
-    ):
-        assert none[0].shape == (0, 2)
-        assert none[1].shape == (0,)
+class CurvedGain(Gain):
+    """A gain that is stable within a circle of radius one around the origin."""
+
+    def __init__(self):
+        self.part = SimpleNamespace(place=lambda z: z)
+
+    def is_stable(self, trajectory, placed=None):
+        return np.hypot(*placed) <= 1
+
+    def room(self, trajectory, placed):
+        return np.array([1 - placed @ placed])
+
+
+@pytest.mark.parametrize("wanted", [(0.3, 0.4), (0.9, 0.9), (0.6, 0.9), (1.0, 0.3)])
+def test_a_step_to_an_unstable_predictor_goes_along_the_limit(wanted):
+    z, wanted = np.array([0.8, 0.59]), np.array(wanted)
+    own = np.array([[1.0, 0.0]]), np.array([-1.0])  # the first variable falls by one at most
+
+    def solve(normals, limits):
+        assert_allclose(normals[0], own[0][0])
+        return solve_small_qp(np.eye(2), z - wanted, normals, limits)
+
+    def step(simulated):
+        trajectory = along(0.5, simulated=simulated)
+        iterate = Iterate(z, (trajectory, trajectory))
+        return stable_step(parts_of(CurvedGain(), None), iterate, own, solve)
+
+    free, *limits = step(False)  # in segments
+    assert_allclose(free, solve(*own))
+    assert [len(rows) for rows in limits] == [1, 1]
+    dz, *limits = step(True)
+    if np.hypot(*(z + free)) <= 1:
+        assert_allclose(dz, free)
+        assert [len(rows) for rows in limits] == [1, 1]
+        return
+    assert [len(rows) for rows in limits] == [2, 2]
+    assert np.hypot(*(z + dz)) <= 1
+    assert dz[0] >= -1 - 1e-9
+    # It comes nearer to what is wanted than a step that is only shortened.
+    shares = np.linspace(0, 1, 1001)[:, None]
+    inside = [share for share in shares if np.hypot(*(z + share * free)) <= 1]
+    shortened = z + inside[-1] * free
+    assert np.linalg.norm(z + dz - wanted) < np.linalg.norm(shortened - wanted) + 1e-9
 
 
 @pytest.mark.parametrize(
