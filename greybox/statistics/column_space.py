@@ -43,7 +43,9 @@ def outside(values: Array, basis: Array) -> Array:
     """Return the part of values (n, c) that is orthogonal to an orthonormal basis (n, r)."""
     # In memory, the samples of a column are neighbors.
     columns = values.T.copy()
+    least = DEPENDENT * np.linalg.norm(columns, axis=-1, keepdims=True)
     # The second time takes out what rounding left the first time.
     for _ in range(2):
         columns -= (columns @ basis) @ basis.T
-    return columns.T
+    # Of what lies in the space, all the rest is rounding.
+    return (columns * (np.linalg.norm(columns, axis=-1, keepdims=True) > least)).T

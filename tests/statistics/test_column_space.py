@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.statistics.column_space import column_basis, pseudo_inverse
+from greybox.statistics.column_space import beside, column_basis, pseudo_inverse
 
 
 def test_the_basis_projects_as_least_squares_do():
@@ -36,6 +36,15 @@ def test_columns_that_differ_by_rounding_are_one(apart, rank):
 def test_without_columns_there_is_nothing():
     assert column_basis(np.zeros((4, 0))).shape == (4, 0)
     assert column_basis(np.zeros((4, 2))).shape == (4, 0)
+
+
+def test_nothing_remains_of_columns_that_lie_in_the_space():
+    time = np.linspace(0, 1, 200)
+    lines = np.vander(time, 2)
+    left = beside(np.column_stack([3e6 - 2 * time, 1e-9 * time, time**2]), lines)
+    assert not left[:, :2].any()
+    assert_allclose(lines.T @ left[:, 2], 0, atol=1e-12)
+    assert np.linalg.norm(left[:, 2]) > 0.1
 
 
 def test_directions_that_are_not_seen_have_no_inverse():
