@@ -147,8 +147,10 @@ def _of_group(parts: Sequence[Regression], stack: Stack, determined: Array) -> M
 
     The columns of `determined` (d, k) are what its fit can change.
     """
-    # With two parts, either one may need another value; a single part has no counterpart.
-    either = parts[0].terms if len(parts) < 3 and np.equal(*determined.shape) else {}
+    # With two parts, either one may need another value; a single part has no counterpart. Beside
+    # the values of both, next to nothing would be left of an effect in the part that decides them.
+    decisive = max(parts, key=lambda part: np.linalg.norm(part.fitted))
+    either = decisive.terms if len(parts) < 3 and np.equal(*determined.shape) else {}
     terms = {
         key: term
         for part in parts

@@ -79,7 +79,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     squares = float(residuals @ residuals)
     along = residuals @ terms / length
     share = np.minimum(along**2 / (squares + TINY), 1 - 1e-12)
-    tested = (length < np.inf) & (remaining > FEWEST) & (squares > 0)
+    tested = (length < np.inf) & (remaining > FEWEST)
     error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / length
     p_value = np.where(tested, chance(1 - share, remaining - 1), np.nan)
     return np.array([count * share, p_value, along / length, error])

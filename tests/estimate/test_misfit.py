@@ -125,6 +125,15 @@ def test_a_record_that_needs_a_value_of_its_own_is_named(k):
         assert "a value of k that is" in misfit.likely[0].text
 
 
+def test_a_record_that_decides_the_values_does_not_hide_what_another_one_needs():
+    """The variance of each record is estimated, and one that the model leaves counts for little."""
+    fit = gb.fit(problem(seed=0) + problem(seed=1, k=8), starts=2, progress=False)
+    assert min(part.fit_percent("x") for part in fit.records) < 50
+    assert not fit.misfit.explains
+    assert "a value of k that is larger" in fit.misfit.likely[0].text
+    assert "in 'flight 0'" in fit.misfit.likely[0].text
+
+
 class Wavy(Spring):
     """A sensor whose scale has waves, as an encoder: no term of the test has this form."""
 
