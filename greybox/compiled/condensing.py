@@ -39,16 +39,7 @@ def condense(
     if damping:
         # Damping enters the matrix but not the gradient: a minimum of the problem stays one.
         # Without it, 91 % of 58 fits of hard problems reach the best minimum instead of 97 %.
-        # It is relative to the curvature of outputs and continuity penalty, for every free state:
-        # where continuity is exact, those of the first nodes of every stretch.
-        relaxed, coupled = variance > 0, data.coupled[:, None]
-        free = data.begins_stretch[:, None] | relaxed
-        curvature = np.where(free, of_diagonal(b.node_hessian), 0.0)
-        stiffness = np.divide(1.0, variance, out=np.zeros_like(variance), where=relaxed)
-        passed_on = (b.transition**2 * stiffness[:, None]).sum(axis=1)
-        penalty = np.where(coupled, passed_on, 0.0)
-        penalty[1:] += np.where(coupled[:-1], stiffness, 0.0)
-        node_damping = damping * (curvature + penalty)
+        node_damping = damping * _node_curvature(b, variance, data)
         node_hessian = node_hessian + node_damping[:, :, None] * np.eye(segments.n)
 
     # The right-hand sides: the gradient of the residuals, and its derivatives by the parameters.
@@ -89,6 +80,21 @@ def condense(
         damping=node_damping,
         decrease=max(-lost, 0.0),
     )
+
+
+def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Array:
+    """Return the curvature (s, n) of outputs and continuity penalty for every free node state.
+
+    Where continuity is exact the first nodes of every stretch are free.
+    """
+    curvature = of_diagonal(b.node_hessian)
+    relaxed = variance > 0
+    curvature = np.where(data.begins_stretch[:, None] | relaxed, curvature, 0.0)
+    stiffness = np.divide(1.0, variance, out=np.zeros_like(variance), where=relaxed)
+    coupled = data.coupled[:, None]
+    penalty = np.where(coupled, (b.transition**2 * stiffness[:, None]).sum(axis=1), 0.0)
+    penalty[1:] += np.where(coupled[:-1], stiffness, 0.0)
+    return curvature + penalty
 
 
 def solve_continuity(

@@ -78,14 +78,17 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
     pairs = [name.removesuffix("_alpha") for name in header if name.endswith("_alpha")]
     required = {"frequency": OMEGA, **{role: prefix + role for role in RECTANGULAR}}
     missing = [name for name in required.values() if name not in header]
-    if missing:
+    if missing and pairs and not prefix:
         raise ValueError(
             f"has several responses, {', '.join(pairs)}: choose one by the names of its input and "
             "output."
-            if pairs and not prefix
-            else f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: "
-            "the columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof, "
-            "or be named, columns={...}."
+        )
+
+    if missing:
+        raise ValueError(
+            f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the "
+            "columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or "
+            "be named, columns={...}."
         )
     # Files may have more columns, for other programs.
     roles = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]

@@ -195,13 +195,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    if not 0 < band[0] < band[1]:
-        raise ValueError(f"band={band!r} must be two frequencies in rad/s, the lower one first.")
-    if not wanted:
-        raise ValueError("wanted is empty: give a standard error for at least one parameter.")
-    for name, value in {**wanted, **limits}.items():
-        if not value > 0:
-            raise ValueError(f"the value of {name}, {value:g}, must be a positive number.")
+    _require_valid(band, wanted, {**wanted, **limits})
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)
     values = {**values, **fixed}
@@ -247,6 +241,20 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         rate=rate,
         settings={"lead_in": lead_in, "pause": pause},
     )
+
+
+def _require_valid(
+    band: Interval,
+    wanted: Values,
+    positive: Values,
+) -> None:
+    if not 0 < band[0] < band[1]:
+        raise ValueError(f"band={band!r} must be two frequencies in rad/s, the lower one first.")
+    if not wanted:
+        raise ValueError("wanted is empty: give a standard error for at least one parameter.")
+    for name, value in positive.items():
+        if not value > 0:
+            raise ValueError(f"the value of {name}, {value:g}, must be a positive number.")
 
 
 def _gains(

@@ -117,17 +117,7 @@ def finite_frequency(
     if not points:
         reasons = "; ".join(dict.fromkeys(reason for _, reason in left_out)) or "there is none"
         raise ValueError(f"no segment gives a point of the response: {reasons}.")
-    # Referred to the output and to one second, the noise of all tests is comparable: the standard
-    # errors are those by the pooled noise density of all points.
-    level = [(p.standard_error * abs(p.u)) ** 2 * (p.end - p.start) for p in points]
-    pooled, dof = pooled_levels([p.omega for p in points], level, [p.dof for p in points])
-    factors = [
-        math.sqrt(new / old) if old > 0 else 1.0 for new, old in zip(pooled, level, strict=True)
-    ]
-    points = [
-        replace(p, standard_error=factor * p.standard_error, dof=float(d))
-        for p, factor, d in zip(points, factors, dof, strict=True)
-    ]
+    points = _with_pooled_noise(points)
 
     # The harmonics of one test are compared with the responses of the others. So the mean is taken
     # twice: first for the response, then with the error that the harmonics imply.
@@ -207,6 +197,20 @@ def _point(
     )
     missing = 1 - t.size * median_step(t) * omega / (q * 2 * math.pi)
     return with_findings(point, missing), harmonics_of(t, amplitudes, residual, omega, q)
+
+
+def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
+    """Return the points with standard errors from the pooled noise density of all points."""
+    # Referred to the output and to one second, the noise of all tests is comparable.
+    level = [(p.standard_error * abs(p.u)) ** 2 * (p.end - p.start) for p in points]
+    pooled, dof = pooled_levels([p.omega for p in points], level, [p.dof for p in points])
+    factors = [
+        math.sqrt(new / old) if old > 0 else 1.0 for new, old in zip(pooled, level, strict=True)
+    ]
+    return [
+        replace(p, standard_error=factor * p.standard_error, dof=float(d))
+        for p, factor, d in zip(points, factors, dof, strict=True)
+    ]
 
 
 def frequency_error(t: Array, r: Array, omega: float) -> float:

@@ -99,11 +99,7 @@ def compare(
         )
     require_lengths(window=window, lead=lead)
     names = tuple(map(str, labels)) or labels_of(fits)
-    held_out = (
-        [records] if isinstance(records, Record) else list([] if records is None else records)
-    )
-    if not all(isinstance(record, Record) for record in held_out):
-        raise TypeError(f"records is {records!r:.80}: give a Record or a list of them.")
+    held_out = _as_records(records)
 
     different = data_difference(fits, names)
     if different and not held_out:
@@ -185,3 +181,12 @@ def _known(measure: str, rows: Sequence[Row]) -> list[float]:
     """Return a measure of all fits; empty if a fit lacks it."""
     values = next(row.values for row in rows if (row.data, row.measure) == ("fit", measure))
     return [] if None in values else [value for value in values if value is not None]
+
+
+def _as_records(records: Any) -> list[Record]:
+    if records is None:
+        return []
+    listed = [records] if isinstance(records, Record) else list(records)
+    if not all(isinstance(record, Record) for record in listed):
+        raise TypeError(f"records is {records!r:.80}: give a Record or a list of them.")
+    return listed

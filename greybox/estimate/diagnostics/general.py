@@ -75,9 +75,10 @@ def warnings(
     misfit = answer.misfit
     # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
     noisy = misfit is None or misfit.is_noisy
-    # Residuals of a wrong model are not errors, so their correlation does not matter.
     explained = misfit is None or misfit.explains
-    errors = explained and noisy
+    exact = misfit is not None and misfit.is_exact
+    # Residuals of a wrong model are not errors, nor is rounding: their correlation does not matter.
+    errors = explained and not exact
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
@@ -102,6 +103,6 @@ def warnings(
         *uncertain_gusts(answer),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
-        *(outlying_points(nlp, best.estimate) if errors or not explained else ()),
+        *(() if exact else outlying_points(nlp, best.estimate)),
         *(once(outlying_samples(answer.parts)) if errors else ()),
     )
