@@ -1,9 +1,10 @@
 """The test of a fit: whether its residuals follow terms that the model does not have."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.modeling.added_terms import Formula
 from greybox.statistics.autoregressive_test import (
     Outputs,
@@ -34,7 +35,12 @@ from greybox.statistics.autoregressive_test import (
     whitening_filters,
 )
 from greybox.statistics.column_space import beside, triangle_of
-from greybox.statistics.score_test import correlated_fits, p_values_of_fits, score_tests
+from greybox.statistics.score_test import (
+    correlated_fits,
+    joint_test,
+    p_values_of_fits,
+    score_tests,
+)
 
 # Largest probability at which a model of responses is called wrong, as `FALSE_ALARMS` of records:
 # of 1614 simulated right fits, whose errors are white, correlated along frequency, or larger at one
@@ -45,7 +51,71 @@ TOGETHER = 5
 KNOTS = 11  # of the shape of a term over a signal
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
-Stack = tuple[Array, Array, Outputs, list[Array]]  # see `_stacked`
+
+
+@frozen
+class Group:
+    """All records, or all responses, in which a term is missing alike, as one regression.
+
+    The residuals (N, 1) and the columns (N, d) of the parameters have the rows of all parts, of
+    which `outputs` has those of every output. The filters make the residuals white.
+    """
+
+    parts: Sequence[Regression]
+    residuals: Array
+    fitted: Array
+    outputs: Outputs
+    filters: Sequence[Array]
+
+    def white(self, values: Array) -> Array:
+        """Return values (N, c) in the rows (M, c) in which residuals are white."""
+        return whitened(values, self.filters, self.outputs)
+
+    @cached_property
+    def white_residuals(self) -> Array:
+        """The residuals (M, 1), less what earlier samples predict."""
+        return self.white(self.residuals)
+
+    @cached_property
+    def white_fitted(self) -> Array:
+        """The columns (M, d) of the parameters, less what earlier samples predict."""
+        return self.white(self.fitted)
+
+    @property
+    def remains(self) -> float:
+        """Share of a term that must remain beside the parameters."""
+        return min(part.remains for part in self.parts)
+
+    def score_tests(self, columns: Array) -> list[list[float]]:
+        """Return the tests of columns (N, c) one by one, see `score_tests`."""
+        residuals, white = self.white_residuals[:, 0], self.white(columns)
+        return score_tests(residuals, self.white_fitted, white, self.remains).T.tolist()
+
+    def chances(self, columns: Array, sizes: Sequence[int] = ()) -> Array:
+        """Return the probabilities of columns (N, c) of records, see `autoregressive_p_values`."""
+        # Where records have unlike outputs, errors of outputs count as independent.
+        widths = {len(part.outputs) for part in self.parts}
+        return autoregressive_p_values(
+            self.residuals[:, 0],
+            self.fitted,
+            columns,
+            self.outputs,
+            widths.pop() if len(widths) == 1 else 1,
+            sum(part.lost for part in self.parts),
+            sizes,
+        )
+
+
+@frozen
+class Tested:
+    """A missing term after its test: the column (N, 1) of the unit term, and see `score_tests`."""
+
+    key: Key
+    column: Array
+    decrease: float
+    p_white: float
+    factor: float
+    error: float
 
 
 def assessed_misfit(
@@ -86,33 +156,32 @@ def assessed_misfit(
         for record, (terms, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
-    stacks = [*map(_stacked, tested)]
-    groups = [*map(_of_group, tested, stacks, _determined(stacks))]
-    if all(group.explains and not group.tried for group in groups):
+    groups = [*map(_group, tested)]
+    misfits = [*map(_of_group, groups, _determined(groups))]
+    if all(misfit.explains and not misfit.tried for misfit in misfits):
         return None
 
     # What explains most comes first, among what is significant, and what has no known form last.
     # The best stands for equal texts.
     best = dict[str, Cause]()
-    for group in groups:
-        for cause in group.causes:
+    for misfit in misfits:
+        for cause in misfit.causes:
             best.setdefault(cause.text, cause)
     # Rounding must not order what explains as much.
     causes = sorted(
         best.values(), key=lambda c: (c.p_value >= FALSE_ALARMS, not c.code, -round(c.share, 9))
     )
     return replace(
-        max(groups, key=lambda group: (not group.is_exact, group.left - group.noise)),
-        tried=sum(group.tried for group in groups),
+        max(misfits, key=lambda misfit: (not misfit.is_exact, misfit.left - misfit.noise)),
+        tried=sum(misfit.tried for misfit in misfits),
         causes=tuple(causes),
-        p_common=min(group.p_common for group in groups),
-        shape=groups[-1].shape,
-        level=groups[-1].level,
+        p_common=min(misfit.p_common for misfit in misfits),
+        shape=misfits[-1].shape,
+        level=misfits[-1].level,
     )
 
 
-def _stacked(parts: Sequence[Regression]) -> Stack:
-    """Return residuals (N, 1), columns (N, d), rows of all outputs, and their whitening filters."""
+def _group(parts: Sequence[Regression]) -> Group:
     residuals = np.vstack([part.residuals for part in parts])
     fitted = np.vstack([part.fitted for part in parts])
     firsts = np.cumsum([0, *(len(part.residuals) for part in parts)])
@@ -121,20 +190,19 @@ def _stacked(parts: Sequence[Regression]) -> Stack:
         for first, part in zip(firsts, parts, strict=False)
         for stretches in part.outputs
     ]
-    return residuals, fitted, outputs, whitening_filters(residuals[:, 0], outputs)
+    return Group(parts, residuals, fitted, outputs, whitening_filters(residuals[:, 0], outputs))
 
 
-def _determined(stacks: Sequence[Stack]) -> list[Array]:
+def _determined(groups: Sequence[Group]) -> list[Array]:
     """Return the combinations (d, k) of d parameters that each group may change.
 
     Combinations that the other group knows much better cannot excuse a misfit.
     """
-    if len(stacks) < 2:
-        return [np.eye(fitted.shape[1]) for _, fitted, *_ in stacks]
-    rows = []
-    for residuals, fitted, outputs, filters in stacks:
-        both = whitened(np.hstack([residuals, fitted]), filters, outputs)
-        rows.append(both[:, 1:] / (np.sqrt(np.mean(both[:, 0] ** 2)) + TINY))
+    if len(groups) < 2:
+        return [np.eye(group.fitted.shape[1]) for group in groups]
+    rows = [
+        group.white_fitted / (np.sqrt(np.mean(group.white_residuals**2)) + TINY) for group in groups
+    ]
     # In directions that both determine equally well, whatever the units.
     unit = np.linalg.pinv(triangle_of(np.vstack(rows)))
     pairs = [np.linalg.svd(each @ unit, full_matrices=False)[1:] for each in rows]
@@ -142,146 +210,146 @@ def _determined(stacks: Sequence[Stack]) -> list[Array]:
     return [unit @ axes[share**2 > 0.1].T for share, axes in pairs]
 
 
-def _of_group(parts: Sequence[Regression], stack: Stack, determined: Array) -> Misfit:
-    """Return the misfit of all records or of all responses, in which a term is missing alike.
+def _of_group(group: Group, determined: Array) -> Misfit:
+    """Return the misfit of a group, whose fit can change the columns of `determined` (d, k)."""
+    group = replace(group, fitted=group.fitted @ determined)
+    terms = _terms(group.parts, determined)
+    functions = [key for key, term in terms.items() if term.is_function]
+    tried, tested = _ranked(group, [key for key in terms if key not in functions])
+    columns = _columns(group, tested)
+    # Among responses, each family is as likely to be missing, whatever its number of terms.
+    tests = [tried.total() if group.outputs else len(tried) * tried[test.key[0]] for test in tested]
+    p_common = 1.0
+    p_values = p_correlated = np.array([test.p_white for test in tested]) * tests
+    if group.outputs:
+        p_correlated = p_values = group.chances(columns) * tests
+        if min(p_values, default=1.0) > FALSE_ALARMS:
+            missing, p_of_functions = _functions(group, functions)
+            tested = missing + tested
+            p_correlated = p_values = np.append(p_of_functions, p_values)
+    elif tested:
+        p_of_terms, p_common = _p_of_responses(group, determined, columns, tested, tests)
+        p_correlated = np.array(p_of_terms) * tests
 
-    The columns of `determined` (d, k) are what its fit can change.
-    """
+    shares, left, noise = _shares(group, tested)
+    texts = [terms[test.key].described(test.factor, test.error) for test in tested]
+    causes = [
+        Cause(
+            *texts[k],
+            test.factor,
+            test.error,
+            *row,
+            alike=alike,
+            added=(term := terms[test.key]).added and (term.b, term.added),
+        )
+        # Errors that are correlated may hide a term, or look like one.
+        for k, (test, alike, *row) in enumerate(
+            zip(
+                tested,
+                _alike(group, tested, texts),
+                *np.minimum([shares, np.minimum(p_values, p_correlated), p_correlated], 1).tolist(),
+                strict=True,
+            )
+        )
+    ]
+
+    # What earlier samples do not predict.
+    count = len(group.residuals)
+    innovations = [count / float(weights[0]) ** 2 for weights in group.filters]
+    squares = float(np.sum(group.residuals**2)) + TINY
+    return Misfit(
+        left,
+        noise,
+        tried.total(),
+        (*causes, *(cause for part in group.parts for cause in part.causes)),
+        p_common,
+        1 - min(innovations, default=squares) / squares,
+        any(part.is_unstable for part in group.parts),
+        _shape(group, zip(tested, causes, strict=True)),
+        FALSE_ALARMS if group.outputs else OF_RESPONSES,
+    )
+
+
+def _columns(group: Group, tested: Sequence[Tested]) -> Array:
+    """Return the columns (N, c) of tested terms, also of none."""
+    return np.hstack([group.residuals[:, :0], *(test.column for test in tested)])
+
+
+def _terms(parts: Sequence[Regression], determined: Array) -> dict[Key, Term]:
+    """Return the terms of all parts, of which one may need a value of its own."""
     # With two parts, either one may need another value; a single part has no counterpart. Beside
     # the values of both, next to nothing would be left of an effect in the part that decides them.
     decisive = max(parts, key=lambda part: np.linalg.norm(part.fitted))
     either = decisive.terms if len(parts) < 3 and np.equal(*determined.shape) else {}
-    terms = {
+    return {
         key: term
         for part in parts
         for key, term in part.terms.items()
         if term.kind != "own" or key not in either
     }
-    residuals, fitted, outputs, filters = stack
-    fitted = fitted @ determined
-    white = partial(whitened, filters=filters, outputs=outputs)
-    white_residuals, white_fitted = white(residuals), white(fitted)
-    tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
-    best_columns = np.hstack([residuals[:, :0], *(column for *_, column in ranked)])
-    white_best = white(best_columns)
-    together = np.hstack([fitted, best_columns[:, :TOGETHER]])
+
+
+def _shares(group: Group, tested: Sequence[Tested]) -> tuple[Array, float, float]:
+    """Return the shares of the misfit that terms explain, and those of the outputs that are left.
+
+    They are what the model leaves of the squares of the outputs, and what noise would leave.
+    """
+    residuals, columns = group.residuals, _columns(group, tested)
+    together = columns[:, :TOGETHER]
+    white = group.white_residuals
     without, remainder = (
-        float(np.sum(beside(white_residuals, columns) ** 2))
-        for columns in (white_fitted, np.hstack([white_fitted, white_best[:, :TOGETHER]]))
-    )
-    explained = len(white_residuals) * (1 - remainder / (without + TINY)) + TINY
-    left, noise = _shares(parts, (residuals, beside(residuals, together)), outputs)
-    shares = [decrease / explained for (decrease, *_), *_ in ranked]
-    if left > LARGE * noise:
-        # Residuals without noise are whitened by what the misfit is like: slow parts count little.
-        alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
-        shares = np.maximum(shares, alone).tolist()
-    # Among responses, each family is as likely to be missing, whatever its number of terms.
-    tests = [tried.total() if outputs else len(tried) * tried[key[0]] for _, key, _ in ranked]
-    p_common = 1.0
-    p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
-    if outputs:
-        # Where records have unlike outputs, errors of outputs count as independent.
-        width = len(parts[0].outputs) if len({len(part.outputs) for part in parts}) == 1 else 1
-        p_values = autoregressive_p_values(
-            residuals[:, 0], fitted, best_columns, outputs, width, sum(part.lost for part in parts)
-        ).tolist()
-        p_correlated = p_values
-    elif ranked:
-        block = residuals, fitted, _lengths(parts)
-        p_correlated, p_common = _p_of_responses(
-            parts, determined, block, best_columns, ranked, tests
+        float(np.sum(beside(white, fitted) ** 2))
+        for fitted in (
+            group.white_fitted,
+            np.hstack([group.white_fitted, group.white(together)]),
         )
-
-    texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
-    alike = _alike(beside(white_best, white_fitted), texts)
-    causes = []
-    for k, ((_, _, value, error), key, _) in enumerate(ranked):
-        # Errors that are correlated may hide a term, or look like one.
-        p_alone = tests[k] * min(p_values[k], p_correlated[k])
-        numbers = np.minimum([shares[k], p_alone, tests[k] * p_correlated[k]], 1.0).tolist()
-        term = terms[key]
-        added = (term.b, term.added) if term.added else None
-        causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
-
-    # What earlier samples do not predict.
-    innovations = [len(residuals) / float(weights[0]) ** 2 for weights in filters]
-    squares = float(np.sum(residuals**2)) + TINY
-    return Misfit(
-        left,
-        noise,
-        tried.total(),
-        (*causes, *(cause for part in parts for cause in part.causes)),
-        p_common,
-        1 - min(innovations, default=squares) / squares,
-        any(part.is_unstable for part in parts),
-        _shape(parts, zip(ranked, causes, strict=True), white, white_residuals, white_fitted),
-        FALSE_ALARMS if outputs else OF_RESPONSES,
     )
+    explained = len(white) * (1 - remainder / (without + TINY)) + TINY
+    shares = np.array([test.decrease / explained for test in tested])
 
-
-def _shares(
-    parts: Sequence[Regression], residuals: tuple[Array, Array], outputs: Outputs
-) -> Sequence[float]:
-    """Return the shares of the squares of the outputs that the model and noise leave."""
-    measured = np.vstack([part.measured for part in parts])
+    measured = np.vstack([part.measured for part in group.parts])
+    noise = beside(residuals, np.hstack([group.fitted, together]))
     # Perhaps only one of the outputs of a record follows a missing term.
-    shares = [
-        [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in residuals]
-        for rows in [*map(np.concatenate, outputs)] or [...]
+    of_outputs = [
+        [
+            float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY))
+            for e in (residuals, noise)
+        ]
+        for rows in [*map(np.concatenate, group.outputs)] or [...]
     ]
-    return max(shares, key=lambda pair: (pair[0] >= EXACT, pair[0] - pair[1]))
+    left, least = max(of_outputs, key=lambda pair: (pair[0] >= EXACT, pair[0] - pair[1]))
+    if left > LARGE * least:
+        # Residuals without noise are whitened by what the misfit is like: slow parts count little.
+        alone = score_tests(residuals[:, 0], group.fitted, columns)[0] / len(residuals)
+        shares = np.maximum(shares, alone)
+    return shares, left, least
 
 
-def _shape(
-    parts: Sequence[Regression],
-    tests: Iterable[tuple[tuple[list[float], Key, Array], Cause]],
-    white: Callable[[Array], Array],
-    residuals: Array,
-    fitted: Array,
-) -> Shape | None:
-    """Return the shape of the best term over the signal that explains most of residuals (N, 1)."""
+def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
+    """Return the shape of the best term over the signal that explains most of the residuals."""
     # A wrong value has no shape; the next best term shows what it stands for.
     drawn = [
-        (cause, key, column)
-        for (_, key, column), cause in tests
-        if key[0][0] != "fixed" and cause.p_value < FALSE_ALARMS
+        (test, cause)
+        for test, cause in tests
+        if test.key[0][0] != "fixed" and cause.p_value < FALSE_ALARMS
     ]
     if not drawn:
         return None
-    cause, key, column = max(drawn, key=lambda test: test[0].share)
-    best, least = None, np.inf
+    test, cause = max(drawn, key=lambda pair: pair[1].share)
     # A value that one record needs has no place in the others.
-    terms = [part.terms[key] for part in parts if key in part.terms]
-    by_part = [part.signals() for part in parts]
-    if len(terms) < len(parts) or not by_part[0]:
+    by_part = [part.signals() for part in group.parts if test.key in part.terms]
+    if len(by_part) < len(group.parts):
         return None
-    knots = {
-        name: np.linspace(
-            (row := np.hstack([signals[name] for signals in by_part])).min(),
-            row.max() + TINY,
-            KNOTS,
-        )
-        for name in by_part[0]
-    }
-    columns = [
-        part.changes(
-            [
-                replace(term, values=np.interp(signals[name], at, hat))
-                for name, at in knots.items()
-                for hat in np.eye(KNOTS)
-            ]
-        )
-        for part, term, signals in zip(parts, terms, by_part, strict=True)
-    ]
-    # What the parameters explain is determined neither here nor in the shape of the term, nor are
-    # knots with too few samples.
-    effects = beside(white(np.hstack([np.vstack(columns), cause.value * column])), fitted)
-    by_signal = np.split(effects[:, :-1], len(knots), axis=1)
-    for (name, at), of_hats in zip(knots.items(), by_signal, strict=True):
-        inverse = np.linalg.pinv(of_hats, rcond=0.02)
-        values = inverse @ residuals
-        size = float(np.std(residuals - of_hats @ values))
+    best, least = None, np.inf
+    for name in by_part[0]:
+        at, columns = _on_knots(group, test.key, [signals[name] for signals in by_part])
+        # What the parameters explain is determined neither here nor in the shape of the term, nor
+        # are knots with too few samples.
+        both = np.hstack([columns, cause.value * test.column])
+        effects = beside(group.white(both), group.white_fitted)
+        inverse = np.linalg.pinv(effects[:, :-1], rcond=0.02)
+        values = inverse @ group.white_residuals
+        size = float(np.std(group.white_residuals - effects[:, :-1] @ values))
         if size < least:
             errors = size * np.linalg.norm(inverse, axis=1)
             by_term = inverse @ effects[:, -1]
@@ -290,65 +358,101 @@ def _shape(
     return best
 
 
-def _alike(effects: Array, texts: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return for every term those whose effects (N, c) are nearly the same."""
+def _on_knots(group: Group, key: Key, signals: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the knots (c,) of signals of all parts, and columns (N, c) of functions of these."""
+    whole, shares = np.hstack(signals), np.linspace(0, 1, KNOTS)
+    # As many where samples are close together as over the whole range.
+    at = (np.quantile(whole, shares) + whole.min() + shares * (np.ptp(whole) + TINY)) / 2
+    columns = [
+        part.on_knots(key, signal, at) for part, signal in zip(group.parts, signals, strict=True)
+    ]
+    return at, np.vstack(columns)
+
+
+def _alike(
+    group: Group, tested: Sequence[Tested], texts: Sequence[tuple[str, ...]]
+) -> list[tuple[str, ...]]:
+    """Return for every term the texts of those whose effects are nearly the same."""
+    effects = beside(group.white(_columns(group, tested)), group.white_fitted)
     unit = effects / np.linalg.norm(effects, axis=0)
     is_alike = np.abs(unit.T @ unit) - np.eye(len(texts)) > 0.95
     return [tuple(texts[j][0] for j in np.flatnonzero(row).tolist()) for row in is_alike]
 
 
-def _ranked(
-    parts: Sequence[Regression],
-    keys: list[Key],
-    white: Callable[[Array], Array],
-    residuals: Array,
-    fitted: Array,
-) -> tuple[Counter[Any], list[tuple[list[float], Key, Array]]]:
-    """Return the number of terms by family, and the best of each with its test and its column.
-
-    `residuals` (N,) and `fitted` (N, p) are white.
-    """
-    best, tried = {}, Counter[Any]()
-    remains = min(part.remains for part in parts)
+def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Tested]]:
+    """Return the number of terms by family, and the best of each."""
+    best, tried = dict[Any, Tested](), Counter[Any]()
     # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
     # time and 370 MB.
-    size = 300_000 // (len(residuals) + 1) + 1
+    size = 300_000 // (len(group.residuals) + 1) + 1
     for first in range(0, len(keys), size):
         chosen = keys[first : first + size]
-        columns = np.vstack([part.columns(chosen) for part in parts])
-        tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
-        for k, (test, key) in enumerate(zip(tests, chosen, strict=True)):
+        columns = np.vstack([part.columns(chosen) for part in group.parts])
+        for k, (key, test) in enumerate(zip(chosen, group.score_tests(columns), strict=True)):
             # The probability is NaN where nothing of a term is left.
             if test[1] <= 1:
                 tried[key[0]] += 1
-                if test > best.get(key[0], [[]])[0]:
-                    best[key[0]] = test, key, columns[:, [k]]
+                if key[0] not in best or test[0] > best[key[0]].decrease:
+                    best[key[0]] = Tested(key, columns[:, [k]], *test)
     # The best twelve are tested beside the color of the errors.
-    return tried, sorted(best.values(), key=lambda test: -round(test[0][0], 9))[:12]
+    return tried, sorted(best.values(), key=lambda test: -round(test.decrease, 9))[:12]
+
+
+def _functions(group: Group, keys: Iterable[Key]) -> tuple[list[Tested], Array]:
+    """Return functions of any shape that are missing, and their probabilities.
+
+    The unit term is what fits best.
+    """
+    tested = []
+    for key in keys:
+        # Where a part has no such place, its residuals follow nothing there.
+        signals = [
+            part.terms[key].values if key in part.terms else np.zeros(1) for part in group.parts
+        ]
+        _, columns = _on_knots(group, key, signals)
+        p_value, directions = joint_test(
+            group.white_residuals[:, 0], group.white_fitted, group.white(columns), group.remains
+        )
+        if directions.size:
+            tested.append((p_value, key, columns @ directions))
+    if not tested:
+        return [], np.array([])
+    best = sorted(tested, key=itemgetter(0))[:2]
+    keys, columns = [key for _, key, _ in best], [columns for *_, columns in best]
+    # A test of several numbers stands for as many terms.
+    count = sum(columns.shape[1] for *_, columns in tested)
+    p_values = count * group.chances(np.hstack(columns), [each.shape[1] for each in columns])
+    is_missing = p_values < FALSE_ALARMS
+    residuals = beside(group.white_residuals, group.white_fitted)
+    missing = []
+    for k in np.flatnonzero(is_missing).tolist():
+        column = columns[k] @ (group.white(columns[k]).T @ residuals)
+        missing.append(Tested(keys[k], column, *group.score_tests(column)[0]))
+    return missing, p_values[is_missing]
 
 
 def _p_of_responses(
-    parts: Sequence[Regression],
+    group: Group,
     determined: Array,
-    block: Block,
     columns: Array,
-    ranked: Sequence[Any],
+    tested: Sequence[Tested],
     tests: Sequence[int],
 ) -> tuple[list[float], float]:
     """Return the probabilities of terms, with columns (N, c), and of values common to all parts.
 
     Terms that may be significant are fitted unless they are to first order.
     """
-    fits = correlated_fits([block], columns)
+    parts = group.parts
+    fits = correlated_fits([(group.residuals, group.fitted, _lengths(parts))], columns)
     p_values, p_common = p_values_of_fits(fits, fits)[1:], 1.0
     whole = np.eye(len(determined))
     if len(parts) > 1 or determined.shape != whole.shape:
         # Other values may be far from the common ones: each part is fitted by itself.
         apart = correlated_fits([_refitted([part], whole) for part in parts if part.again])
         [p_common] = p_values_of_fits(fits, apart)
-    for k, (_, key, _) in enumerate(ranked):
+    for k, test in enumerate(tested):
         if OF_RESPONSES < tests[k] * p_values[k] < 1:
-            again = _refitted(parts, determined, key)
+            again = _refitted(parts, determined, test.key)
             [p_value] = p_values_of_fits(fits, correlated_fits([again]))
             # A fit of q numbers stands for as many terms.
             q = again[1].shape[1] - determined.shape[1]

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -64,6 +65,16 @@ class Regression:
             values[present] = self.changes([self.terms[keys[k]] for k in present]).T
         # Samples of a column are neighbors in memory, as filters need them.
         return values.T
+
+    def on_knots(self, key: Key, signal: Array, at: Array) -> Array:
+        """Return the columns (N, c) of functions of a signal in the place of a term.
+
+        Each is one at one of c knots, and linear in between.
+        """
+        if key not in self.terms:
+            return np.zeros((len(self.residuals), len(at)))
+        hats = [np.interp(signal, at, hat) for hat in np.eye(len(at))]
+        return self.changes([replace(self.terms[key], values=hat) for hat in hats])
 
 
 def regression_of_record(

@@ -110,6 +110,26 @@ TEXTS = {
         "an effect on {b} of unknown form, which repeats with the inputs",
         "",
     ),
+    "function": (
+        "a function of {a} in the equation of {b}, of a shape unlike all terms",
+        "",
+    ),
+    "feedback function": (
+        "a function of {a} fed back to {b}, of a shape unlike all terms",
+        "",
+    ),
+    "characteristic": (
+        "a characteristic of {a} that is curved, unlike all terms",
+        "",
+    ),
+    "sensor curve": (
+        "a sensor of {b} whose characteristic is curved",
+        "",
+    ),
+    "sensor scale": (
+        "a sensor of {b} whose scale changes along the record",
+        "",
+    ),
     "initial": (
         "an initial {b} that is larger by {size} ± {error}",
         "an initial {b} that is smaller by {size} ± {error}",
@@ -236,6 +256,8 @@ class Term:
         refine, such as a frequency and a damping.
     levels : tuple of float
         These levels, above zero.
+    is_function : bool
+        Whether any function of these values may be missing, whatever its shape.
     """
 
     kind: str
@@ -252,6 +274,7 @@ class Term:
     outputs: Mapping[str, float] = field(default_factory=dict)
     shapes: Callable[..., Sequence[ComplexArray]] | None = None
     levels: tuple[float, ...] = ()
+    is_function: bool = False
 
     @property
     def start(self) -> Array:
@@ -305,6 +328,9 @@ def terms_of_record(
 
     for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
         by_output = partial(record.by_output, k)
+        yield Term("sensor curve", y, by_output, b=b, is_function=True)
+        by_scale = partial(record.by_scale, k)
+        yield Term("sensor scale", np.arange(1.0 * len(y)), by_scale, b=b, is_function=True)
         if len(part.outputs) > 1:
             for row, T in _delays(record, y):
                 yield Term("sensor", row, by_output, b=b, scale=T)
@@ -403,6 +429,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     if not model.between[j].held:
         # Lines through the samples of a sine are smaller by (ωh)²/12, for steps h.
         yield term("between", record.by_stretch(_filtered, u, np.array([-1.0, 2, -1]) / 12, [1.0]))
+    yield Term("characteristic", u, by_input, a, is_function=True)
     about = u - (middle := float(np.median(u)))
     speed = np.std(record.by_stretch(_backward, u)) / np.std(u)
     for level in np.abs(about).max() * np.array(LEVELS):
@@ -426,6 +453,7 @@ def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
             y,
         )
         for signal, row in ((b, y), (f"{b}'", rate)):
+            yield Term("feedback function", row, by_input, signal, name, is_function=True)
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)
 
@@ -466,6 +494,7 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
                     "equation", row, by_state, a, b, added=formula, code=code, outputs=outputs
                 )
         for a in [name for name in x if name in names]:
+            yield Term("function", x[a], by_state, a, b, is_function=True)
             for share, level in zip(STOPS, np.quantile(x[a], STOPS).tolist(), strict=True):
                 bound = maximum if share > 0.5 else minimum
                 formula = _formula(lambda a, level=level, bound=bound: bound(a - level, 0.0), a)

@@ -82,7 +82,13 @@ def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: i
 
 
 def autoregressive_p_values(
-    residuals: Array, fitted: Array, terms: Array, outputs: Outputs, width: int = 1, lost: int = 0
+    residuals: Array,
+    fitted: Array,
+    terms: Array,
+    outputs: Outputs,
+    width: int = 1,
+    lost: int = 0,
+    sizes: Sequence[int] = (),
 ) -> Array:
     """Return the probabilities (c,) that terms (N, c) explain so much of errors by chance.
 
@@ -99,18 +105,22 @@ def autoregressive_p_values(
         correlated.
     lost : int
         Degrees of freedom that all columns have lost, such as by initial states.
+    sizes : sequence of (t,) int
+        Numbers of neighboring terms that are tested together, which then have one probability, (t,)
+        in all. Without them, each term is tested by itself.
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
     values = np.column_stack([residuals, basis, outside(terms, basis)])
     values /= np.linalg.norm(values, axis=0) + TINY
-    # Each term is fitted beside the parameters, without the others; the last fit has no term.
-    first, count = 1 + basis.shape[1], terms.shape[1]
-    used = np.hstack([np.ones((count + 1, first)), np.eye(count + 1, count)])
+    # Each test is fitted beside the parameters, without the others; the last fit has no term.
+    first, size = 1 + basis.shape[1], np.array(sizes or [1] * terms.shape[1])
+    tests = np.repeat(np.eye(len(size) + 1, len(size)), size, axis=1)
+    used = np.hstack([np.ones((len(tests), first)), tests])
     used = used[..., None] * used[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
     p_values, factors = list[Array](), _least(squares, used)
-    shared = np.ones(count)
+    shared: Any = 1.0
     # Pairs of columns that no fit has, such as two terms, would take most of the time.
     i, j = np.nonzero(used.any(axis=0))
     squares = np.zeros(used.shape)
@@ -140,10 +150,10 @@ def autoregressive_p_values(
         decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
         if width > 1 and not times:
             columns = np.column_stack([values @ factors[-1], values[:, first:]])
-            shared = _shared(columns, [w[-1] for w in filters], outputs, width)
+            shared = tests[:-1] @ _shared(columns, [w[-1] for w in filters], outputs, width) / size
         decrease /= shared
-        remaining = sum(counts) - lost - first - sum(w.shape[1] for w in filters)
-        p_values.append(chance(np.exp(-decrease / sum(counts)), remaining))
+        remaining = sum(counts) - lost - first - sum(w.shape[1] for w in filters) + 1 - size
+        p_values.append(chance(np.exp(-decrease / sum(counts)), remaining, size))
     return np.max(p_values, axis=0)
 
 

@@ -24,6 +24,7 @@ from greybox.statistics.column_space import column_basis, outside, triangle_of
 # Share of the length of a term that must remain beside the parameters: less is an error of the
 # integration, or the effect of another parameter.
 REMAINS = 0.01
+PRINCIPAL = 0.2  # of the longest direction of terms that are tested together
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
@@ -83,6 +84,36 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / length
     p_value = np.where(tested, chance(1 - share, remaining - 1), np.nan)
     return np.array([count * share, p_value, along / length, error])
+
+
+def joint_test(
+    residuals: Array, fitted: Array, terms: Array, remains: float = REMAINS
+) -> tuple[float, Array]:
+    """Test c terms together, as the values of a function at c knots.
+
+    Directions in which the parameters, or neighboring knots, take most of the effect only add
+    noise: those that are left are the principal ones beside the parameters.
+
+    Returns
+    -------
+    p_value : float
+        The probability by chance that the directions take so much of the residuals.
+    directions : (c, r) array
+        Their factors on the terms; their effects are orthonormal beside the parameters.
+
+    Parameters
+    ----------
+    residuals, fitted, terms, remains : see `score_tests`
+    """
+    basis = column_basis(fitted)
+    vectors, lengths, axes = np.linalg.svd(outside(terms, basis), full_matrices=False)
+    longest = max(np.linalg.norm(terms, axis=0), default=0.0)
+    kept = lengths > max(PRINCIPAL * lengths[0], remains * longest)
+    residuals = outside(residuals, basis)
+    share = np.sum((residuals @ vectors[:, kept]) ** 2) / (residuals @ residuals + TINY)
+    remaining = len(residuals) - basis.shape[1] - np.sum(kept)
+    p_value = chance(max(1 - share, 0.0), remaining, max(np.sum(kept), 1))
+    return float(p_value), axes[kept].T / lengths[kept]
 
 
 def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array) -> Fits:
