@@ -111,24 +111,24 @@ TEXTS = {
         "",
     ),
     "function": (
-        "a function of {a} in the equation of {b}, of a shape unlike all terms",
-        "",
+        "a function of {a} in the equation of {b}, of a shape unlike the terms tried",
+        "the derivative of {b} gets a function of x.{a}, as drawn with the residuals",
     ),
     "feedback function": (
-        "a function of {a} fed back to {b}, of a shape unlike all terms",
-        "",
+        "a function of {a} fed back to {b}, of a shape unlike the terms tried",
+        "a StateSpace whose input {b} gets a function of {a}, as drawn with the residuals",
     ),
     "characteristic": (
-        "a characteristic of {a} that is curved, unlike all terms",
-        "",
+        "an input {a} with a curved characteristic, unlike the terms tried",
+        "a function of u.{a} in place of it, as drawn with the residuals",
     ),
     "sensor curve": (
-        "a sensor of {b} whose characteristic is curved",
-        "",
+        "a sensor of {b} with a curved characteristic",
+        "a function of the output {b} in place of it, as drawn with the residuals",
     ),
     "sensor scale": (
         "a sensor of {b} whose scale changes along the record",
-        "",
+        "two records, with a factor of the output {b} in the second",
     ),
     "initial": (
         "an initial {b} that is larger by {size} ± {error}",

@@ -114,7 +114,7 @@ def autoregressive_p_values(
     values = np.column_stack([residuals, basis, outside(terms, basis)])
     values /= np.linalg.norm(values, axis=0) + TINY
     # Each test is fitted beside the parameters, without the others; the last fit has no term.
-    first, size = 1 + basis.shape[1], np.array(sizes or [1] * terms.shape[1])
+    first, size = 1 + basis.shape[1], np.array(sizes or [1] * terms.shape[1], dtype=int)
     tests = np.repeat(np.eye(len(size) + 1, len(size)), size, axis=1)
     used = np.hstack([np.ones((len(tests), first)), tests])
     used = used[..., None] * used[:, None]

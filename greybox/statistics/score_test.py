@@ -108,7 +108,7 @@ def joint_test(
     basis = column_basis(fitted)
     vectors, lengths, axes = np.linalg.svd(outside(terms, basis), full_matrices=False)
     longest = max(np.linalg.norm(terms, axis=0), default=0.0)
-    kept = lengths > max(PRINCIPAL * lengths[0], remains * longest)
+    kept = lengths > max(PRINCIPAL * max(lengths, default=0.0), remains * longest)
     residuals = outside(residuals, basis)
     share = np.sum((residuals @ vectors[:, kept]) ** 2) / (residuals @ residuals + TINY)
     remaining = len(residuals) - basis.shape[1] - np.sum(kept)

@@ -135,7 +135,7 @@ def test_a_record_that_decides_the_values_does_not_hide_what_another_one_needs()
 
 
 class Wavy(Spring):
-    """A sensor whose scale has waves, as an encoder: no term of the test has this form."""
+    """A sensor whose scale has waves, as an encoder: no named term has this form."""
 
     def output(self, x, u, p):
         return (x.x + 0.05 * gb.sin(9 * x.x),)
@@ -511,6 +511,46 @@ def test_the_shape_of_what_is_missing_is_that_of_the_truth(plant, signal, form):
         truth, measured, term = missing
     assert np.corrcoef(truth, measured)[0, 1] > 0.8
     assert np.corrcoef(truth, term)[0, 1] > 0.8
+
+
+class Cogging(Spring):
+    """A motor whose magnets hold it at positions 1.6 apart: no named term has this form."""
+
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a + 2 * gb.sin(4 * x.x))
+
+
+class Rescaled(Spring):
+    """A sensor whose scale changes in the middle of the record, as its supply drops."""
+
+    states = ("x", "v", "clock")
+
+    def derivative(self, x, u, p):
+        return (*super().derivative(x, u, p), 1.0)
+
+    def output(self, x, u, p):
+        return (x.x * (1 + 0.15 * gb.tanh(20 * (x.clock - STEP * SAMPLES / 2))),)
+
+
+def test_a_function_that_no_term_resembles_is_found_with_its_shape():
+    misfit = fitted(Cogging).misfit
+    assert not misfit.explains
+    assert "a function of x in the equation of v" in misfit.likely[0].text
+    assert misfit.noise < 0.7 * misfit.left
+    shape = misfit.shape
+    assert shape.signal == "x"
+    at, values, errors = np.array([shape.at, shape.values, shape.errors])
+    lines = np.vander(at, 2) / errors[:, None]
+    rows = (2 * np.sin(4 * at) / errors, values / errors)
+    truth, measured = (row - lines @ np.linalg.lstsq(lines, row)[0] for row in rows)
+    assert np.corrcoef(truth, measured)[0, 1] > 0.9
+
+
+def test_a_sensor_whose_scale_changes_is_named():
+    misfit = fitted(Rescaled).misfit
+    assert not misfit.explains
+    assert any("changes along the record" in cause.text for cause in misfit.likely)
 
 
 def test_the_shape_is_drawn_with_the_best_term(tmp_path):

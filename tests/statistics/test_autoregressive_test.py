@@ -94,3 +94,19 @@ def test_process_noise_that_reaches_two_outputs_is_rarely_called_a_term():
     assert np.sum(np.array(p_values) < 0.05) <= 15
     (present,) = autoregressive_p_values(sharing(rng) + term[:, 0], fitted, term, outputs, 2)
     assert present < 1e-6
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_terms_are_seen_together_that_none_of_them_shows(pole):
+    rng = np.random.default_rng(9)
+    terms = np.cos(np.pi * np.arange(5, 12) * T[:, None])
+
+    def p_together(size):
+        residuals = errors(rng, pole) + size * terms.sum(axis=1)
+        (p_value,) = autoregressive_p_values(residuals, FITTED, terms, OUTPUTS, sizes=[7])
+        return p_value
+
+    absent = np.array([p_together(0.0) for _ in range(60)])
+    # Estimated autoregressions make small probabilities up to five times as frequent.
+    assert np.sum(absent < 0.003) <= 3
+    assert p_together(1.0 / (1 - pole)) < 1e-6
