@@ -214,8 +214,10 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     """Return the misfit of a group, whose fit can change the columns of `determined` (d, k)."""
     group = replace(group, fitted=group.fitted @ determined)
     terms = _terms(group.parts, determined)
-    functions = [key for key, term in terms.items() if term.is_function]
-    tried, tested = _ranked(group, [key for key in terms if key not in functions])
+    named, functions = (
+        [key for key, term in terms.items() if term.is_function == value] for value in (False, True)
+    )
+    tried, tested = _ranked(group, named)
     columns = _columns(group, tested)
     # Among responses, each family is as likely to be missing, whatever its number of terms.
     tests = [tried.total() if group.outputs else len(tried) * tried[test.key[0]] for test in tested]
@@ -407,7 +409,7 @@ def _functions(group: Group, keys: Iterable[Key]) -> tuple[list[Tested], Array]:
     for key in keys:
         # Where a part has no such place, its residuals follow nothing there.
         signals = [
-            part.terms[key].values if key in part.terms else np.zeros(1) for part in group.parts
+            part.terms[key].values if key in part.terms else np.zeros(0) for part in group.parts
         ]
         _, columns = _on_knots(group, key, signals)
         p_value, directions = joint_test(
@@ -417,17 +419,18 @@ def _functions(group: Group, keys: Iterable[Key]) -> tuple[list[Tested], Array]:
             tested.append((p_value, key, columns @ directions))
     if not tested:
         return [], np.array([])
+    # Only the best two are tested beside the color of the errors, which takes most of the time.
     best = sorted(tested, key=itemgetter(0))[:2]
-    keys, columns = [key for _, key, _ in best], [columns for *_, columns in best]
+    _, best_keys, effects = zip(*best, strict=True)
     # A test of several numbers stands for as many terms.
     count = sum(columns.shape[1] for *_, columns in tested)
-    p_values = count * group.chances(np.hstack(columns), [each.shape[1] for each in columns])
+    p_values = count * group.chances(np.hstack(effects), [each.shape[1] for each in effects])
     is_missing = p_values < FALSE_ALARMS
     residuals = beside(group.white_residuals, group.white_fitted)
     missing = []
     for k in np.flatnonzero(is_missing).tolist():
-        column = columns[k] @ (group.white(columns[k]).T @ residuals)
-        missing.append(Tested(keys[k], column, *group.score_tests(column)[0]))
+        column = effects[k] @ (group.white(effects[k]).T @ residuals)
+        missing.append(Tested(best_keys[k], column, *group.score_tests(column)[0]))
     return missing, p_values[is_missing]
 
 
