@@ -16,6 +16,7 @@ over the variables that are not held at a bound by the gradient (Bertsekas, SIAM
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import casadi as ca
@@ -27,7 +28,7 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, IntArray
-from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
+from greybox.modeling.one_thread import Stored, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
@@ -106,7 +107,7 @@ def _iteration(p: int) -> tuple[Columns, Columns]:
     )
 
 
-_iterations = PerThread(_iteration, 16)
+_iterations = Stored(16)
 
 
 class BatchedNewton:
@@ -206,7 +207,7 @@ class BatchedNewton:
         inputs = trial, smoothings[levels][None], searches.data
         cost, gradient, hessian = self._function(*inputs, *roots)
 
-        advance, within_radius = _iterations.result(p)
+        advance, within_radius = _iterations.result(p, partial(_iteration, p))
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
         alike = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(numbers, barrier, alike, cost[None], gradient, hessian)
