@@ -19,6 +19,7 @@ from greybox.compiled.part import (
 )
 from greybox.compiled.shared_response import SharedSystem, SineTest
 from greybox.files.arrays import Array, ComplexArray, complex_array, frozen, real_and_imaginary
+from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -31,7 +32,7 @@ from greybox.statistics.neighbor_correlation import (
 
 
 @frozen
-class ResponseFunctions:
+class ResponseFunctions(Rebuilt):
     """The functions of a frequency response, whatever its data.
 
     Attributes
@@ -51,11 +52,6 @@ class ResponseFunctions:
     response: ca.Function
     scaled_response: ca.Function
     system: SharedSystem | SineTest | None = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Leave out the derivatives: they would change the key of stored runs."""
-        functions = self.objective, self.response, self.scaled_response, self.system
-        return ResponseFunctions, functions
 
     @cached_property
     @one_thread_at_a_time

@@ -7,9 +7,8 @@ conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems f
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import combinations
 from types import MappingProxyType
 from typing import Any
@@ -73,7 +72,7 @@ class ResponseSolver(LocalSolver):
         batched: bool = True,
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
-        self.problem, self._options, self._batched = problem, dict(options), batched
+        self.problem, self._options, self._batched = problem, options, batched
         if options:  # those that IPOPT does not take are refused here
             _ = [stage.solver for stage in self._stages]
         lower, upper = problem.bounds
@@ -94,10 +93,6 @@ class ResponseSolver(LocalSolver):
     @cached_property
     def _stages(self) -> list[Ipopt]:
         return [Ipopt.of(program, self._options) for program in self.problem.programs]
-
-    def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
-        """Return a recipe for the same solver."""
-        return partial(type(self), batched=self._batched), (self.problem, self._options)
 
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
