@@ -12,11 +12,11 @@ from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import frozen
 from greybox.files.html_text import preformatted
-from greybox.files.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, parameter_table
 
 # A part is a `Problem`, whose file imports this one.
 Part = TypeVar("Part", bound=Any)
@@ -44,13 +44,7 @@ class Addable:
         return self if other == 0 else NotImplemented
 
     def _repr_html_(self: Any) -> str:
-        rows = [
-            [name, number(p.start), p.unit, "fixed" if p.fixed else f"[{lo:g}, {hi:g}]", p.about]
-            for name, p in self.parameters.items()
-            for lo, hi in [p.bounds]
-        ]
-        header = ["parameter", "start", "unit", "bounds", "meaning"]
-        return preformatted(f"{self!r}\n\n{text_table(header, rows, (0, 2, 4))}")
+        return preformatted(f"{self!r}\n\n{parameter_table(self.parameters)}")
 
 
 @frozen
