@@ -15,7 +15,7 @@ from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.segments import Along, Linearization, Segments
+from greybox.compiled.segments import Course, Linearization, Segments
 from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
@@ -52,9 +52,9 @@ class Placed:
     initial_slope: Array
     filter: SteadyFilter | None = None
 
-    def along(self, states: Array) -> Along:
+    def along(self, states: Array) -> Course:
         """Return where functions of the segments are evaluated along states (n, columns)."""
-        return Along(states, self.q, self.data)
+        return Course(states, self.q, self.data)
 
 
 class SegmentedPart(Part):

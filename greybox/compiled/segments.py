@@ -28,7 +28,7 @@ from greybox.modeling.symbolic_reading import dense_jacobian
 BATCH = 20_000
 
 
-class Along(NamedTuple):
+class Course(NamedTuple):
     """Where functions of segments are evaluated: along a trajectory.
 
     Attributes
@@ -138,7 +138,7 @@ class Segments:
             built[key] = Columns(function, shared=shared)
         return built[key]
 
-    def _evaluate(self, name: str, at: Along) -> Sequence[Array]:
+    def _evaluate(self, name: str, at: Course) -> Sequence[Array]:
         """Evaluate the function of this name for columns of the segments that q is given for."""
         if self._own:
             at = at._replace(q=np.tile(at.q, at.data.shape[1] // at.q.shape[1]))
@@ -188,7 +188,7 @@ class Segments:
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
-            (x,) = self._evaluate("advance", Along(x, q, data[:, sample]))
+            (x,) = self._evaluate("advance", Course(x, q, data[:, sample]))
 
         return states, x.T
 
@@ -216,7 +216,7 @@ class Segments:
 
         return states[:: self.length].copy(), self.columns(states.T), ends, products
 
-    def residuals(self, at: Along) -> Array:
+    def residuals(self, at: Course) -> Array:
         """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
         return self._evaluate("output", at)[0]
 
@@ -239,13 +239,13 @@ class Segments:
             result[records[starts]] = np.add.reduceat(values, starts, axis=0)
         return result
 
-    def outputs(self, at: Along) -> Array:
+    def outputs(self, at: Course) -> Array:
         """Return simulated outputs (k, columns)."""
         return self._evaluate("output", at)[1]
 
     # --- linearization
 
-    def linearize(self, at: Along, weight: Array) -> Linearization:
+    def linearize(self, at: Course, weight: Array) -> Linearization:
         """Linearize along a trajectory, the residuals multiplied by `weight`.
 
         The weight is a square root of the inverse covariance.
@@ -284,7 +284,7 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(self, at: Along, batch: slice) -> tuple[Array, Array, Array]:
+    def sensitivities(self, at: Course, batch: slice) -> tuple[Array, Array, Array]:
         """Return derivatives of ends (n, v, c) and residuals (length, k, v, c), and the residuals.
 
         They are those of the c segments of a `batch`, by node and active parameters.
@@ -297,12 +297,12 @@ class Segments:
             return by_sample.reshape(len(values), length * count)
 
         q = at.q[:, batch] if self._own else at.q
-        part = Along(chosen(at.states), q, chosen(at.data))
+        part = Course(chosen(at.states), q, chosen(at.data))
         A, C, e = _finite(self._evaluate("derivatives", part))
         S, J = self.propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
-    def sample_derivatives(self, at: Along) -> tuple[Array, Array]:
+    def sample_derivatives(self, at: Course) -> tuple[Array, Array]:
         """Return derivatives of next states and residuals by state and active parameters.
 
         They are (v, n, columns) and (v, k, columns), of every sample alone.
@@ -312,7 +312,7 @@ class Segments:
         v = self.n + len(self.active)
         return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
 
-    def output_sensitivities(self, at: Along) -> Array:
+    def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
 
         Not finite from where the simulation is not.
@@ -325,7 +325,7 @@ class Segments:
             A[:, lost], C[:, lost] = self._differences(at, np.flatnonzero(lost))
         return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
-    def _differences(self, at: Along, columns: IntArray) -> tuple[Array, Array]:
+    def _differences(self, at: Course, columns: IntArray) -> tuple[Array, Array]:
         """Return derivatives of next states and outputs for some columns, by central differences.
 
         Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity,
@@ -346,7 +346,7 @@ class Segments:
                 for change in (h, -h):
                     point = [x.copy(), q.copy()]
                     point[place][row] += change
-                    beside = Along(*point, d)
+                    beside = Course(*point, d)
                     [end] = self._evaluate("advance", beside)
                     moved.append([end, self.outputs(beside)])
                 slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
@@ -379,11 +379,11 @@ class Segments:
 
         return S, J
 
-    def mean_transition(self, at: Along) -> tuple[Array, Array]:
+    def mean_transition(self, at: Course) -> tuple[Array, Array]:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(at.states.shape[1] // 500, 1))
-        A, C = self.sample_derivatives(Along(at.states[:, sample], at.q, at.data[:, sample]))
+        A, C = self.sample_derivatives(Course(at.states[:, sample], at.q, at.data[:, sample]))
         return A[: self.n].mean(axis=2).T, -C[: self.n].mean(axis=2).T
 
     def batches(self) -> list[slice]:

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
-from greybox.compiled.segments import Along, Segments
+from greybox.compiled.segments import Course, Segments
 from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, frozen
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
@@ -85,10 +85,10 @@ class _Run:
     estimates: StateEstimates | None = None
 
     @cached_property
-    def along(self) -> Along:
+    def along(self) -> Course:
         """The states (n, columns) at all samples, with q and data."""
         states, _ = self.segments.simulate(self.initial, self.q, self.data)
-        return Along(states, self.q, self.data)
+        return Course(states, self.q, self.data)
 
     @cached_property
     def outputs(self) -> Array:

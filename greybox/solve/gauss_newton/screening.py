@@ -17,7 +17,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
-from greybox.compiled.segments import Along, Segments
+from greybox.compiled.segments import Course, Segments
 from greybox.compiled.transient_part import TransientPart
 from greybox.files.arrays import Array, BoolArray, of_diagonal
 from greybox.solve.constraints import Limits
@@ -147,7 +147,7 @@ class ShortSegments:
         )
         data = data.reshape(len(data), -1)
         q = np.repeat(np.array([at.q for at in placed]).T, m, axis=1)
-        at = Along(segments.simulate(states.reshape(-1, n), q, data)[0], q, data)
+        at = Course(segments.simulate(states.reshape(-1, n), q, data)[0], q, data)
         b = segments.linearize(at, self._weight)
         products = segments.products(segments.residuals(at))
         errors = self._weight @ products @ self._weight.T
