@@ -215,23 +215,27 @@ def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     return tuple(parts)
 
 
+def _record_numbers(data: Sequence[Any]) -> list[int]:
+    """Return the number of every record among the different ones, from 1; 0 for other data."""
+    numbers: dict[Any, int] = {}
+    return [
+        # Two stretches of one log have the same checksum, but not the same times.
+        numbers.setdefault(
+            (item.checksum, len(item), item.time[0], item.time[-1]), len(numbers) + 1
+        )
+        if isinstance(item, Record)
+        else 0
+        for item in data
+    ]
+
+
 def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with biases numbered by the record, where several records have one.
 
     Parts of one record share its biases. A bias is not numbered, so that records can share it, if a
     part renames it (also to its own name) or fixes it at an earlier fit, which has that name.
     """
-    # The number of every record among the different ones, from 1; 0 for other data.
-    numbers: dict[Any, int] = {}
-    records = [
-        # Two stretches of one log have the same checksum, but not the same times.
-        numbers.setdefault(
-            (data.checksum, len(data), data.time[0], data.time[-1]), len(numbers) + 1
-        )
-        if isinstance(data, Record)
-        else 0
-        for data in (part.data for part in parts)
-    ]
+    records = _record_numbers([part.data for part in parts])
     outside = [{part.outside(name) for name in part.declared} for part in parts]
     names_in_use = set().union(*outside)
 
