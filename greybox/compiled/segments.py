@@ -346,7 +346,7 @@ class Segments:
                 for change in (h, -h):
                     point = [x.copy(), q.copy()]
                     point[place][row] += change
-                    beside = Course(*point, d)
+                    beside = Course(point[0], point[1], d)
                     [end] = self._evaluate("advance", beside)
                     moved.append([end, self.outputs(beside)])
                 slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])

@@ -330,8 +330,9 @@ def _tests_and_used(
             "for the whole log."
         )
     _require_one_axis(used)
-    is_cut = sines and settings.band is not None
-    return tests, _within_band(sines, settings.band) if is_cut else used
+    if sines and settings.band is not None:
+        used = _within_band(sines, settings.band)
+    return tests, used
 
 
 def _refuse_closed_loop(recording: Recording, settings: Settings, controller: str) -> None:
