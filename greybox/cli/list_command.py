@@ -72,10 +72,17 @@ def _parameters(model: Model) -> dict[str, Any]:
 
 
 def _model_text(model: Model) -> str:
-    rows = []
-    for name, p in model.parameters.items():
-        bounds = f"[{p.bounds[0]:g}, {p.bounds[1]:g}]"
-        rows.append([name, number(p.start), bounds, p.unit, "fixed" if p.fixed else "", p.about])
+    rows = [
+        [
+            name,
+            number(p.start),
+            f"[{p.bounds[0]:g}, {p.bounds[1]:g}]",
+            p.unit,
+            "fixed" if p.fixed else "",
+            p.about,
+        ]
+        for name, p in model.parameters.items()
+    ]
     table = text_table(["parameter", "start", "bounds", "unit", "", "meaning"], rows, (0, 3, 4, 5))
     signals = f"{', '.join(model.input_names)} -> {', '.join(model.output_names)}"
     return f"{model.label}: {signals}\n\n{equation(model)}\n\n{table}"
