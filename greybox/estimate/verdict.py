@@ -107,7 +107,7 @@ def _determined(fit: Any) -> tuple[bool, str]:
             # whose error, which is larger, is within the guideline.
             not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),
             f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
-            f"determined. {'; '.join(texts)}. To determine more, fix a parameter or add data.",
+            f"determined; {'; '.join(texts)}. To determine more, fix a parameter or add data.",
         )
 
     # NaN belongs to parameters at a bound, which were named above.

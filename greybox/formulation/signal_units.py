@@ -11,7 +11,7 @@ from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (
     "convert it, record.with_signals(units={{{name!r}: {unit!r}}}, "
-    "{name}={factor:.10g} * record[{name!r}]{zero}), or declare {name} in the unit of the data"
+    "{name}={factor:.10g} * record[{name!r}]{zero})"
 )
 CONVERT_FIRST = "convert the record that the spectrum was made of"
 MEASURE = "measure it in {unit}, as gb.prepare does from logs"
