@@ -75,6 +75,17 @@ class Ends(NamedTuple):
     cost: Array
 
 
+ALL = slice(None)
+
+
+def continued(ends: Ends, later: Ends, which: IntArray | slice = ALL) -> Ends:
+    """Return the ends of m searches, with later ends of all or of those at the places `which`."""
+    later.iterations[:] += ends.iterations[which]
+    for values, replaced in zip(ends, later, strict=True):
+        values[..., which] = replaced
+    return ends
+
+
 @dataclass(eq=False)
 class _Searches:
     """The searches in progress, and some that have ended, a column for each.
@@ -152,7 +163,7 @@ class BatchedNewton:
 
         A `smoothing` replaces those of the levels. A search ends where its projected gradient is at
         most the `tolerance`, relative to the cost where that is above one. The columns of `given`
-        (g, m) are the data of each search, and `bounds`, (p, m) each, replace those of the problem.
+        (g, m) are the data of each search, and `bounds`, (p, m) or (p, 1), replace the problem's.
         """
         m = z.shape[1]
         data = np.repeat(self._data, m, axis=1) if given is None else given

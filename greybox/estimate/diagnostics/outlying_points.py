@@ -25,7 +25,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Finding
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
-from greybox.files.text_table import listed, number
+from greybox.files.text_table import listed, number, percent
 from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.metrics import is_resolved
@@ -77,7 +77,7 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             one_in = number(1 / max(points * deviation.probability, 1e-12), 2)
             yield (
                 f"the point at {omega:.4g} rad/s of {part.problem.name!r} is an outlier, "
-                f"{100 * deviation.relative:.2g} % from the model: fewer than one in {one_in} fits "
+                f"{percent(deviation.relative)} % from the model: fewer than one in {one_in} fits "
                 "to clean data have such a point. Fit again without it to see its effect."
             )
         yield from _unequal_sizes(part, values, SIZE / len(responses))
