@@ -26,7 +26,7 @@ from greybox.estimate.covariance import (
 )
 from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
-from greybox.estimate.diagnostics.noise_level import unused_noise
+from greybox.estimate.diagnostics.noise_level import better_weights, unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.diagnostics.records import resting_inputs
 from greybox.estimate.fitted_values import fitted_part
@@ -411,5 +411,10 @@ def assemble(
     return replace(
         answer,
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
-        notes=(*unused_noise(nlp.problem), *resting_inputs(nlp), *together),
+        notes=(
+            *unused_noise(nlp.problem),
+            *better_weights(nlp, accuracy),
+            *resting_inputs(nlp),
+            *together,
+        ),
     )
