@@ -408,12 +408,14 @@ def assemble(
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
     together = determined_together(answer) if accuracy.combinations else ()
+    # What a wrong model leaves is no error that a weight could account for.
+    explains = misfit is None or misfit.explains
     return replace(
         answer,
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
         notes=(
             *unused_noise(nlp.problem),
-            *better_weights(nlp, accuracy),
+            *(better_weights(nlp, accuracy) if explains else ()),
             *resting_inputs(nlp),
             *together,
         ),
