@@ -26,7 +26,7 @@ from greybox.estimate.covariance import (
 )
 from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
-from greybox.estimate.diagnostics.noise_level import unused_noise
+from greybox.estimate.diagnostics.noise_level import better_weights, unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.diagnostics.records import resting_inputs
 from greybox.estimate.fitted_values import fitted_part
@@ -414,8 +414,15 @@ def assemble(
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
     together = determined_together(answer) if accuracy.combinations else ()
+    # What a wrong model leaves is no error that a weight could account for.
+    explains = misfit is None or misfit.explains
     return replace(
         answer,
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
-        notes=(*unused_noise(nlp.problem), *resting_inputs(nlp), *together),
+        notes=(
+            *unused_noise(nlp.problem),
+            *(better_weights(nlp, accuracy) if explains else ()),
+            *resting_inputs(nlp),
+            *together,
+        ),
     )

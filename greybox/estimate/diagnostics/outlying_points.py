@@ -76,7 +76,7 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             omega = part.data.omega[deviation.index]
             one_in = number(1 / max(points * deviation.probability, 1e-12), 2)
             yield (
-                f"the point at {omega:.4g} rad/s of {part.problem.name!r} is an outlier, "
+                f"the point at {omega:.4g} rad/s of {part.name!r} is an outlier, "
                 f"{percent(deviation.relative)} % from the model: fewer than one in {one_in} fits "
                 "to clean data have such a point. Fit again without it to see its effect."
             )
@@ -100,7 +100,7 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
         cure = f"give larger variances at {'high' if r > 0 else 'low'} frequencies"
     if math.erfc(abs(r) * math.sqrt((len(ratio) - 1) / 2)) < level:
         yield (
-            f"the size of the errors of {part.problem.name!r} changes with frequency beyond what "
+            f"the size of the errors of {part.name!r} changes with frequency beyond what "
             f"the criterion assumes (rank correlation {r:.2f}), so that intervals may be wrong: "
             f"{cure}, or fit a part of the band."
         )
@@ -115,10 +115,10 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             continue
         for output in part.outputs:
             residual = part.residual(output)[None]
-            if not np.isfinite(residual).any():
+            shown = np.isfinite(residual[0])
+            if not shown.any():
                 continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
-            shown = np.isfinite(residual[0])
             fitted = np.abs(part.simulated[output])[shown]
             r, chance = _rank_correlation(size[shown], fitted)
             # Rounding follows what is rounded.
