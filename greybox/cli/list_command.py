@@ -5,8 +5,9 @@ from types import ModuleType
 from typing import Any
 
 from greybox.cli.output import Answer, attributes
-from greybox.files.text_table import number, text_table
+from greybox.files.text_table import text_table
 from greybox.modeling.model import Model, equation
+from greybox.modeling.parameter import parameter_table
 from greybox.study.catalog import find_model, find_problem, models_of, shipped, shipped_module
 
 EXAMPLES = (
@@ -72,13 +73,8 @@ def _parameters(model: Model) -> dict[str, Any]:
 
 
 def _model_text(model: Model) -> str:
-    rows = []
-    for name, p in model.parameters.items():
-        bounds = f"[{p.bounds[0]:g}, {p.bounds[1]:g}]"
-        rows.append([name, number(p.start), bounds, p.unit, "fixed" if p.fixed else "", p.about])
-    table = text_table(["parameter", "start", "bounds", "unit", "", "meaning"], rows, (0, 3, 4, 5))
     signals = f"{', '.join(model.input_names)} -> {', '.join(model.output_names)}"
-    return f"{model.label}: {signals}\n\n{equation(model)}\n\n{table}"
+    return f"{model.label}: {signals}\n\n{equation(model)}\n\n{parameter_table(model.parameters)}"
 
 
 def _doc(module: ModuleType) -> str:

@@ -27,9 +27,9 @@ class DisturbedRecord:
 
     def __init__(self, part: RecordPart, trajectory: Trajectory) -> None:
         self.part, self.trajectory, self._placed = part, trajectory, trajectory.detail
-        segments, q, data = part.segments, self._placed.q, self._placed.data
+        segments, data = part.segments, self._placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        self._slopes = segments.sample_derivatives(trajectory.states, q, data)
+        self._slopes = segments.sample_derivatives(self._placed.along(trajectory.states))
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
         self.residuals = part.residuals(trajectory)

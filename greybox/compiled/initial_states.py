@@ -53,14 +53,8 @@ class InitialStates:
         # Without this scan the two models of tanks are never found (8 of 12 runs with it).
         unknown = np.flatnonzero(hidden & ~is_known)
         states = self._sized(measured_states, unknown, measured, inputs, p)
-
-        # A few samples outside the domain, as noise below an empty tank, must not spoil a start:
-        # they get the states of the nearest finite one.
-        finite, _ = self._judged(states, measured, inputs, p)
-        if not finite.any():
-            return np.zeros_like(states)
-        usable = np.flatnonzero(finite)
-        return states[:, usable[np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)]]
+        # A few samples outside the domain, as noise below an empty tank, must not spoil a start.
+        return _mended(states, self._judged(states, measured, inputs, p)[0])
 
     def as_measured(self, states: Array, measured: Array) -> Array:
         """Return the states (n, s); those that outputs show are as measured."""
@@ -114,6 +108,18 @@ class InitialStates:
         scale = np.abs(measured).max(axis=1, initial=0.0, keepdims=True)
         with np.errstate(all="ignore"):
             return finite, (((y - measured) / positive_or_one(scale)) ** 2).sum(axis=0)
+
+
+def _mended(states: Array, finite: BoolArray) -> Array:
+    """Give samples where the model is not finite (s,) the states (n, s) of the nearest finite one.
+
+    Zeros where it is finite nowhere.
+    """
+    if not finite.any():
+        return np.zeros_like(states)
+    usable = np.flatnonzero(finite)
+    nearest = np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)
+    return states[:, usable[nearest]]
 
 
 def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, float]]:

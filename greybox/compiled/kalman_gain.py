@@ -84,7 +84,7 @@ class KalmanGain:
         at: Placed = placed or trajectory.detail
         q = at.q.copy()
         q[self.places] *= gain
-        A, _ = self.part.segments.mean_transition(trajectory.states, q, at.data)
+        A, _ = self.part.segments.mean_transition(at.along(trajectory.states)._replace(q=q))
         return self._reached(A)
 
     def room(self, trajectory: Trajectory, placed: Placed) -> Array:
@@ -126,7 +126,7 @@ class KalmanGain:
         placed = trajectory.detail
         q = placed.q.copy()
         q[self.places] = 0
-        F, C = self.part.segments.mean_transition(trajectory.states, q, placed.data)
+        F, C = self.part.segments.mean_transition(placed.along(trajectory.states)._replace(q=q))
         K = 0 * C.T
         noise = self.part.noise_model
         errors = self.part.covariance

@@ -109,10 +109,8 @@ class Groups:
         """Group the parts; a record with a Kalman gain stays alone, because it must be stable."""
         self._all: Any = tuple(parts)
         self._lots = grouped(range(len(parts)), lambda k: _kind(parts[k], k))
-        self.parts: list[Part] = []
-        for lot in self._lots:
-            members = [self._all[k] for k in lot]
-            self.parts.append(RecordGroup(members) if len(lot) > 1 else members[0])
+        lots = [[self._all[k] for k in lot] for lot in self._lots]
+        self.parts = [RecordGroup(lot) if len(lot) > 1 else lot[0] for lot in lots]
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every group, given those of every part."""

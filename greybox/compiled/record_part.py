@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.colored_errors import colored_errors, independent_numbers
+from greybox.compiled.colored_errors import colored_errors
 from greybox.compiled.initial_states import at_samples
 from greybox.compiled.part import ColoredErrors, Information, Trajectory
 from greybox.compiled.record_model import RecordModel, longest_delay, record_model
@@ -227,7 +227,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
 
     initial = part.unknown_initial_states
     # Fitted initial states make residuals smaller than errors, and the covariance too small.
-    independent = independent_numbers(part.numbers, initial, len(score), 1.0)
+    independent = max(part.numbers, initial + 0.5)
     meat = by_values.T @ score @ by_values * independent / (independent - initial)
 
     def spread(correction: float) -> tuple[float, Array]:

@@ -19,6 +19,7 @@ from greybox.compiled.part import (
 )
 from greybox.compiled.shared_response import SharedSystem, SineTest
 from greybox.files.arrays import Array, ComplexArray, complex_array, frozen, real_and_imaginary
+from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -31,7 +32,7 @@ from greybox.statistics.neighbor_correlation import (
 
 
 @frozen
-class ResponseFunctions:
+class ResponseFunctions(Rebuilt):
     """The functions of a frequency response, whatever its data.
 
     Attributes
@@ -51,11 +52,6 @@ class ResponseFunctions:
     response: ca.Function
     scaled_response: ca.Function
     system: SharedSystem | SineTest | None = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Leave out the derivatives: they would change the key of stored runs."""
-        functions = self.objective, self.response, self.scaled_response, self.system
-        return ResponseFunctions, functions
 
     @cached_property
     @one_thread_at_a_time
@@ -231,15 +227,8 @@ class ResponsePart(Part):
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
             if data.has_independent_errors:
                 return None
-            # The residuals lack errors along directions that this part determines. With many
-            # parts, each has a small share in most directions, and its residuals keep these errors.
-            _, sizes, turns = np.linalg.svd(jacobian[:, : len(root)] @ root, full_matrices=False)
-            # Information of a part on a direction, over that on its best one, above which it
-            # determines it. A single part has all information on every direction. With 0.5, 20 of
-            # 90 white responses of a helicopter count as correlated, with 0.1 17, with all
-            # directions 36.
-            own = root @ turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
-            neighbors = self.neighbors(values, own, correction)
+            own = _own_directions(jacobian[:, : len(root)] @ root)
+            neighbors = self.neighbors(values, root @ own, correction)
             if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")
@@ -298,6 +287,19 @@ class ResponsePart(Part):
         errors = turned * (data.response - response)[order]
 
         return neighbor_correlation(errors, real_and_imaginary(design), inflation)
+
+
+def _own_directions(jacobian: Array) -> Array:
+    """Return the directions (r, k) that a part determines, by its Jacobian (2n, r).
+
+    The residuals lack errors along them. With many parts, each has a small share in most
+    directions, and its residuals keep these errors.
+    """
+    _, sizes, turns = np.linalg.svd(jacobian, full_matrices=False)
+    # Information of a part on a direction, over that on its best one, above which it determines it.
+    # A single part has all information on every direction. With 0.5, 20 of 90 white responses of a
+    # helicopter count as correlated, with 0.1 17, with all directions 36.
+    return turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
 
 
 class ResponseProgram(Program):

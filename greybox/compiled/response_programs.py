@@ -14,7 +14,6 @@ those of small problems with equal models and options are not traced again.
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import field
 from itertools import groupby
 from typing import Any
 
@@ -34,6 +33,7 @@ from greybox.compiled.shared_response import (
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, frozen
+from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -56,7 +56,7 @@ _stored = Stored(64)
 
 
 @frozen
-class CostProgram:
+class CostProgram(Rebuilt):
     """What a solver of frequency responses minimizes.
 
     Attributes
@@ -71,20 +71,17 @@ class CostProgram:
     shared : SharedResponses or None
         The cost in numpy, where all models are state spaces and the program is too large for a
         batch.
-    solvers : dict
-        What solvers have built for the program, which stays in this process.
     """
 
     function: ca.Function
     explicit: ca.Function | None = None
     roots: ca.Function | None = None
     shared: SharedResponses | None = None
-    solvers: dict[Any, Any] = field(default_factory=dict)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Leave out what was built later: it would change the key of stored runs."""
-        functions = self.function, self.explicit, self.roots, self.shared
-        return CostProgram, functions
+    @cached_property
+    def solvers(self) -> dict[Any, Any]:
+        """Return what solvers have built for the program, which stays in this process."""
+        return {}
 
     @cached_property
     def second_order(self) -> SecondOrder | SharedResponses:

@@ -15,7 +15,7 @@ from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.segments import Linearization, Segments
+from greybox.compiled.segments import Course, Linearization, Segments
 from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
@@ -51,6 +51,10 @@ class Placed:
     initial: Array
     initial_slope: Array
     filter: SteadyFilter | None = None
+
+    def along(self, states: Array) -> Course:
+        """Return where functions of the segments are evaluated along states (n, columns)."""
+        return Course(states, self.q, self.data)
 
 
 class SegmentedPart(Part):
@@ -165,7 +169,7 @@ class SegmentedPart(Part):
             gaps[:-1] = ends[:-1] - nodes[1:]
             # The last segment of a stretch has no next node.
             gaps[~self.data.coupled] = 0
-            products = segments.products(segments.residuals(states, *at))
+            products = segments.products(segments.residuals(placed.along(states)))
 
         # The products of several records have an axis of records.
         products = products[0] if segments.number == 1 else products
@@ -173,15 +177,13 @@ class SegmentedPart(Part):
 
     def residuals(self, trajectory: Trajectory) -> Array:
         """Return the residuals (k, samples) in the order of the samples, zero if missing."""
-        placed: Placed = trajectory.detail
-        residuals = self.segments.residuals(trajectory.states, placed.q, placed.data)
-        return self.segments.in_order(residuals)
+        at = trajectory.detail.along(trajectory.states)
+        return self.segments.in_order(self.segments.residuals(at))
 
     def simulated_outputs(self, trajectory: Trajectory) -> Array:
         """Return the outputs (k, samples) along a trajectory, in the order of the samples."""
-        placed: Placed = trajectory.detail
-        outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
-        return self.segments.in_order(outputs)
+        at = trajectory.detail.along(trajectory.states)
+        return self.segments.in_order(self.segments.outputs(at))
 
     def explains_data(self, trajectory: Trajectory) -> bool:
         """Return whether all residuals are white; rows without a time have no order."""
@@ -231,7 +233,7 @@ class SegmentedPart(Part):
     def linearize(self, trajectory: Trajectory, weight: Array) -> Linearization:
         """Linearize along a trajectory, known initial states eliminated."""
         placed: Placed = trajectory.detail
-        b = self.segments.linearize(trajectory.states, placed.q, weight, placed.data)
+        b = self.segments.linearize(placed.along(trajectory.states), weight)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
             # With other weights than the filter's own, the merit does not contain its covariance.
             count = self.compared_samples

@@ -11,7 +11,7 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -26,6 +26,21 @@ from greybox.modeling.symbolic_reading import dense_jacobian
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
 BATCH = 20_000
+
+
+class Course(NamedTuple):
+    """Where functions of segments are evaluated: along a trajectory.
+
+    Attributes
+    ----------
+    states : (n, columns) array
+    q : (p,) array, or (p, s) with parameters of every segment
+    data : (width, columns) array
+    """
+
+    states: Array
+    q: Array
+    data: Array
 
 
 @frozen
@@ -123,10 +138,11 @@ class Segments:
             built[key] = Columns(function, shared=shared)
         return built[key]
 
-    def _evaluate(self, name: str, states: Array, q: Array, data: Array) -> Sequence[Array]:
+    def _evaluate(self, name: str, at: Course) -> Sequence[Array]:
         """Evaluate the function of this name for columns of the segments that q is given for."""
-        q = np.tile(q, data.shape[1] // q.shape[1]) if self._own else q
-        return self._columns(name)(states, q, data)
+        if self._own:
+            at = at._replace(q=np.tile(at.q, at.data.shape[1] // at.q.shape[1]))
+        return self._columns(name)(*at)
 
     @cached_property
     def record_rows(self) -> list[slice]:
@@ -172,7 +188,7 @@ class Segments:
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
-            (x,) = self._evaluate("advance", x, q, data[:, sample])
+            (x,) = self._evaluate("advance", Course(x, q, data[:, sample]))
 
         return states, x.T
 
@@ -200,9 +216,9 @@ class Segments:
 
         return states[:: self.length].copy(), self.columns(states.T), ends, products
 
-    def residuals(self, states: Array, q: Array, data: Array) -> Array:
+    def residuals(self, at: Course) -> Array:
         """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
-        return self._evaluate("output", states, q, data)[0]
+        return self._evaluate("output", at)[0]
 
     def products(self, residuals: Array) -> Array:
         """Return the residual products (r, k, k) of every record; residuals are (k, columns)."""
@@ -223,14 +239,14 @@ class Segments:
             result[records[starts]] = np.add.reduceat(values, starts, axis=0)
         return result
 
-    def outputs(self, states: Array, q: Array, data: Array) -> Array:
+    def outputs(self, at: Course) -> Array:
         """Return simulated outputs (k, columns)."""
-        return self._evaluate("output", states, q, data)[1]
+        return self._evaluate("output", at)[1]
 
     # --- linearization
 
-    def linearize(self, states: Array, q: Array, weight: Array, data: Array) -> Linearization:
-        """Linearize along the states, the residuals multiplied by `weight`.
+    def linearize(self, at: Course, weight: Array) -> Linearization:
+        """Linearize along a trajectory, the residuals multiplied by `weight`.
 
         The weight is a square root of the inverse covariance.
 
@@ -242,7 +258,7 @@ class Segments:
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
         for batch in self.batches():
-            ends, J, e = self.sensitivities(states, q, data, batch)
+            ends, J, e = self.sensitivities(at, batch)
             # With the residuals as a last column, one product has the Hessian and the gradient.
             J = np.concatenate([J, e[:, :, None]], axis=2)
             # A matrix product is faster than einsum where one weight serves all segments.
@@ -268,9 +284,7 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(
-        self, states: Array, q: Array, data: Array, batch: slice
-    ) -> tuple[Array, Array, Array]:
+    def sensitivities(self, at: Course, batch: slice) -> tuple[Array, Array, Array]:
         """Return derivatives of ends (n, v, c) and residuals (length, k, v, c), and the residuals.
 
         They are those of the c segments of a `batch`, by node and active parameters.
@@ -282,38 +296,36 @@ class Segments:
             by_sample = values.reshape(len(values), length, self.count)[:, :, batch]
             return by_sample.reshape(len(values), length * count)
 
-        q = q[:, batch] if self._own else q
-        A, C, e = _finite(self._evaluate("derivatives", chosen(states), q, chosen(data)))
+        q = at.q[:, batch] if self._own else at.q
+        part = Course(chosen(at.states), q, chosen(at.data))
+        A, C, e = _finite(self._evaluate("derivatives", part))
         S, J = self.propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
-    def sample_derivatives(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
+    def sample_derivatives(self, at: Course) -> tuple[Array, Array]:
         """Return derivatives of next states and residuals by state and active parameters.
 
         They are (v, n, columns) and (v, k, columns), of every sample alone.
         """
-        A, C, _ = _finite(self._evaluate("derivatives", states, q, data))
-        columns = data.shape[1]
+        A, C, _ = _finite(self._evaluate("derivatives", at))
+        columns = at.data.shape[1]
         v = self.n + len(self.active)
         return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
 
-    def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
+    def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
 
         Not finite from where the simulation is not.
         """
-        A, C, _ = self._evaluate("output_derivatives", states, q, data)
+        A, C, _ = self._evaluate("output_derivatives", at)
         # The sums are finite if all entries are, which costs less than testing each.
         if not math.isfinite(A.sum() + C.sum()):
-            lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(
-                states
-            ).all(axis=0)
-            A[:, lost], C[:, lost] = self._differences(states, q, data, np.flatnonzero(lost))
+            simulated = np.isfinite(at.states).all(axis=0)
+            lost = simulated & ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0))
+            A[:, lost], C[:, lost] = self._differences(at, np.flatnonzero(lost))
         return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
-    def _differences(
-        self, states: Array, q: Array, data: Array, columns: IntArray
-    ) -> tuple[Array, Array]:
+    def _differences(self, at: Course, columns: IntArray) -> tuple[Array, Array]:
         """Return derivatives of next states and outputs for some columns, by central differences.
 
         Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity,
@@ -321,6 +333,7 @@ class Segments:
         precision, has as much truncation as rounding.
         """
         relative_step = float(np.finfo(float).eps) ** (1 / 3)
+        states, q, data = at
         size = np.max(np.abs(states), axis=1, initial=0.0, where=np.isfinite(states))
         x, d = states[:, columns], data[:, columns]
         q = q[:, columns % self.count] if self._own else q
@@ -333,10 +346,9 @@ class Segments:
                 for change in (h, -h):
                     point = [x.copy(), q.copy()]
                     point[place][row] += change
-                    states, values = point
-                    end = self._evaluate("advance", states, values, d)[0]
-                    output = self._evaluate("output", states, values, d)[1]
-                    moved.append([end, output])
+                    beside = Course(point[0], point[1], d)
+                    [end] = self._evaluate("advance", beside)
+                    moved.append([end, self.outputs(beside)])
                 slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
 
         A, C = map(np.concatenate, zip(*slopes, strict=True))
@@ -367,11 +379,11 @@ class Segments:
 
         return S, J
 
-    def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
+    def mean_transition(self, at: Course) -> tuple[Array, Array]:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
-        sample = slice(None, None, max(states.shape[1] // 500, 1))
-        A, C = self.sample_derivatives(states[:, sample], q, data[:, sample])
+        sample = slice(None, None, max(at.states.shape[1] // 500, 1))
+        A, C = self.sample_derivatives(Course(at.states[:, sample], at.q, at.data[:, sample]))
         return A[: self.n].mean(axis=2).T, -C[: self.n].mean(axis=2).T
 
     def batches(self) -> list[slice]:

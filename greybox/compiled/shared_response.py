@@ -29,6 +29,7 @@ from greybox.files.arrays import (
     frozen,
     real_and_imaginary,
 )
+from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
@@ -109,7 +110,7 @@ class SharedSystem:
         return response, by_entry @ slopes[:, moving] - by_delay
 
 
-class SineTest:
+class SineTest(Rebuilt):
     """The response to a sine of finite amplitude.
 
     A motion is found by Newton's method near that of the last points, or else anew.
@@ -124,7 +125,6 @@ class SineTest:
 
     def __init__(self, part: int, balance: HarmonicBalance, values: ca.Function) -> None:
         """Take the values of the parameters as a function of z."""
-        self._arguments = part, balance, values
         self.pairs = ((part, None),)
         z = ca.MX.sym("z", values.numel_in(0))
         settings = balance.settings(values(z))
@@ -134,10 +134,6 @@ class SineTest:
         self._linear = Columns(balance.linear)
         # Points whose motions are stored: the last and the best one of two searches, and some more.
         self.last: deque[tuple[Array, Array, Array]] = deque(maxlen=8)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Leave out the last motions."""
-        return SineTest, self._arguments
 
     def of_pairs(self) -> Iterator[tuple[int, "SineTest"]]:
         """Yield the part with itself."""

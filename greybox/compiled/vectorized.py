@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array
+from greybox.files.rebuilt import Rebuilt
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 
@@ -63,7 +64,7 @@ _OPERATIONS = {getattr(ca, f"OP_{name}"): ufunc for name, ufunc in _UFUNCS.items
 _READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
 
 
-class Columns:
+class Columns(Rebuilt):
     """A function of dense inputs, evaluated for many columns.
 
     The `shared` inputs (by position) are the same in all columns.
@@ -86,10 +87,6 @@ class Columns:
         self._first = next((k for k in range(function.n_in()) if k not in shared), 0)
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._layouts: dict[int, _Mapped | _Registers] = {}
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return a recipe for the same evaluation: memory for CasADi cannot be pickled."""
-        return Columns, (self.function, self._shared, self._fewest)
 
     def __call__(self, *inputs: Array) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""

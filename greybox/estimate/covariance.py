@@ -127,6 +127,8 @@ class PartAccuracy:
         Degrees of freedom of `meat`.
     numbers : float
         Degrees of freedom of the residuals, at least 0.5.
+    bread : (r, r) array
+        In the same directions; those of all parts add up to the identity.
     colored : ColoredErrors or None
         Effect of correlation in time on a record; None for responses, and where errors are taken
         as white.
@@ -140,6 +142,7 @@ class PartAccuracy:
     dof: float
     independent: Array
     numbers: float
+    bread: Array
     colored: ColoredErrors | None = None
     neighbors: CorrelatedPoints | None = None
 
@@ -245,13 +248,13 @@ def _with_covariance(
     terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
     terms += [(slope @ np.nan_to_num(covariance) @ slope.T, dof) for covariance, dof in earlier]
     covariance = np.sum([term for term, _ in terms], axis=0)
+    accuracy = replace(accuracy, shares=tuple(terms))
 
     dof = sum(min(part.numbers, part.dof) for part in parts)
     if known_noise:
         # Variances that were given have no uncertainty; the estimated correlation has, of every
         # part by itself.
-        shared = replace(accuracy, shares=tuple(terms))
-        dof = degrees(shared, np.eye(p, k)).min()
+        dof = degrees(accuracy, np.eye(p, k)).min()
     independent = None
     if any(part.neighbors for part in parts):
         # Tests of terms need errors that are taken as independent: a term that is missing looks
@@ -271,8 +274,7 @@ def _with_covariance(
         accuracy,
         covariance=covariance,
         blind=np.hstack([accuracy.blind, lost]),
-        dof=float(max(dof, 0)),
-        shares=tuple(terms),
+        dof=float(dof),
         bias=bias,
         white=inverse,
         independent=independent,
@@ -371,7 +373,7 @@ def degrees(accuracy: Accuracy, gradient: Array) -> Array:
     if not accuracy.shares:
         return np.full(len(gradient), accuracy.dof)
     v = np.array([np.einsum("ij,jk,ik->i", gradient, c, gradient) for c, _ in accuracy.shares])
-    spread = (v**2 / np.array([dof for _, dof in accuracy.shares])[:, None]).sum(axis=0)
+    spread = 1 / np.array([dof for _, dof in accuracy.shares]) @ v**2
     return np.where(spread > 0, v.sum(axis=0) ** 2 / positive_or_one(spread), math.inf)
 
 
@@ -390,13 +392,15 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     # part had been fitted alone with pᵢ parameters. Correlated errors have their own.
     p = len(root)
     problem = part.part.problem
+    rows = share.root[:, :p] @ root
+    bread = rows.T @ rows
     # A whole number for a single part.
-    paid = round(float(np.sum((share.root[:, :p] @ root) ** 2)), 9)
+    paid = round(float(np.trace(bread)), 9)
     numbers = max(part.numbers - paid, 0.5)
     colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
     if colored:
         meat = problem.weight * colored.meat
-        return PartAccuracy(share, meat, colored.dof, meat, colored.dof, colored)
+        return PartAccuracy(share, meat, colored.dof, meat, colored.dof, bread, colored)
 
     dof = math.inf if problem.criterion.known_noise else numbers
     share = _share(part, p, paid)
@@ -405,7 +409,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     if neighbors:
         meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
         dof = neighbors.dof
-    return PartAccuracy(share, meat, dof, independent, numbers, neighbors=neighbors)
+    return PartAccuracy(share, meat, dof, independent, numbers, bread, neighbors=neighbors)
 
 
 def _root_of_inverse(jacobian: Array, basis: Array) -> Array:

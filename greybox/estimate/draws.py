@@ -178,24 +178,23 @@ def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> A
     def drawn(steps: Array) -> Array:
         return _within(limits, known.at + steps, known.covariance)
 
-    return drawn(_lengths(fit, steps, drawn)[:, None] * steps)
+    return drawn(_by_likelihood(fit, steps, drawn))
 
 
-def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
-    """Return factors (draws,) that lengthen steps (draws, k) from the estimate to their likelihood.
+def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
+    """Return steps (draws, k) from the estimate, lengthened or shortened to their likelihood.
 
-    With its factor the cost has risen as much as the standard errors predict for the step. Along
-    one parameter that is its profile: where its errors are not symmetric, or a pole cannot pass
-    zero, the draws follow. Fits whose problem cannot be compiled again keep their steps. `drawn`
-    returns the values (m, k) at steps (m, k).
+    There the cost has risen as much as the standard errors predict for the step. Along one
+    parameter that is its profile: where its errors are not symmetric, or a pole cannot pass zero,
+    the draws follow. Fits whose problem cannot be compiled again keep their steps. `drawn` returns
+    the values (m, k) at steps (m, k).
     """
-    unchanged = np.ones(len(steps))
     if fit.white is None:
-        return unchanged
+        return steps
     try:
         problem = compiled_again(fit)
     except (ValueError, LookupError):
-        return unchanged
+        return steps
 
     p = len(fit.free)
     # One for a parameter on which the data contain no information.
@@ -221,12 +220,13 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
 
     def ratio(steps: Array, predicted: Array) -> Array:
         """Return how many times as fast the root of the cost rises as predicted."""
-        # A model without a response there is as unlikely as can be.
-        rise = np.nan_to_num((costs(steps) - lowest) / predicted, nan=1e6)
+        # A model without a response there is as unlikely as can be. Of a record, where no predictor
+        # is stable, nothing is known but the standard error.
+        rise = np.nan_to_num((costs(steps) - lowest) / predicted, nan=1.0 if has_records else 1e6)
         return np.sqrt(np.maximum(rise, 0))
 
     if not has_records:
-        return _roots(ratio, steps, predicted)
+        return _roots(ratio, steps, predicted)[:, None] * steps
 
     # Costs take simulations: two standard errors along every axis, in both directions.
     length = 2 * np.sqrt(np.mean(coordinates**2, axis=0))
@@ -236,10 +236,12 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     rates = ratio(ends, expected)
     # There the cost is not a parabola, not even an asymmetric one.
     is_odd = np.abs(rates - 1) > 1 / 3
-    roots = _roots(ratio, ends[is_odd], expected[is_odd])
-    rates[is_odd] = 1 / np.maximum(roots, 1 / LONGEST)
+    rates[is_odd] = 1 / np.maximum(_roots(ratio, ends[is_odd], expected[is_odd]), 1 / LONGEST)
     rate = np.where(coordinates > 0, *rates.reshape(2, -1))
-    return np.sqrt(2 * predicted / np.sum((coordinates * rate) ** 2, axis=1))
+    # Each axis by itself: a draw that is shortened as a whole would shorten every parameter where
+    # one of many, such as a gain at its stability limit, can hardly move.
+    change = (coordinates / rate - coordinates) * scale @ axes.T * size
+    return steps + change @ np.eye(p, steps.shape[1])
 
 
 def _roots(ratio: Callable[[Array, Array], Array], steps: Array, predicted: Array) -> Array:

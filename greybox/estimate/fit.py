@@ -3,7 +3,7 @@
 import math
 import platform
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,7 @@ from greybox.estimate.covariance import (
 )
 from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
-from greybox.estimate.diagnostics.noise_level import unused_noise
+from greybox.estimate.diagnostics.noise_level import better_weights, unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.diagnostics.records import resting_inputs
 from greybox.estimate.fitted_values import fitted_part
@@ -268,18 +268,7 @@ def fit_keeping(
             promising=solver.promising if starts is None else (),
             beside=profiles,
         )
-        # A bar would be in the way of a function that reports progress in another form.
-        if callable(progress) or not progress:
-            search = run(progress=progress or None)
-        else:
-            with bar(total=len(points), unit="start") as shown:
-
-                def report(done: int, count: int) -> None:
-                    # Shown from the first start on if it takes longer than half a second.
-                    shown.delay = min(DELAY, done / 2)
-                    shown.update(done - shown.n)
-
-                search = run(progress=report)
+        search = _with_progress(run, len(points), progress)
         # Ask now: a later Ctrl-C does not end the search, which is complete.
         interrupted = stop_requested()
         # Explain failures before a refinement replaces the compiled problem in which they happened.
@@ -315,6 +304,23 @@ def fit_keeping(
             fit=answer,
         )
     return answer
+
+
+def _with_progress(
+    run: Callable[..., Multistart], count: int, progress: bool | ProgressReport
+) -> Multistart:
+    """Return the search that `run` makes from this many starts, its progress shown or reported."""
+    # A bar would be in the way of a function that reports progress in another form.
+    if callable(progress) or not progress:
+        return run(progress=progress or None)
+    with bar(total=count, unit="start") as shown:
+
+        def report(done: int, count: int) -> None:
+            # Shown from the first start on if it takes longer than half a second.
+            shown.delay = min(DELAY, done / 2)
+            shown.update(done - shown.n)
+
+        return run(progress=report)
 
 
 @one_thread_at_a_time  # also frees what it compiles
@@ -408,8 +414,15 @@ def assemble(
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
     together = determined_together(answer) if accuracy.combinations else ()
+    # What a wrong model leaves is no error that a weight could account for.
+    explains = misfit is None or misfit.explains
     return replace(
         answer,
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
-        notes=(*unused_noise(nlp.problem), *resting_inputs(nlp), *together),
+        notes=(
+            *unused_noise(nlp.problem),
+            *(better_weights(nlp, accuracy) if explains else ()),
+            *resting_inputs(nlp),
+            *together,
+        ),
     )

@@ -130,7 +130,6 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
     noise = np.full((count, count), np.nan)
     gain = gain_slope = None
     nodes = np.full((part.data.segments, part.states), np.nan)
-    simulated = {name: np.full(len(data), np.nan) for name in part.outputs}
 
     if trajectory is not None:
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
@@ -143,19 +142,13 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
             gain_slope = np.zeros((gain.size, len(model.parameters) - gain.size))
             gain_slope[:, estimated] = steady.gain_slope.reshape(gain.size, -1)
         nodes = trajectory.nodes
-        outputs = part.data.unpadded(part.simulated_outputs(trajectory))
-        # An output that was measured, but whose past the delay hides, was not compared.
-        for stretch, values in zip(part.data.stretches, outputs, strict=True):
-            for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
-                left_out = np.isfinite(data[name][stretch.rows]) & ~np.isfinite(measured)
-                simulated[name][stretch.rows] = np.where(left_out, np.nan, row)
 
     return FittedRecord(
         **_of_problem(part.problem),
         data=stored,
         simulated=replace(
             stored,
-            signals=simulated,
+            signals=_simulated(part, trajectory),
             units={name: unit for name, unit in units.items() if name in part.outputs},
             name=part.problem.model.label,
             source="",
@@ -175,6 +168,21 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         nuisances=part.unknown_initial_states + (0 if model.driven else part.covariance.unknowns),
         is_static=part.is_static,
     )
+
+
+def _simulated(part: RecordPart, trajectory: Trajectory | None) -> dict[str, Array]:
+    """Return the outputs at the times of the record; NaN where none was compared."""
+    record = part.model.record
+    signals = {name: np.full(len(record), np.nan) for name in part.outputs}
+    if trajectory is None:
+        return signals
+    outputs = part.data.unpadded(part.simulated_outputs(trajectory))
+    # An output that was measured, but whose past the delay hides, was not compared.
+    for stretch, values in zip(part.data.stretches, outputs, strict=True):
+        for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
+            left_out = np.isfinite(record[name][stretch.rows]) & ~np.isfinite(measured)
+            signals[name][stretch.rows] = np.where(left_out, np.nan, row)
+    return signals
 
 
 def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> FittedSpectrum:

@@ -35,6 +35,7 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.ipopt import WARM
+from greybox.solve.multistart import solver_for
 from greybox.solve.response_solver import TOLERANCE, ResponseSolver
 from greybox.solve.runs import Outcome
 
@@ -159,7 +160,7 @@ def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
             None if isinstance(part, ResponsePart) else part.trajectory(z) for part in nlp.parts
         ]
         parts = informations(nlp, at, trajectories)
-        jacobian = np.vstack([part.jacobian[:, : len(x)] for part in parts])
+        jacobian = np.vstack([part.jacobian for part in parts])[:, : len(x)]
         return np.linalg.norm(np.linalg.pinv(np.nan_to_num(jacobian * size)), axis=1)
 
     middle = errors(x)
@@ -268,8 +269,10 @@ class HeldMinima:
     @cached_property
     def _newton(self) -> BatchedNewton | None:
         """Newton's method for responses with bounds alone; it takes a tenth of the time."""
-        serves = ResponseSolver.serves(self.nlp)
-        return BatchedNewton.of(self.nlp, self.nlp.programs[-1]) if serves else None
+        solver = solver_for(self.nlp)
+        if isinstance(solver, ResponseSolver) and solver.together > 1 and not self.nlp.limits:
+            return solver.batches[-1]
+        return None
 
     def lowest(self, held: Held, starts: Sequence[Point], value: float) -> Point:
         """Return the lowest minimum from these starts with a quantity held at a value."""
@@ -284,13 +287,12 @@ class HeldMinima:
                 equation = None if isinstance(held, int) else steep_equation(held, start.z, value)
                 minima.append(self._solved(self._solver.within(lower, upper, equation), start))
         else:
-            low, high = (np.tile(bound[:, None], len(starts)) for bound in (lower, upper))
             ends = self._newton.minimize(
-                np.clip(np.array([start.z for start in starts]).T, low, high),
+                np.array([start.z for start in starts]).T,
                 from_near=True,
                 max_iterations=WARM["max_iter"],
                 tolerance=TOLERANCE,
-                bounds=(low, high),
+                bounds=(lower[:, None], upper[:, None]),
             )
             pairs = zip(ends.z.T, ends.at_minimum, strict=True)
             minima = [self._response_minimum(z) if found else Point(z) for z, found in pairs]
@@ -307,9 +309,8 @@ class HeldMinima:
         return self._point(outcome)
 
     def _point(self, outcome: Outcome) -> Point:
-        z = self.nlp.scaling.to_solver(outcome.estimate)
         cost = outcome.cost if outcome.converged else math.inf
-        return Point(z, cost, outcome.nodes)
+        return Point(self.nlp.scaling.to_solver(outcome.estimate), cost, outcome.nodes)
 
     def at_bounds(self, point: Point) -> set[str]:
         """Return the names of the parameters at a bound."""

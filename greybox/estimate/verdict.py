@@ -68,8 +68,7 @@ def verdict(fit: Any) -> Verdict:
 def _minimum(fit: Any) -> tuple[bool, str]:
     """Tell whether more than one start agrees on the best minimum, and say how many do."""
     # Screened starts were not run, and can neither agree nor disagree.
-    brought = [run for run in fit.runs if run.stage != SCREENED]
-    count = counted(len(brought), "start")
+    count = counted(sum(run.stage != SCREENED for run in fit.runs), "start")
     if fit.agreeing == 1:
         return False, (
             f"Only 1 of {count} reached the best minimum, so another one may have a lower cost: "
@@ -108,7 +107,7 @@ def _determined(fit: Any) -> tuple[bool, str]:
             # whose error, which is larger, is within the guideline.
             not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),
             f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
-            f"determined: {'; '.join(texts)}. To determine more, fix a parameter or add data.",
+            f"determined; {'; '.join(texts)}. To determine more, fix a parameter or add data.",
         )
 
     # NaN belongs to parameters at a bound, which were named above.

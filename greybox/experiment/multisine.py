@@ -67,7 +67,6 @@ def multisine(
     values = [_sum(h, p, count) for h, p in zip(assigned, phases, strict=True)]
     values = [amplitude * v / np.max(np.abs(v)) for v in values]
     time = np.arange(count * periods) / rate
-    step = 2 * math.pi / period
     settled = period if periods > 1 else 0.0
     end = period * periods
     schedule = tuple(
@@ -84,7 +83,7 @@ def multisine(
 
 def _phases(harmonics: IntArray) -> Array:
     """Return phases (n,) of equal sines whose sum has a low peak and begins at zero."""
-    from scipy.optimize import brentq, minimize  # noqa: PLC0415  (slow import)
+    from scipy.optimize import minimize  # noqa: PLC0415  (slow import)
 
     n = harmonics.size
     # Eight samples per period of the highest harmonic: the peak between samples is at most
@@ -109,8 +108,13 @@ def _phases(harmonics: IntArray) -> Array:
             norm, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": 100}
         )
         phases = outcome.x
+    return _from_zero(harmonics, phases, count)
 
-    # Shift time to a rising zero crossing.
+
+def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
+    """Shift time to a rising zero crossing."""
+    from scipy.optimize import brentq  # noqa: PLC0415  (slow import)
+
     values = _sum(harmonics, phases, count)
     k = int(np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0])
 

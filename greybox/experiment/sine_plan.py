@@ -19,12 +19,20 @@ from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sines import sine_schedule
-from greybox.files.arrays import Array, ComplexArray, IntArray, Interval, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    IntArray,
+    Interval,
+    Values,
+    frozen,
+    positive_or_one,
+)
 from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
-from greybox.modeling.model import require_known
+from greybox.modeling.model import pick_signals, require_known
 from greybox.spectral.estimated_points import HZ
 from greybox.spectral.uniform_stretches import uniform_stretches
 
@@ -85,31 +93,27 @@ class SinePlan:
     settings: Values = field(repr=False)
 
     def __str__(self) -> str:
-        sines = [
-            (f"{w:.4g}", f"{w / HZ:.3g}", f"{a:.3g}", limit, f"{t:.0f}", f"{round(t * w / HZ)}")
-            for w, a, limit, t in zip(
-                self.omega, self.amplitude, self.limited_by, self.duration, strict=True
-            )
-        ]
-        wanted = {name: f"± {error:.2g}" for name, error in self.wanted.items()}
-        errors = [
-            (name, f"± {error:.2g}", wanted.get(name, ""))
-            for name, error in self.standard_error.items()
-        ]
+        title = f"{len(self.omega)} sines in {self.signal}, {self.flight_time:.0f} s of flight"
         unit = f" ({self.unit})" if self.unit else ""
-        return "\n".join(
+        sines = text_table(
+            ("rad/s", "Hz", f"amplitude{unit}", "limited by", "s", "periods"),
             [
-                f"{len(self.omega)} sines in {self.signal}, {self.flight_time:.0f} s of flight",
-                "",
-                text_table(
-                    ("rad/s", "Hz", f"amplitude{unit}", "limited by", "s", "periods"),
-                    sines,
-                    left=(3,),
-                ),
-                "",
-                text_table(("", "expected", "wanted"), errors),
-            ]
+                (f"{w:.4g}", f"{w / HZ:.3g}", f"{a:.3g}", limit, f"{t:.0f}", f"{round(t * w / HZ)}")
+                for w, a, limit, t in zip(
+                    self.omega, self.amplitude, self.limited_by, self.duration, strict=True
+                )
+            ],
+            left=(3,),
         )
+        wanted = {name: f"± {error:.2g}" for name, error in self.wanted.items()}
+        errors = text_table(
+            ("", "expected", "wanted"),
+            [
+                (name, f"± {error:.2g}", wanted.get(name, ""))
+                for name, error in self.standard_error.items()
+            ],
+        )
+        return "\n\n".join([title, sines, errors])
 
     def excitation(self) -> Excitation:
         """Return the test signal, for `virtual_flight`, `ardupilot_script` or a file."""
@@ -196,6 +200,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         that diverges.
     """
     _require_valid(band, wanted, {**wanted, **limits})
+    input, output = pick_signals(model, input, output)
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)
     values = {**values, **fixed}
@@ -209,13 +214,8 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
     # In units of the wanted errors, the matrices are well scaled and the targets are one.
-    size_alone = np.sqrt(weight @ np.abs(sensitivity) ** 2)  # the inverse error of each alone
-    scale = np.array(
-        [
-            wanted.get(name, 1 / s if s else 1.0)
-            for name, s in zip(nlp.free, size_alone, strict=True)
-        ]
-    )
+    alone = 1 / positive_or_one(np.sqrt(weight @ np.abs(sensitivity) ** 2))  # errors of each alone
+    scale = np.array([wanted.get(name, s) for name, s in zip(nlp.free, alone, strict=True)])
     scaled = sensitivity * scale
     information = weight[:, None, None] * np.real(np.conj(scaled)[:, :, None] * scaled[:, None, :])
     target = np.array([1.0 if name in wanted else np.inf for name in nlp.free])
@@ -288,8 +288,8 @@ def _sensitivities(
     # The problem is only used for sensitivities, so any variance is suitable.
     data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)
     nlp = compile_problem(Problem(model, data, MaximumLikelihood(), fixed=fixed))
-    parameters = nlp.problem.parameters
-    x = np.array([values.get(name, parameters[name].start) for name in nlp.names])
+    values = model.values(values)
+    x = np.array([values[name] for name in nlp.names])
     [part] = nlp.parts_of(ResponsePart)
     return nlp, part.sensitivity(x)[:, : len(nlp.free)]
 
@@ -369,8 +369,7 @@ def with_spare_sines(
     seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
     while len(seconds) < min(count, len(omega)):
         edges = [-1, *sorted(seconds), len(omega)]
-        gaps = np.diff(edges)
-        k = int(np.argmax(gaps))
+        k = int(np.argmax(np.diff(edges)))
         middle = (edges[k] + edges[k + 1]) // 2
         seconds[middle] = periods * HZ / omega[middle]
     order = sorted(seconds)

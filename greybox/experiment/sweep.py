@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
+from greybox.files.arrays import Array
 
 # Periods of the lowest frequency before a sweep: ArduPilot's SystemID mode; Tischler and Remple,
 # section 5.6.
@@ -63,12 +64,7 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     rise = math.log(high / low)
     # The integral of a frequency that grows exponentially; expm1 keeps digits at the start.
     phase = low * span / rise * np.expm1(rise * late / span)
-    # Half cosines at both ends.
-    window = np.ones(time.size)
-    if fade_in > 0:
-        window *= 0.5 - 0.5 * np.cos(math.pi * np.minimum(time / fade_in, 1))
-    if fade_out > 0:
-        window *= 0.5 - 0.5 * np.cos(math.pi * np.clip((duration - time) / fade_out, 0, 1))
+    window = _half_cosine(time, fade_in) * _half_cosine(duration - time, fade_out)
     values = amplitude * window * np.sin(phase + low * np.minimum(time - hold, 0))
 
     settings = {
@@ -82,3 +78,9 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     }
     maneuver = Maneuver(signal, "logarithmic sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
     return Excitation(time, {signal: values}, {signal: unit}, rate, (maneuver,), settings)
+
+
+def _half_cosine(elapsed: Array, length: float) -> Array:
+    """Return the rise from 0 to 1 of a half cosine of this length, s."""
+    share = np.clip(elapsed / length, 0, 1) if length > 0 else np.ones(elapsed.size)
+    return 0.5 - 0.5 * np.cos(math.pi * share)

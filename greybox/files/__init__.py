@@ -15,6 +15,7 @@ Begin with `text_table`.
 | `progress` | progress bars |
 | `error_place` | where an error arose in a file of the user |
 | `optional_package` | imports of optional packages |
+| `rebuilt` | values that are pickled as the arguments of their construction |
 | `safe_files` | atomic writes, and clear errors of reading |
 | `sealed_files` | HDF5 files of one text with a checksum |
 | `subprocess_reader` | runs `subprocess_main`, which reads HDF5, MATLAB and PX4 files |

@@ -57,7 +57,9 @@ def read_sealed(path: Path) -> bytes:
     require_file(path)
     raw, title = path.read_bytes(), TITLE.encode()
     if not raw.startswith(title):
-        raise ValueError(f"{path} is not a greybox fit: give a file that greybox saved (not 0.2).")
+        raise ValueError(
+            f"{path} is not a greybox fit: give a file that greybox 0.3 or later saved."
+        )
     seal = re.match(rb"(\w+) (\d+) (\d+)\n", raw[len(title) : BLOCK])
     if seal is None or seal[1].decode() != hashlib.sha256(raw[BLOCK:]).hexdigest():
         raise ValueError(

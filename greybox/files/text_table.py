@@ -109,7 +109,8 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 def alternatives(name: object, names: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the known names, and the closest one."""
-    names = list(names)
+    # An output of a model may be a state, too.
+    names = [*dict.fromkeys(names)]
     near = nearest(str(name), names)
     return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
 

@@ -16,7 +16,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Interval, Values, frozen
-from greybox.files.text_table import one_line
+from greybox.files.text_table import as_names, one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
@@ -125,7 +125,10 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     rename : mapping of name to name
         Other names of parameters in the answer. Added problems share parameters with equal names.
     weight : float
-        Factor on this problem's cost in a sum; by pair, ``{"p/lat": 2}``, for several responses.
+        Factor on this problem's cost in a sum; by pair, ``{"p/lat": 2}``, for several responses. A
+        record whose errors stay correlated deserves less than one, beside data whose errors do not:
+        a note of the fit names the value. Costs with other weights than one are no likelihoods, so
+        that comparisons have no AIC.
     name : str
         A label; by default that of the data.
     amplitude : ``{signal: amplitude}`` or Sine, optional
@@ -222,8 +225,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         if self.criterion is None:
             usual = RelativeError() if isinstance(self.data, FrequencyResponse) else OutputError()
             vars(self)["criterion"] = usual
-        if isinstance(self.free, str):
-            vars(self)["free"] = (self.free,)
+        vars(self)["free"] = as_names(self.free)
         if not self.name:
             model, data = self.model, self.data
             has_several = len(model.input_names) * len(model.output_names) > 1

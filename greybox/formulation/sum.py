@@ -12,11 +12,11 @@ from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import frozen
 from greybox.files.html_text import preformatted
-from greybox.files.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, parameter_table
 
 # A part is a `Problem`, whose file imports this one.
 Part = TypeVar("Part", bound=Any)
@@ -44,13 +44,7 @@ class Addable:
         return self if other == 0 else NotImplemented
 
     def _repr_html_(self: Any) -> str:
-        rows = [
-            [name, number(p.start), p.unit, "fixed" if p.fixed else f"[{lo:g}, {hi:g}]", p.about]
-            for name, p in self.parameters.items()
-            for lo, hi in [p.bounds]
-        ]
-        header = ["parameter", "start", "unit", "bounds", "meaning"]
-        return preformatted(f"{self!r}\n\n{text_table(header, rows, (0, 2, 4))}")
+        return preformatted(f"{self!r}\n\n{parameter_table(self.parameters)}")
 
 
 @frozen
@@ -221,23 +215,27 @@ def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     return tuple(parts)
 
 
+def _record_numbers(data: Sequence[Any]) -> list[int]:
+    """Return the number of every record among the different ones, from 1; 0 for other data."""
+    numbers: dict[Any, int] = {}
+    return [
+        # Two stretches of one log have the same checksum, but not the same times.
+        numbers.setdefault(
+            (item.checksum, len(item), item.time[0], item.time[-1]), len(numbers) + 1
+        )
+        if isinstance(item, Record)
+        else 0
+        for item in data
+    ]
+
+
 def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with biases numbered by the record, where several records have one.
 
     Parts of one record share its biases. A bias is not numbered, so that records can share it, if a
     part renames it (also to its own name) or fixes it at an earlier fit, which has that name.
     """
-    # The number of every record among the different ones, from 1; 0 for other data.
-    numbers: dict[Any, int] = {}
-    records = [
-        # Two stretches of one log have the same checksum, but not the same times.
-        numbers.setdefault(
-            (data.checksum, len(data), data.time[0], data.time[-1]), len(numbers) + 1
-        )
-        if isinstance(data, Record)
-        else 0
-        for data in (part.data for part in parts)
-    ]
+    records = _record_numbers([part.data for part in parts])
     outside = [{part.outside(name) for name in part.declared} for part in parts]
     names_in_use = set().union(*outside)
 

@@ -10,6 +10,7 @@ import numpy as np
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import frozen
+from greybox.files.text_table import as_names
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
@@ -87,8 +88,7 @@ class TimeCriterion(AnyCriterion):
             )
 
         require_inputs(self.inputs)
-        if isinstance(self.biases, str):
-            vars(self)["biases"] = (self.biases,)
+        vars(self)["biases"] = as_names(self.biases)
         if not isinstance(self.initial, Mapping):
             raise TypeError(
                 f"initial is {self.initial!r:.60}: give {{state: value or function of the "
@@ -281,8 +281,7 @@ class PredictionError(TimeCriterion):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if isinstance(self.process_noise, str):
-            vars(self)["process_noise"] = (self.process_noise,)
+        vars(self)["process_noise"] = as_names(self.process_noise)
         if not isinstance(self.disturbance, Mapping) or {*self.disturbance.values()} - {"colored"}:
             raise ValueError(f"disturbance is {self.disturbance!r}: give {{state: 'colored'}}.")
         if self.driven() and self.corrected:

@@ -42,8 +42,14 @@
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) ticks.push(k * step);
     // An axis with one number has no scale.
     if (ticks.length < 2 && count < 64 && high > low && !least) return linearTicks(low, high, 2 * Math.max(count, 1), steps);
-    return ticks.map((tick) => ({ at: tick, text: shown(Math.abs(tick) < step * 1e-9 ? 0 : tick, 6) }));
+    // Seconds since 1970 or meters on a grid of the Earth would all be one number: they count from a round one near them.
+    const round = 10 ** (Math.floor(Math.log10(step)) + 3);
+    const base = Math.max(Math.abs(low), Math.abs(high)) < 1e4 * step ? 0 : Math.round((low + high) / 2 / round) * round;
+    const texts = ticks.map((tick) => ({ at: tick, text: shown(Math.abs(tick - base) < step * 1e-6 ? 0 : tick - base, 6) }));
+    return Object.assign(texts, { base });
   };
+
+  const counted = (ticks) => (ticks.base ? `${ticks.base > 0 ? "+" : ""}${shown(ticks.base, 12)}` : "");
 
   const logarithmicTicks = (low, high, count) => {
     if (high - low < 0.7) {
@@ -248,7 +254,7 @@
       this.places(figure);
       const ticks = this.horizontalTicks(narrow);
       for (const [k, panel] of figure.panels.entries()) root.append(this.panelOf(panel, k, ticks, narrow));
-      const label = svg("text", { x: (left + this.right) / 2, y: height - 6, class: "label", "text-anchor": "middle" }, this.label);
+      const label = svg("text", { x: (left + this.right) / 2, y: height - 6, class: "label", "text-anchor": "middle" }, [this.label, counted(ticks)].filter(Boolean).join(" "));
       this.overlay = svg("g", { class: "overlay" });
       root.append(label, this.overlay);
       this.area.replaceChildren(root, this.readout);
@@ -300,7 +306,8 @@
         const shift = Math.log10(unit);
         return logarithmicTicks(seen[0] - shift, seen[1] - shift, count).map((tick) => ({ ...tick, at: tick.at + shift }));
       }
-      return linearTicks(seen[0] / unit, seen[1] / unit, count, [], this.figure.is_whole ? 1 : 0).map((tick) => ({ ...tick, at: tick.at * unit }));
+      const ticks = linearTicks(seen[0] / unit, seen[1] / unit, count, [], this.figure.is_whole ? 1 : 0);
+      return Object.assign(ticks.map((tick) => ({ ...tick, at: tick.at * unit })), { base: ticks.base });
     }
 
     panelOf(panel, k, ticks, narrow) {
@@ -332,6 +339,7 @@
         grid += `M${left},${y.toFixed(1)}h${width}`;
         if (tick.text) group.append(svg("text", { x: left - 6, y: y + 3.5, "text-anchor": "end" }, tick.text.length * 6.6 > left ? `${tick.text.slice(0, Math.floor(left / 6.6) - 3)}…` : tick.text));
       }
+      if (rows.base) group.append(svg("text", { x: left + 4, y: panel.top + 9, class: "base" }, counted(rows)));
       group.prepend(svg("path", { d: grid, class: "grid" }));
       const inside = svg("g", { "clip-path": `url(#${clip})` });
       for (const series of this.visible(panel)) this.append(inside, panel, series);

@@ -25,7 +25,7 @@ def report(
     path: str | Path,
     *,
     comparison: Comparison | None = None,
-    margins: Sequence[Margins] = (),
+    margins: Margins | Sequence[Margins] = (),
     title: str = "",
     author: str = "",
 ) -> None:
@@ -42,7 +42,7 @@ def report(
     comparison : Comparison, optional
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
-    margins : sequence of Margins
+    margins : Margins or sequence of them
         Margins of loops of these fits, shown with their figures.
     title : str
         By default the name of the fit.
@@ -89,7 +89,8 @@ def report(
     # A file of a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
         studies = [result for result in results if isinstance(result, Study)]
-        text = page(entries, comparison, title or default, studies, margins, author)
+        loops = [margins] if isinstance(margins, Margins) else margins
+        text = page(entries, comparison, title or default, studies, loops, author)
     write_text(Path(path), text)
 
 
@@ -98,8 +99,9 @@ def members_of(study: Study) -> list[Entry]:
 
     def seen(member: StudyMember) -> tuple[str, ...]:
         # Neither a seed nor an approximation of the delay need change an answer.
-        unseen = ("seed", "delay")
-        factors = [f"{n} {value}" for n, value in member.factors.items() if n not in unseen]
+        factors = [
+            f"{n} {value}" for n, value in member.factors.items() if n not in ("seed", "delay")
+        ]
         identity = member.answer["cost"] if member.status == "done" else member.number
         return *factors, number(identity, 6)
 

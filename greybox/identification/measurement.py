@@ -239,37 +239,15 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     KeyError, ValueError
         For unknown signals and tests, and for a closed loop without a known excitation.
     """
-    tests = () if settings.period else tuple(_chosen(found_tests(recording, settings), settings))
-    usable = [segment for segment in tests if segment.usable]
-    sines = [segment for segment in usable if segment.kind == "sine"]
-    # Sines are evaluated at their own frequency and sweeps over a band: one estimate cannot do
-    # both, and sines are more exact.
-    used = sines or usable
-    if not used and not tests and not (settings.whole or settings.period or settings.instrument):
-        raise ValueError(
-            "no test was found: give setpoint=..., announced=... or instrument=..., or whole=True "
-            "for the whole log."
-        )
-    _require_one_axis(used)
-    if sines and settings.band is not None:
-        used = _within_band(sines, settings.band)
-
+    tests, used = _tests_and_used(recording, settings)
+    are_sines = bool(used) and used[0].kind == "sine"
     (u, control), (y, output) = settings.names
-    controller = (
-        ""
-        if settings.open_loop
-        else controller_in(recording, [control], [output]) or settings.setpoint
-    )
     instrument = _instrument(recording, settings, used)
-    if controller and not (sines or instrument or settings.period):
-        for name in (control, output):
-            recording.locate(name)
-        raise ValueError(
-            f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) and "
-            "no excitation is known, so that a direct estimate tends to minus the inverse of the "
-            "controller, whatever its coherence: give the injected signal, instrument=SIGNAL, or "
-            "open_loop=True if you know that the loop was open."
-        )
+    controller = ""
+    if not settings.open_loop:
+        controller = controller_in(recording, [control], [output]) or settings.setpoint
+    if controller and not (are_sines or instrument or settings.period):
+        _refuse_closed_loop(recording, settings, controller)
     # All on one time base, so that a gap in one of them is a gap of the estimate.
     signals = {u: control, y: output}
     signals |= {INSTRUMENT: instrument} if instrument else {}
@@ -297,7 +275,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     if quality.usable:
         try:
             response, detail, points, linear = _estimated(
-                record, pieces, used if sines else (), settings
+                record, pieces, used if are_sines else (), settings
             )
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
@@ -333,6 +311,39 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         controller,
         detail,
         linear,
+    )
+
+
+def _tests_and_used(
+    recording: Recording, settings: Settings
+) -> tuple[tuple[Segment, ...], list[Segment]]:
+    """Return the chosen tests, and those that are evaluated: sines, or else all usable ones."""
+    tests = () if settings.period else tuple(_chosen(found_tests(recording, settings), settings))
+    usable = [segment for segment in tests if segment.usable]
+    sines = [segment for segment in usable if segment.kind == "sine"]
+    # Sines are evaluated at their own frequency and sweeps over a band: one estimate cannot do
+    # both, and sines are more exact.
+    used = sines or usable
+    if not used and not tests and not (settings.whole or settings.period or settings.instrument):
+        raise ValueError(
+            "no test was found: give setpoint=..., announced=... or instrument=..., or whole=True "
+            "for the whole log."
+        )
+    _require_one_axis(used)
+    if sines and settings.band is not None:
+        used = _within_band(sines, settings.band)
+    return tests, used
+
+
+def _refuse_closed_loop(recording: Recording, settings: Settings, controller: str) -> None:
+    """Refuse a direct estimate under feedback; signals that do not exist are refused first."""
+    for _, signal in settings.names:
+        recording.locate(signal)
+    raise ValueError(
+        f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) and "
+        "no excitation is known, so that a direct estimate tends to minus the inverse of the "
+        "controller, whatever its coherence: give the injected signal, instrument=SIGNAL, or "
+        "open_loop=True if you know that the loop was open."
     )
 
 

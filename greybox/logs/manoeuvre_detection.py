@@ -65,8 +65,11 @@ def find_manoeuvres(
     manoeuvres = []
     for name in names or present(data, (*SETPOINTS, *CONTROLS)):
         unit, parts = stretches(data, name)
-        runs = [run for time, values in parts for run in manoeuvres_in(time, values)]
-        manoeuvres += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]
+        manoeuvres += [
+            replace(run, axis=name, unit=unit, source=f"input {name}")
+            for time, values in parts
+            for run in manoeuvres_in(time, values)
+        ]
     return tuple(sorted(manoeuvres, key=lambda s: (s.start, s.axis)))
 
 
@@ -102,8 +105,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
 
 def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
     """Return the parts of at least a second in which a signal stays within `height`."""
-    step = median_step(time)
-    window = max(round(REST / step), 2)
+    window = max(round(REST / median_step(time)), 2)
     if time.size < window:
         return []
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415  (slow import)
@@ -123,8 +125,9 @@ def _between(
     time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
 ) -> Segment | None:
     """Return the manoeuvre between two rests; None within the noise, and for sines and sweeps."""
-    # Rests of a noisy signal may overlap.
-    rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)
+    # Rests of a noisy signal may overlap, and a step lies where they do.
+    first, last = sorted((before.last, after.first))
+    rows = slice(first, last + 1)
     deviation = values[rows] - before.ends
     kind, amplitude = "manoeuvre", float(np.abs(deviation).max())
     change = after.begins - before.ends
@@ -135,10 +138,9 @@ def _between(
     elif amplitude <= height or sines_and_sweeps(time[rows], values[rows]):
         return None
 
-    start, end = float(time[before.last]), float(time[after.first])
     return Segment(
-        start,
-        end if end > start else float(time[min(after.first + 1, time.size - 1)]),
+        float(time[first]),
+        float(time[max(last, first + 1)]),
         kind,
         band=_band(time, values, before, after, kind),
         amplitude=amplitude,
@@ -153,8 +155,8 @@ def _band(
 
     It begins at one period over the manoeuvre and a second of rest on both sides.
     """
-    first, last = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
-    rows = slice(int(first), int(last) + 1)
+    ends = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
+    rows = slice(ends[0], ends[1] + 1)
     t, x = time[rows], values[rows] - before.ends
     # The FFT needs uniform samples, and logs jitter.
     uniform = np.linspace(t[0], t[-1], t.size)

@@ -34,10 +34,12 @@ AXES = {
 def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters of the gyro whose parameters are known, by name."""
     parameters = recording.parameters
-    filters: dict[str, tuple[KnownFilter, ...]] = {}
-    for name, key in (("gyro-filter", "IMU_GYRO_CUTOFF"), ("d-term-filter", "IMU_DGYRO_CUTOFF")):
-        cutoff = parameters.get(key, 0)
-        filters |= {name: (LowPass(cutoff),)} if cutoff > 0 else {}
+    low_passes = {"gyro-filter": "IMU_GYRO_CUTOFF", "d-term-filter": "IMU_DGYRO_CUTOFF"}
+    filters: dict[str, tuple[KnownFilter, ...]] = {
+        name: (LowPass(parameters[key]),)
+        for name, key in low_passes.items()
+        if parameters.get(key, 0) > 0
+    }
     # Two static notches, each with a center and a width.
     pairs = [
         (parameters.get(f"IMU_GYRO_NF{k}_FRQ", 0), parameters.get(f"IMU_GYRO_NF{k}_BW", 0))

@@ -87,9 +87,11 @@ def find_segments(
         for name in as_names(setpoint or ()) or present(data, SETPOINTS):
             # A gap of up to a second need not end a test: a lost crossing ends a sine anyway.
             unit, parts = stretches(data, name, PAUSE)
-            runs = [run for time, values in parts for run in sines_and_sweeps(time, values)]
-            source = f"setpoint {name}"
-            segments += [replace(run, axis=name, unit=unit, source=source) for run in runs]
+            segments += [
+                replace(run, axis=name, unit=unit, source=f"setpoint {name}")
+                for time, values in parts
+                for run in sines_and_sweeps(time, values)
+            ]
     sines = [s for s in segments if s.kind == "sine" and s.source != "SIDS"]
     checked = (_checked(s, data, sines) for s in segments)
     return tuple(sorted(checked, key=lambda s: (s.start, s.axis)))

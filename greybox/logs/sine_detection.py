@@ -214,17 +214,8 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     if t.size < SAMPLES * (end - start) / period:
         return None
 
-    # The frequency by Gauss-Newton steps, of a tenth at most: the derivative of a sin ωt + b cos ωt
-    # by ω is a t cos ωt - b t sin ωt.
-    omega = math.pi / half_period
-    for _ in range(4):
-        c = _factors(t, x, omega, 6)
-        step = (c[2] * c[4] + c[3] * c[5]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
-        omega += float(np.clip(step, -0.1 * omega, 0.1 * omega))
-    # How far the phase bends off that of one frequency at both ends, rad.
-    c = _factors(t, x, omega, 8)
-    curvature = abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
-    bend = curvature * ((end - start) / 2) ** 2
+    omega = _refined_frequency(t, x, math.pi / half_period)
+    bend = _phase_curvature(t, x, omega) * ((end - start) / 2) ** 2
     c = _factors(t, x, omega, 4)
     amplitude = math.hypot(c[2], c[3])
     deviation = np.abs(values - _waves(time - middle, omega, 4) @ c)
@@ -246,6 +237,22 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     run = Segment(float(first), float(last), omega=omega, amplitude=amplitude, offset=float(c[0]))
     # A second at least; with 0.1 to 10 s, the same sines are found.
     return run if run.duration >= 1 else None
+
+
+def _refined_frequency(t: Array, x: Array, omega: float) -> float:
+    """Return the frequency of a sine by Gauss-Newton steps, of a tenth at most."""
+    # The derivative of a sin ωt + b cos ωt by ω is a t cos ωt - b t sin ωt.
+    for _ in range(4):
+        c = _factors(t, x, omega, 6)
+        step = (c[2] * c[4] + c[3] * c[5]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
+        omega += float(np.clip(step, -0.1 * omega, 0.1 * omega))
+    return omega
+
+
+def _phase_curvature(t: Array, x: Array, omega: float) -> float:
+    """Return by how much the phase bends off that of one frequency, rad/s²."""
+    c = _factors(t, x, omega, 8)
+    return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
 
 
 def _sweep(

@@ -30,33 +30,26 @@ def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Argu
     return locked
 
 
-class PerThread(threading.local):
-    """A function that stores its last results for every thread by itself.
+class Stored:
+    """The last results by key, for every thread by itself.
 
     Two threads must not call one CasADi function at a time.
     """
 
-    def __init__(self, function: Callable[..., Any], stored: int) -> None:
-        self.result = functools.lru_cache(stored)(one_thread_at_a_time(function))
-
-
-class Stored:
-    """The last results by key, for every thread by itself."""
-
     def __init__(self, most: int) -> None:
         self._most = most
-        self._results: dict[Any, Any] = {}
+        self._results: dict[int, dict[Any, Any]] = {}
 
     def result(self, key: Any, build: Callable[[], Result]) -> Result:
         """Return the result of this key, built if it is not stored."""
         # The lock is also held where CasADi frees the oldest result. A thread that has ended leaves
         # its results to others, since its own storage would be freed without the lock.
         with LOCK:
-            key = threading.get_ident(), key
-            result = self._results.pop(key) if key in self._results else build()
-            self._results[key] = result
-            if len(self._results) > self._most:
-                del self._results[next(iter(self._results))]
+            results = self._results.setdefault(threading.get_ident(), {})
+            result = results.pop(key) if key in results else build()
+            results[key] = result
+            if len(results) > self._most:
+                del results[next(iter(results))]
             return result
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, Interval
+from greybox.files.text_table import number, text_table
 
 
 @dataclass(frozen=True)
@@ -132,6 +133,16 @@ class Parameter:
 def start_values(parameters: Mapping[str, Parameter]) -> Array:
     """Return the declared starts of parameters, (p,)."""
     return np.array([parameter.start for parameter in parameters.values()], dtype=float)
+
+
+def parameter_table(parameters: Mapping[str, Parameter]) -> str:
+    """Return the declarations of parameters as a table of text."""
+    rows = []
+    for name, p in parameters.items():
+        bounds = f"[{p.bounds[0]:g}, {p.bounds[1]:g}]"
+        rows.append([name, number(p.start), bounds, p.unit, "fixed" if p.fixed else "", p.about])
+    header = ["parameter", "start", "bounds", "unit", "", "meaning"]
+    return text_table(header, rows, (0, 3, 4, 5))
 
 
 def is_finite_number(value: Any) -> bool:

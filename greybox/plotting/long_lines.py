@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greybox.data.record import runs_between_gaps
 from greybox.files.arrays import Array, IntArray
 
 COLUMNS = 2000  # pixels of a figure of 10 inches at 200 dpi; each shows two extremes
@@ -18,16 +19,20 @@ def drawn_line(
     """Return the pieces of a line with NaN between them; long ones keep the extremes of columns."""
     # Every n-th sample would hide spikes; the smallest and the largest of each column show them.
     size = -(-sum(map(len, rows)) // columns)
-    times: list[Array] = []
-    heights: list[Array] = []
-    for piece in rows:
-        drawn = piece
-        if size > 2:  # two samples are their own extremes
-            drawn = piece[_extremes(values[piece], size)]
-        times += [time[drawn], np.array([np.nan])]
-        heights += [values[drawn], np.array([np.nan])]
+    pieces: list[IntArray] = []
+    for run in rows:
+        finite = run[np.isfinite(values[run])]
+        usual = float(np.median(np.diff(finite))) if finite.size > 1 else 1.0
+        # An output that is sampled in every tenth row is a line through these, up to its own gaps.
+        slow = [finite[places] for places in runs_between_gaps(finite, 2 * usual)]
+        pieces += slow if usual > 1 else [run]
+    if size > 2:  # two samples are their own extremes
+        pieces = [piece[_extremes(values[piece], size)] for piece in pieces]
 
-    return np.concatenate(times)[:-1], np.concatenate(heights)[:-1]
+    def joined(numbers: Array) -> Array:
+        return np.concatenate([np.append(numbers[piece], np.nan) for piece in pieces])[:-1]
+
+    return joined(time), joined(values)
 
 
 def _extremes(values: Array, size: int) -> IntArray:

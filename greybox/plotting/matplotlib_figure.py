@@ -53,8 +53,9 @@ class _NotebookFigure(MatplotlibFigure):
 def new_figure(width: float, height: float, title: str) -> MatplotlibFigure:
     """Return an empty figure of this size in inches."""
     # Not pyplot, which keeps every figure in memory until it is closed.
-    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
-    page = _NotebookFigure(figsize=(width, height), layout=layout)
+    page = _NotebookFigure(
+        figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
+    )
     if title:
         page.suptitle(plain(title), fontsize=13)
     return page
@@ -99,7 +100,7 @@ def draw(
         # Over rows with names no place is free: the legend stands above them.
         look = {"loc": "lower left", "bbox_to_anchor": (0, 1)} if figure.panels[0].ticks else {}
         if legend:
-            _draw_legend(place[0], _legend_entries([figure]), fontsize=9, **look)
+            _draw_legend(place[0], [figure], fontsize=9, **look)
     return drawn
 
 
@@ -126,7 +127,9 @@ def draw_into(
     _draw_panels(axes, figures, hz)
     place.align_ylabels(axes)
     if legend:
-        _legend_below(place, figures)
+        # Below all panels, where it covers no data.
+        look = {"loc": "outside lower center", "fontsize": 10, "frameon": False}
+        _draw_legend(place, figures, place.bbox.width / place.dpi, **look)
     return axes
 
 
@@ -255,8 +258,7 @@ def _draw_regions(ax: Axes, series: Series) -> None:
         look = {"facecolors": [pale], "linewidths": 0, "zorder": 0.5}
     vertices = np.column_stack([series.x, series.y])
     pieces = np.ma.clump_unmasked(np.ma.masked_invalid(series.x))
-    polygons = PolyCollection([vertices[rows] for rows in pieces], **look)
-    ax.add_collection(polygons, autolim=False)
+    ax.add_collection(PolyCollection([vertices[rows] for rows in pieces], **look), autolim=False)
 
 
 _DRAWERS = {
@@ -414,20 +416,6 @@ def _number_decades(axis: Axis, low: float, high: float) -> None:
 # --- legends
 
 
-def _legend_below(place: MatplotlibFigure | SubFigure, figures: Sequence[Figure]) -> None:
-    """Draw the legend below all panels, where it covers no data."""
-    entries = _legend_entries(figures)
-    if not entries:
-        return
-    inches = place.bbox.width / place.dpi
-    # A letter of 10 points takes about 1/11 inch, a key six letters.
-    columns = int(11 * inches / (max(map(len, entries)) + 6))
-    columns = max(1, min(len(entries), columns))
-    _draw_legend(
-        place, entries, loc="outside lower center", ncols=columns, fontsize=10, frameon=False
-    )
-
-
 def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
     """Return the keys by label: points, lines, then bands; a label has a key for every color."""
     drawn = [
@@ -453,10 +441,16 @@ def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
     }
 
 
-def _draw_legend(place: Any, entries: dict[str, tuple[Artist, ...]], **look: Any) -> None:
-    """Draw a legend in which the keys of a label stand side by side."""
-    if entries:
-        length = max(2.0, 1.2 * max(map(len, entries.values())))
-        handlers = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
-        keys = [*entries.values()], [*entries]
-        place.legend(*keys, handler_map=handlers, handlelength=length, **look)
+def _draw_legend(place: Any, figures: Sequence[Figure], width: float = 0.0, **look: Any) -> None:
+    """Draw a legend in as many columns as fit a width in inches; keys of a label side by side."""
+    entries = _legend_entries(figures)
+    if not entries:
+        return
+    length = max(2.0, 1.2 * max(map(len, entries.values())))
+    # A letter of 10 points takes about 1/11 inch, an em of the key 1.5 letters.
+    longest = np.cumsum(sorted(map(len, entries), reverse=True))
+    widths = longest + (3 + 1.5 * length) * np.arange(1, 1 + len(entries))
+    columns = max(1, np.count_nonzero(widths <= 11 * width))
+    handlers = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
+    look |= {"ncols": columns, "handler_map": handlers, "handlelength": length}
+    place.legend([*entries.values()], [*entries], **look)

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
-from greybox.compiled.segments import Segments
+from greybox.compiled.segments import Course, Segments
 from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, frozen
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
@@ -85,18 +85,19 @@ class _Run:
     estimates: StateEstimates | None = None
 
     @cached_property
-    def states(self) -> Array:
-        """The states (n, columns) at all samples."""
-        return self.segments.simulate(self.initial, self.q, self.data)[0]
+    def along(self) -> Course:
+        """The states (n, columns) at all samples, with q and data."""
+        states, _ = self.segments.simulate(self.initial, self.q, self.data)
+        return Course(states, self.q, self.data)
 
     @cached_property
     def outputs(self) -> Array:
         """The outputs (k, columns) at all samples."""
-        return self.segments.outputs(self.states, self.q, self.data)
+        return self.segments.outputs(self.along)
 
     def sensitivities(self) -> Array:
         """Return the derivatives of the outputs by first states and active values."""
-        return self.segments.output_sensitivities(self.states, self.q, self.data)
+        return self.segments.output_sensitivities(self.along)
 
 
 class Simulator:
@@ -146,7 +147,7 @@ class Simulator:
             return _Run(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
 
         result = self._accurate(float(stretch.steps.max()), run)
-        signals = dict(zip(model.system.states, result.states, strict=True))
+        signals = dict(zip(model.system.states, result.along.states, strict=True))
         signals |= dict(zip(self._outputs, result.outputs, strict=True))
         if model.covariance is None or diverged(signals).any():
             return signals, ()
@@ -214,7 +215,7 @@ class Simulator:
             initial=result.estimates,
             measured=measured,
             outputs=segments.by_segment(result.outputs),
-            states=segments.by_segment(result.states),
+            states=segments.by_segment(result.along.states),
             in_lead=in_lead,
             slopes=result.sensitivities(),
             segments=segments,
@@ -282,7 +283,8 @@ class Simulator:
             self._substeps = stable_substeps(poles, step, reach=0.1, most=MOST_AT_FIRST)
         while True:
             result = run(self._step(self._substeps))
-            finite = all_finite(result.states)
+            states = result.along.states
+            finite = all_finite(states)
             most = self._substeps >= MOST_SUBSTEPS
             if self._is_automatic and most and not (finite or result.estimates):
                 # What is stiff far from rest; a jump would stop Newton's iteration, not RK4.
@@ -290,7 +292,7 @@ class Simulator:
                 self._is_automatic, self._integrator = False, Radau()
                 self._substeps, self._steps = MOST_AT_FIRST, {}
                 continue
-            if chosen or not result.states.size or most:
+            if chosen or not states.size or most:
                 return result
             # Steps that are too long may be the reason why states are not finite.
             error = self._local_error(result) if finite else np.inf
@@ -301,7 +303,7 @@ class Simulator:
 
     def _local_error(self, result: _Run) -> float:
         """Return the largest change of a state in one sample by halved substeps, over its size."""
-        states = result.states
+        states = result.along.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
         # At 400 samples of all, since each costs two evaluations of the model.
         places = np.linspace(0, usable.size - 1, min(usable.size, 400)).astype(int)

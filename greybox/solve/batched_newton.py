@@ -16,6 +16,7 @@ over the variables that are not held at a bound by the gradient (Bertsekas, SIAM
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import casadi as ca
@@ -27,7 +28,7 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, IntArray
-from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
+from greybox.modeling.one_thread import Stored, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
@@ -74,6 +75,17 @@ class Ends(NamedTuple):
     cost: Array
 
 
+ALL = slice(None)
+
+
+def continued(ends: Ends, later: Ends, which: IntArray | slice = ALL) -> Ends:
+    """Return the ends of m searches, with later ends of all or of those at the places `which`."""
+    later.iterations[:] += ends.iterations[which]
+    for values, replaced in zip(ends, later, strict=True):
+        values[..., which] = replaced
+    return ends
+
+
 @dataclass(eq=False)
 class _Searches:
     """The searches in progress, and some that have ended, a column for each.
@@ -106,7 +118,7 @@ def _iteration(p: int) -> tuple[Columns, Columns]:
     )
 
 
-_iterations = PerThread(_iteration, 16)
+_iterations = Stored(16)
 
 
 class BatchedNewton:
@@ -151,7 +163,7 @@ class BatchedNewton:
 
         A `smoothing` replaces those of the levels. A search ends where its projected gradient is at
         most the `tolerance`, relative to the cost where that is above one. The columns of `given`
-        (g, m) are the data of each search, and `bounds`, (p, m) each, replace those of the problem.
+        (g, m) are the data of each search, and `bounds`, (p, m) or (p, 1), replace the problem's.
         """
         m = z.shape[1]
         data = np.repeat(self._data, m, axis=1) if given is None else given
@@ -206,7 +218,7 @@ class BatchedNewton:
         inputs = trial, smoothings[levels][None], searches.data
         cost, gradient, hessian = self._function(*inputs, *roots)
 
-        advance, within_radius = _iterations.result(p)
+        advance, within_radius = _iterations.result(p, partial(_iteration, p))
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
         alike = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(numbers, barrier, alike, cost[None], gradient, hessian)

@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future, wait
 from contextlib import suppress
+from functools import partial
 from itertools import islice, starmap
 from types import MappingProxyType
 from typing import Any
@@ -27,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import PerThread
+from greybox.modeling.one_thread import Stored
 from greybox.solve.blas_threads import one_blas_thread
 from greybox.solve.interruption import interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.kept_runs import Memory
@@ -264,7 +265,7 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
 
 
 # A solver takes longer to build than many of its runs. Four serve the members of a study in turn.
-_solvers = PerThread(pickle.loads, 4)
+_solvers = Stored(4)
 
 
 def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> list[Outcome]:
@@ -277,7 +278,7 @@ def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> l
         # A terminal sends Ctrl-C to the workers as well.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     with limited(end), one_blas_thread():
-        solver = _solvers.result(payload)
+        solver = _solvers.result(payload, partial(unpickled, payload))
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
         return [outcome for batch in batches for outcome in solver.run_together(batch)]

@@ -1,12 +1,13 @@
 """The interface of every solver: a run from one start, and whatever else a search needs."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.rebuilt import Rebuilt
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Outcome, Runs
 
@@ -21,7 +22,7 @@ class Profile:
     converged: bool
 
 
-class Runner(ABC):
+class Runner(Rebuilt, ABC):
     """An object that makes runs, here or on workers, each from a row of numbers.
 
     Attributes
@@ -31,10 +32,6 @@ class Runner(ABC):
     """
 
     together: int = 1
-
-    @abstractmethod
-    def __reduce__(self) -> tuple[Callable[..., "Runner"], tuple[Any, ...]]:
-        """Return a function that builds the same runner, and its arguments."""
 
     @abstractmethod
     def run(self, start: Array) -> Outcome:

@@ -47,6 +47,7 @@ def solver_for(
     ValueError
         For options that the solver does not take.
     """
+    options = dict(options)  # for a worker: a view of a mapping does not travel
     if not nlp.has_states:
         batched = search == BATCHED
         kind = SharedSolver if batched and SharedSolver.serves(nlp) else ResponseSolver

@@ -7,9 +7,8 @@ conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems f
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import combinations
 from types import MappingProxyType
 from typing import Any
@@ -23,7 +22,7 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import fits_a_batch, instructions
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
-from greybox.solve.batched_newton import BatchedNewton, Ends
+from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONFIRMING, CONVERGED, ROUNDED, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
@@ -73,7 +72,7 @@ class ResponseSolver(LocalSolver):
         batched: bool = True,
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
-        self.problem, self._options, self._batched = problem, dict(options), batched
+        self.problem, self._options, self._batched = problem, options, batched
         if options:  # those that IPOPT does not take are refused here
             _ = [stage.solver for stage in self._stages]
         lower, upper = problem.bounds
@@ -94,10 +93,6 @@ class ResponseSolver(LocalSolver):
     @cached_property
     def _stages(self) -> list[Ipopt]:
         return [Ipopt.of(program, self._options) for program in self.problem.programs]
-
-    def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
-        """Return a recipe for the same solver."""
-        return partial(type(self), batched=self._batched), (self.problem, self._options)
 
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
@@ -131,9 +126,9 @@ class ResponseSolver(LocalSolver):
                 break
 
         # IPOPT respects bounds to a tolerance only.
-        estimate = problem.estimate_at(z)
         converged = status in CONVERGED or (located and status == ROUNDED)
-        return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
+        seconds = time.perf_counter() - began
+        return Outcome(problem.estimate_at(z), status, iterations, seconds, converged)
 
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the point x (p,): there are no hidden unknowns."""
@@ -214,13 +209,10 @@ class ResponseSolver(LocalSolver):
         ends = self.improved(self.problem.scaling.to_solver(starts).T)
         seconds = (time.perf_counter() - began) / len(starts)
         outcomes = []
-        ended = zip(
-            self.problem.estimate_at(ends.z.T),
-            ends.iterations.tolist(),
-            ends.at_minimum,
-            strict=True,
-        )
-        for x, count, at_minimum in ended:
+        estimates = self.problem.estimate_at(ends.z.T)
+        for x, count, at_minimum in zip(
+            estimates, ends.iterations.tolist(), ends.at_minimum, strict=True
+        ):
             is_end = at_minimum and self.meets_constraints(x)
             status = AT_MINIMUM if is_end else reason_to_end()
             outcome = Outcome(x, status, count, seconds, is_end, stage=IMPROVED)
@@ -234,8 +226,7 @@ class ResponseSolver(LocalSolver):
         ends = self._away_from_zero(z, first.minimize(z, **limits))
         limits["from_near"] = True
         for batch in others:
-            iterations, ends = ends.iterations, batch.minimize(ends.z, **limits)
-            ends.iterations[:] += iterations
+            ends = continued(ends, batch.minimize(ends.z, **limits))
         return ends
 
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
@@ -247,11 +238,7 @@ class ResponseSolver(LocalSolver):
         if not zero.size:
             return ends
 
-        again = self._walled.minimize(z[:, zero], **self.limits)
-        again.iterations[:] += ends.iterations[zero]
-        for values, replaced in zip(ends, again, strict=True):
-            values[..., zero] = replaced
-        return ends
+        return continued(ends, self._walled.minimize(z[:, zero], **self.limits), zero)
 
     @cached_property
     def _walled(self) -> BatchedNewton:

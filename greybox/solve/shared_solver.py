@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.shared_response import SineTest
 from greybox.files.arrays import Array
-from greybox.solve.batched_newton import BatchedNewton, Ends
+from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.minima import Minimum
 from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
 from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
@@ -58,13 +58,11 @@ class SharedSolver(ResponseSolver):
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m)."""
         if self._sine_tests:
-            near = super().improved(z, **limits)
+            ends = super().improved(z, **limits)
             # Near the last motions there may be others than those that are found anew.
             for test in self._sine_tests:
                 test.last.clear()
-            ends = super().improved(near.z, max_iterations=FEW, from_near=True)
-            ends.iterations[:] += near.iterations
-            return ends
+            return continued(ends, super().improved(ends.z, max_iterations=FEW, from_near=True))
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
         near, iterations = z[:, 1:], 0
         ratios = np.array(FIRST)[np.arange(near.shape[1]) // 2 % 2]
@@ -81,14 +79,21 @@ class SharedSolver(ResponseSolver):
                 given=stage * ratios[None],
             )
             near, iterations = ends.z, iterations + ends.iterations
-        if near.size:
-            # Some starts take 250 iterations, and their time would be that of the whole fit.
-            limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
+        # Some starts take 250 iterations, and their time would be that of the whole fit.
+        limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
         # Without a barrier: the first start may be a minimum of a similar problem.
         near = np.column_stack([z[:, 0], near])
         ends = super().improved(near, **limits, from_near=True)
         ends.iterations[1:] += iterations
-        return ends
+        # The Hessian lacks what large residuals add, so that searches for a wrong model take up to
+        # 400. Without the lowest of them the fit might have no minimum at all.
+        lowest = np.argmin(ends.cost, keepdims=True)
+        if ends.at_minimum[lowest]:
+            return ends
+        limits["max_iterations"] = 4 * self.limits["max_iterations"]
+        return continued(
+            ends, super().improved(ends.z[:, lowest], **limits, from_near=True), lowest
+        )
 
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS

@@ -7,7 +7,7 @@ whole samples of estimated delays follow in the same way.
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -32,7 +32,6 @@ class TranscribedProgram(LocalSolver):
         """Put the programs of all parts together."""
         self._nlp = nlp
         self._gauss_newton = GaussNewton(nlp)  # gives states to begin with
-        self._options = dict(options)
         z = ca.MX.sym("z", len(nlp.free))
         self._programs = [part.program(z) for part in nlp.parts]
         self._weights = [part.weight for part in nlp.parts]
@@ -80,10 +79,6 @@ class TranscribedProgram(LocalSolver):
             "lbg": np.zeros(constraints.numel()),
             "ubg": np.concatenate([np.zeros(equations.numel()), np.full(limits.numel(), np.inf)]),
         }
-
-    def __reduce__(self) -> tuple[Callable[..., "TranscribedProgram"], tuple[Any, ...]]:
-        """Return a recipe for the same solver."""
-        return TranscribedProgram, (self._nlp, self._options)
 
     def is_finite_at(self, start: Array) -> bool:
         """Return whether the model is finite at the parameters `start` (p,), near the data."""

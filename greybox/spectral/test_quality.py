@@ -75,8 +75,8 @@ class Quality:
     def with_findings(self, *findings: Finding) -> "Quality":
         """Return the verdict with more findings, sorted by severity."""
         rank = {"refusal": 0, "warning": 1, "note": 2}
-        every = (*self.findings, *findings)
-        return Quality(tuple(sorted(every, key=lambda f: rank[f.severity])))
+        findings = (*self.findings, *findings)
+        return Quality(tuple(sorted(findings, key=lambda f: rank[f.severity])))
 
     def __repr__(self) -> str:
         return one_line(
@@ -131,7 +131,7 @@ def check(
         *_gaps(record, usable),
         *jitter(record),
         *_saturation(record, usable, input),
-        *_amplitude(record, (input, output)),
+        *_amplitude(record, input, output),
         *_segments(segments),
         *_spread(*band),
         *_length(record, band[1], usable),
@@ -154,18 +154,19 @@ def graded(about: str, value: float, limits: Interval, text: str) -> Iterator[Fi
 def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
     for name in names:
         for low_pass in record.filters.get(name, ()):
-            cure = f"fit the plant in series with greybox.models.filters.{low_pass.model}"
-            text = f"{name} was logged behind a {low_pass}: {cure}."
+            text = (
+                f"{name} was logged behind a {low_pass}: fit the plant in series with "
+                f"greybox.models.filters.{low_pass.model}."
+            )
             yield Finding("filters", "note", math.nan, text)
 
 
 def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
     spans = [(s.start, s.end) for s in segments] or [(-math.inf, math.inf)]
     # Gaps between tests lose nothing.
-    begins = record.time[:-1]
-    ends = record.time[1:]
-    within = np.any([(ends > start) & (begins < end) for start, end in spans], axis=0)
-    steps = np.diff(record.time)[within]
+    time = record.time
+    within = np.any([(time[1:] > start) & (time[:-1] < end) for start, end in spans], axis=0)
+    steps = np.diff(time)[within]
     wide = steps[steps > GAP * record.step]
     if wide.size:
         share = wide.sum() / steps.sum()
@@ -204,18 +205,21 @@ def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Itera
     yield from graded("saturation", share, SATURATED, text)
 
 
-def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
-    for name in names:
+def _amplitude(record: Record, control: str, output: str) -> Iterator[Finding]:
+    for name in (control, output):
         levels = np.unique(record[name][np.isfinite(record[name])])
         if levels.size == 1:
             text = f"{name} is constant ({levels[0]:g} throughout): it has no information."
             yield Finding("amplitude", "refusal", 0.0, text)
-        else:
-            text = (
+        # Two values of a control are a binary sequence, whose amplitude is exact.
+        elif levels.size > 2 or name != control:
+            yield from graded(
+                "amplitude",
+                float(levels.size),
+                LEVELS,
                 f"{name} takes only {levels.size} values: its amplitude is close to its "
-                "resolution; excite more."
+                "resolution; excite more.",
             )
-            yield from graded("amplitude", float(levels.size), LEVELS, text)
 
 
 def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
@@ -253,8 +257,7 @@ def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Itera
         lowest = fewest.band[0]
     else:
         # Nothing is estimated across a gap.
-        longest = max(piece.duration for piece in record.pieces)
-        periods = longest * lowest / (2 * math.pi)
+        periods = max(piece.duration for piece in record.pieces) * lowest / (2 * math.pi)
     yield from graded(
         "length",
         periods,
@@ -296,11 +299,13 @@ def _noise(response: FrequencyResponse) -> Iterator[Finding]:
     if response.variance is None:
         return
     error = float(np.median(response.relative_error))
-    text = (
+    yield from graded(
+        "noise",
+        error,
+        ERROR,
         f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or "
-        "longer."
+        "longer.",
     )
-    yield from graded("noise", error, ERROR, text)
 
 
 def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
@@ -314,8 +319,10 @@ def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
         yield Finding("coherence", "warning", float(weak.size), text, tuple(weak.tolist()))
 
     median = float(np.median(response.coherence))
-    text = (
+    yield from graded(
+        "coherence",
+        median,
+        COHERENCE,
         f"half of the points have a coherence below {median:.2f}: the output is mostly noise or "
-        "the effect of other inputs; excite more."
+        "the effect of other inputs; excite more.",
     )
-    yield from graded("coherence", median, COHERENCE, text)

@@ -69,7 +69,7 @@ def uniform_stretches(
 
     if not stretches:
         raise ValueError(
-            f"there are no samples in which {', '.join(dict.fromkeys(signals))} are all present: "
+            f"in no two samples in a row, {', '.join(dict.fromkeys(signals))} are all present: "
             "gb.prepare(record, ..., rate=...) puts signals of different rates on one time base."
         )
     # A ratio of two constants would consist of rounding errors.

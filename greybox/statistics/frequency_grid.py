@@ -131,12 +131,9 @@ class FrequencyGrid:
         """Return the correlation times (k,) of spectra (k, b), samples."""
         # An exponential has this share of its sum within its time constant.
         share = 1 - math.exp(-1)
-        times = []
-        for spectrum in spectra:
-            covariances = np.abs(np.fft.irfft(self.spread_out(spectrum), self.size))
-            total = np.cumsum(covariances[: min(self.longest, self.size // 2)])
-            times.append(float(np.sum(total < share * total[-1])))
-        return np.array(times)
+        covariances = np.abs(np.fft.irfft(self.spread_out(spectra), self.size))
+        total = np.cumsum(covariances[:, : min(self.longest, self.size // 2)], axis=1)
+        return np.sum(total < share * total[:, -1:], axis=1)
 
 
 def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:

@@ -421,12 +421,13 @@ class ResidualSpectra:
         variance = estimated.variance
         density = np.tensordot(variance, densities, 1)
         taken = np.array([self.taken_by(part) for part in densities]) * variance
-        share = taken / max(float(taken.sum()), TINY)
+        total = float(taken.sum())
+        share = taken / max(total, TINY)
 
         return AveragedSpectrum(
             density,
             np.maximum(np.einsum("iib->ib", density).real, TINY),
-            float(taken.sum()),
+            total,
             float(share @ estimated.covariance @ share),
             estimated.score + aicc_penalty(len(variance), self.counts.sum()),
         )

@@ -239,9 +239,6 @@ class _WholeMembers(Runner):
     That is nothing for a member that takes longer than `UNWRITTEN`: workers then share its runs.
     """
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _WholeMembers, ()
-
     def run(self, start: Any) -> Outcome:
         """Fit a member."""
         began, runs = time.perf_counter(), _Unwritten(Path())

@@ -106,18 +106,19 @@ class Bootstrap(Printed):
     @property
     def standard_error(self) -> dict[str, float]:
         """Standard deviations of the replicates by name; NaN for less than two."""
-        if len(self._successful) < 2:
-            return dict.fromkeys(self.names, math.nan)
-        spread = self._successful.std(axis=0, ddof=1)
-        return dict(zip(self.names, spread.tolist(), strict=True))
+        return {
+            name: float(values.std(ddof=1)) if values.size > 1 else math.nan
+            for name, values in self.columns.items()
+        }
 
     @property
     def bias(self) -> dict[str, float]:
         """Means of the replicates minus the estimates, by name; NaN without replicates."""
-        if not len(self._successful):
-            return dict.fromkeys(self.names, math.nan)
-        bias = self._successful.mean(axis=0) - self.estimate
-        return dict(zip(self.names, bias.tolist(), strict=True))
+        estimates = zip(self.columns.items(), self.estimate, strict=True)
+        return {
+            name: float(values.mean() - estimate) if values.size else math.nan
+            for (name, values), estimate in estimates
+        }
 
     def interval(self, level: float = 0.95) -> dict[str, Interval]:
         """Return percentile intervals by name: quantiles of the replicates; NaN without replicates.
@@ -176,8 +177,8 @@ class Bootstrap(Printed):
     def text(self, level: float = 0.95) -> str:
         """Return errors and intervals as a table."""
         failed = f", {self.failed} failed" if self.failed else ""
-        replicates = counted(len(self.values), "replicate")
-        title = f"{self.name}: bootstrap, {self.about}; {replicates}{failed}"
+        title = f"{self.name}: bootstrap, {self.about}; "
+        title += f"{counted(len(self.values), 'replicate')}{failed}"
         header = ["", "estimate", "± error", "± fit", "bias", "unit", f"{100 * level:g} % interval"]
         rows = [
             [
@@ -323,6 +324,9 @@ def bootstrap(
         "manoeuvres, which are not drawn yet": fit.spectra,
         "a prior, which is not drawn": any(part.is_prior for part in fit.parts),
         "records and responses, which cannot be drawn together": fit.records and fit.responses,
+        "residuals that correct its states, which cannot be drawn and added": any(
+            part.gains for part in fit.records
+        ),
     }
     for obstacle, present in obstacles.items():
         if present:

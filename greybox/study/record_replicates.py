@@ -73,18 +73,14 @@ def record_draws(
     Raises
     ------
     ValueError
-        If the residuals correct the states, or if the data are fitted exactly.
+        If the data are fitted exactly.
     """
-    records = []
     spectra = [errors.colored and errors.colored.spectrum for errors in accuracy.parts]
     columns = zip(nlp.parts_of(RecordPart), trajectories, spectra, accuracy.parts, strict=True)
-    for part, trajectory, spectrum, errors in columns:
-        if part.gains:
-            raise ValueError(
-                f"the residuals of {part.name!r} correct its states, so that they cannot be drawn "
-                "and added: use OutputError(), or the standard errors."
-            )
-        records.append(_drawn_record(part, trajectory, spectrum, errors.numbers))
+    records = [
+        _drawn_record(part, trajectory, spectrum, errors.numbers)
+        for part, trajectory, spectrum, errors in columns
+    ]
     about = "residuals drawn" + (" with their correlation in time" if any(spectra) else "")
     constants = nlp.constant_values
     return Draws(seed, tuple(records), constants, np.zeros((len(constants), 0)), about)

@@ -4,8 +4,7 @@ Seed and number of a replicate determine its random numbers. A run is this numbe
 result does not depend on how many workers there are.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import fields
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -59,6 +58,3 @@ class Replicates(Runner):
     nlp: CompiledProblem
     draws: Draws
     start: Array
-
-    def __reduce__(self) -> tuple[Callable[..., "Replicates"], tuple[Any, ...]]:
-        return type(self), tuple(getattr(self, field.name) for field in fields(self))

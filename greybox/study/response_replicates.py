@@ -2,22 +2,21 @@
 
 import math
 import time
+from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import CorrelatedPoints, Part
-from greybox.compiled.response_part import SMOOTHING, ResponsePart
-from greybox.compiled.response_programs import fits_a_batch
+from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, known_covariances
 from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
-from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE
+from greybox.solve.ipopt import WARM
+from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, ResponseSolver
 from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.replicates import Draws, Replicates
 
@@ -166,47 +165,37 @@ class ResponseReplicates(Replicates):
         """Solve for the data in the columns (g, m)."""
         if self._newton is None:
             return [self._by_ipopt(column) for column in data.T]
+        begin = np.clip(self.nlp.scaling.to_solver(self.start), *self.nlp.bounds)
         ends = self._newton.minimize(
-            np.tile(self._begin[:, None], data.shape[1]),
+            np.tile(begin[:, None], data.shape[1]),
             max_iterations=ITERATIONS,
             tolerance=TOLERANCE,
             from_near=True,
             given=data,
         )
         return [
-            self._outcome(ends.z[:, k], AT_MINIMUM, int(ends.iterations[k]), stage=IMPROVED)
-            if ends.at_minimum[k]
+            Outcome(self.nlp.estimate_at(z), AT_MINIMUM, count, 0.0, converged=True, stage=IMPROVED)
+            if at_minimum
             else self._by_ipopt(column)
-            for k, column in enumerate(data.T)
+            for z, count, at_minimum, column in zip(
+                ends.z.T, ends.iterations.tolist(), ends.at_minimum, data.T, strict=True
+            )
         ]
 
     def _by_ipopt(self, data: Array) -> Outcome:
         # IPOPT takes much longer than a batch: check the time limit before each solve.
         if cut := reason_to_end():
-            return self._outcome(np.full(len(self.start), np.nan), cut, 0)
-        lower, upper = self.nlp.bounds
-        bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": math.inf}
-        p = np.append(SMOOTHING, data)
-        return self._outcome(*self._ipopt.solve(self._begin, p, bounds))
-
-    def _outcome(self, z: Array, status: str, iterations: int, **stage: Any) -> Outcome:
-        estimate = self.nlp.estimate_at(z)
-        converged = status in (AT_MINIMUM, *CONVERGED)
-        return Outcome(estimate, status, iterations, 0.0, converged, **stage)
-
-    @cached_property
-    def _begin(self) -> Array:
-        return np.clip(self.nlp.scaling.to_solver(self.start), *self.nlp.bounds)
+            nowhere = np.full(len(self.start), np.nan)
+            return Outcome(nowhere, cut, 0, 0.0, converged=False)
+        # What was compiled is shared; at the estimate, no other criterion need locate the minimum.
+        nlp = copy(self.nlp)
+        vars(nlp).update(data=data, programs=self.nlp.programs[-1:])
+        return ResponseSolver(nlp, WARM, batched=False).run(self.start)
 
     @cached_property
     def _newton(self) -> BatchedNewton | None:
         program = self.nlp.programs[-1]
         # Where Newton's method finds operating points too, it left the minimum of the fit for a
         # higher one in three of 100 replicates of the paper's operating points; IPOPT in one.
-        if program.roots is not None or not fits_a_batch(program.explicit):
-            return None
-        return BatchedNewton.of(self.nlp, program)
-
-    @cached_property
-    def _ipopt(self) -> Ipopt:
-        return Ipopt.of(self.nlp.programs[-1], WARM)
+        serves = program.roots is None and ResponseSolver.serves(self.nlp)
+        return BatchedNewton.of(self.nlp, program) if serves else None

@@ -96,7 +96,7 @@ class StepwiseSelection:
         text = (
             f"{listed(self.terms)} of {tried} {'is' if len(self.terms) == 1 else 'are'} supported"
         )
-        costs = [number(fit.cost, 4) for fit in (self.fit, self.without)]
+        costs = [number(fit.cost, 6) for fit in (self.fit, self.without)]
         text = f"{text}: cost {costs[0]} instead of {costs[1]} without."
         if self.doubtful:
             text += (
@@ -114,7 +114,7 @@ class StepwiseSelection:
                 str(trial.step),
                 trial.change,
                 trial.term,
-                number(trial.cost, 4),
+                number(trial.cost, 6),
                 trial.why_not or number(trial.p_value, 2),
                 f"{trial.limit:.2g}",
                 {"add": "added", "remove": "removed"}[trial.change] if trial.done else "",
@@ -168,7 +168,8 @@ def stepwise(
     without = fits.fitted(current, None)
     if not without.converged:
         raise ValueError(
-            f"the problem {problem.name!r} has no fit without any of {', '.join(absent)}."
+            f"the problem {problem.name!r} has no fit without any of {', '.join(absent)}: give "
+            f"starts={5 * starts}, or leave those out of the candidates that the model needs."
         )
 
     trials: list[Trial] = []
@@ -176,9 +177,9 @@ def stepwise(
     step = 0
     while len(current) < len(absent):
         step += 1
-        left_out = [name for name in absent if name not in current]
         # Bonferroni: the smallest of many p-values is small by chance.
-        tried = [fits.trial(step, n, current, SIGNIFICANT / len(left_out)) for n in left_out]
+        limit = SIGNIFICANT / (len(absent) - len(current))
+        tried = [fits.trial(step, n, current, limit) for n in absent if n not in current]
         best = _best([t for t in tried if t.p_value < t.limit])
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
@@ -186,8 +187,7 @@ def stepwise(
         current = current | {best.term}
         seen.add(current)
         while len(current) > 1:
-            chosen = [name for name in absent if name in current]
-            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in chosen]
+            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in absent if n in current]
             idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
             worst = max(idle, key=lambda t: t.p_value, default=None)
             trials += [replace(t, done=t is worst) for t in tried]
@@ -249,8 +249,8 @@ class _Fits:
         problem = with_terms(self.problem, terms, self.absent)
         free = {name for name, p in problem.parameters.items() if not p.fixed}
         start = {} if near is None else {n: v for n, v in near.estimate.items() if n in free}
-        rules = [start, Sobol(self.starts, 0)]
-        return fit_problem(problem, rules, profiles=profiles, progress=False)
+        starts = [start, Sobol(self.starts, 0)]
+        return fit_problem(problem, starts, profiles=profiles, progress=False)
 
     def trial(self, step: int, term: str, terms: Terms, limit: float) -> Trial:
         """Test a term that is added to these terms, or removed from them."""

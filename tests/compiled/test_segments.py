@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.sample_step import sample_step
-from greybox.compiled.segments import Segments
+from greybox.compiled.segments import Course, Segments
 from greybox.modeling.realization import dynamics
 
 COUNT, LENGTH = 3, 7
@@ -52,7 +52,7 @@ def test_each_segment_runs_from_its_own_state(made):
     segments = Segments(step, COUNT, LENGTH, np.zeros(0, dtype=int))
     data = segments.columns(rows)
     states, ends = segments.simulate(initial, q, data)
-    outputs = segments.outputs(states, q, data)
+    outputs = segments.outputs(Course(states, q, data))
     wanted_states, wanted_outputs = by_steps(step, initial, q, rows)
     assert_allclose(segments.by_segment(states), wanted_states, rtol=1e-13)
     assert_allclose(segments.by_segment(outputs), wanted_outputs, rtol=1e-13)
@@ -82,7 +82,7 @@ def test_sensitivities_are_differences(made):
     segments = Segments(step, COUNT, LENGTH, active)
     data = segments.columns(rows)
     states, _ = segments.simulate(initial, q, data)
-    found = segments.output_sensitivities(states, q, data)
+    found = segments.output_sensitivities(Course(states, q, data))
     assert found.shape[:2] == (COUNT, LENGTH)
     h = 1e-6
     for column in range(4):
@@ -119,7 +119,7 @@ def test_a_guarded_root_below_zero_leaves_the_solver_finite_derivatives():
     rows[-1] = 0.05
     data = segments.columns(rows)
     states, _ = segments.simulate(np.array([[-1.0]]), np.ones(1), data)
-    ends, residuals, _ = segments.sensitivities(states, np.ones(1), data, slice(None))
+    ends, residuals, _ = segments.sensitivities(Course(states, np.ones(1), data), slice(None))
     assert np.isfinite(ends).all()
     assert_allclose(residuals[:, :, 1], 0, atol=1e-15)
     assert_allclose(ends, 0)
@@ -157,10 +157,10 @@ def test_sensitivities_of_outputs_below_a_guarded_root_are_differences(own):
         q = np.array([k, b]) + change[1:]
         q = np.tile(q[:, None], (1, 2)) if own else q
         states, _ = segments.simulate(np.array([[low], [0.5]]) + change[0], q, data)
-        return segments.by_segment(segments.outputs(states, q, data)), states, q
+        return segments.by_segment(segments.outputs(Course(states, q, data))), states, q
 
     _, states, q = run(np.zeros(3))
-    found = segments.output_sensitivities(states, q, data)
+    found = segments.output_sensitivities(Course(states, q, data))
     for column, change in enumerate(1e-6 * np.eye(3)):
         wanted = (run(change)[0] - run(-change)[0]) / 2e-6
         assert_allclose(found[..., column], wanted, rtol=1e-5, atol=1e-6)
@@ -172,7 +172,7 @@ def test_sensitivities_of_outputs_are_not_finite_where_the_simulation_is_not(mad
     data = segments.columns(rows)
     states, _ = segments.simulate(initial, q, data)
     states[:, 2 * COUNT + 1] = np.nan
-    found = segments.output_sensitivities(states, q, data)
+    found = segments.output_sensitivities(Course(states, q, data))
     assert np.isfinite(found[[0, 2]]).all()
     assert not np.isfinite(found[1, 3:]).any()
 
@@ -218,10 +218,10 @@ def test_a_linearization_is_that_of_the_weighted_residuals(made, records, batch,
     segments = Segments(step, COUNT, LENGTH, active, records=records, own=True)
     data = segments.columns(rows)
     states, _ = segments.simulate(initial, each, data)
-    residuals = segments.residuals(states, each, data)
+    residuals = segments.residuals(Course(states, each, data))
     k = residuals.shape[0]
     weight = np.random.default_rng(6).normal(size=(many, k, k))
-    found = segments.linearize(states, each, weight, data)
+    found = segments.linearize(Course(states, each, data), weight)
     _, plain = ends_and_residuals(step, initial, each, rows)
     assert_allclose(segments.by_segment(residuals), plain, rtol=1e-9, atol=1e-12)
     products = segments.products(residuals)
@@ -282,7 +282,7 @@ def test_the_mean_transition_is_that_of_samples_over_the_whole_record(made):
     segments = Segments(step, COUNT, LENGTH, np.zeros(0, dtype=int))
     data = segments.columns(rows)
     states, _ = segments.simulate(initial, q, data)
-    transition, outputs = segments.mean_transition(states, q, data)
+    transition, outputs = segments.mean_transition(Course(states, q, data))
     A, C = np.zeros((2, 2)), np.zeros((1, 2))
     for k in range(COUNT * LENGTH):
         x = segments.in_order(states)[:, k]

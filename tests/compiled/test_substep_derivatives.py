@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 import greybox as gb
 from greybox.compiled.sample_step import sample_step
-from greybox.compiled.segments import Segments
+from greybox.compiled.segments import Course, Segments
 from greybox.modeling.realization import dynamics
 
 CELLS = 16
@@ -57,7 +57,7 @@ def test_derivatives_are_differences(own):
     data, nodes = segments.columns(rows), random.normal(size=(count, CELLS))
     by_segment = np.repeat(q[:, None], count, axis=1) if own else q
     states, _ = segments.simulate(nodes, by_segment, data)
-    ends, residuals, _ = segments.sensitivities(states, by_segment, data, slice(None))
+    ends, residuals, _ = segments.sensitivities(Course(states, by_segment, data), slice(None))
 
     def run(node, values, segment):
         x, errors = node, []

@@ -134,3 +134,35 @@ def test_a_prior_narrows_the_draws(fit):
     narrow = gb.Problem(Lag(), data, prior={"T": (0.06, 1e-4)})
     drawn = gb.draws(gb.fit(narrow, starts=2, progress=False), 100)
     assert np.std(drawn.columns["T"]) == pytest.approx(1e-4, rel=0.15)
+
+
+class Motor(gb.StateSpace):
+    """Speed and angle of a motor."""
+
+    states, inputs, outputs = ("w", "a"), ("u",), ("w", "a")
+    K = gb.Parameter(1.0, bounds=(0, 100))
+    T = gb.Parameter(0.5, bounds=(0.01, 5))
+
+    def derivative(self, x, u, p):
+        return (p.K * u.u - x.w) / p.T, x.w
+
+    def output(self, x, u, p):
+        return x.w, x.a
+
+
+def test_gains_at_their_stability_limit_do_not_narrow_the_other_parameters():
+    """Without process noise a predictor has gains of zero, where stability ends for some of them."""
+    random, time = np.random.default_rng(1), np.arange(0, 8, 0.05)
+    drive = gb.Record(time, {"u": random.choice([-1.0, 0, 1], 16).repeat(10)}, hold={"u": np.inf})
+    motion = gb.simulate(Motor(), {"K": 3.0, "T": 0.2}, drive)
+    noise = random.normal(size=(2, time.size))
+    record = drive.with_signals(w=motion["w"] + 0.1 * noise[0], a=motion["a"] + 0.05 * noise[1])
+    predictor, exact = (
+        gb.fit(gb.Problem(Motor(), record, criterion), starts=1, progress=False)
+        for criterion in (gb.PredictionError(), gb.OutputError())
+    )
+    assert any("stability limit" in text for text in predictor.warnings)
+    drawn = gb.draws(predictor, 100)
+    for name in ("K", "T"):
+        low, high = np.quantile(drawn.columns[name], (0.16, 0.84))
+        assert (high - low) / 2 == pytest.approx(exact.standard_error[name], rel=0.3)

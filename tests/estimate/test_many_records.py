@@ -1,9 +1,11 @@
 """The text of an answer from many records: a summary, with the records that stand out."""
 
 import math
+import re
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.estimate.diagnostics.repeated import once
@@ -82,3 +84,41 @@ def test_a_record_of_short_stretches_has_errors():
     fit = gb.fit(problem, starts=1, progress=False)
     assert fit.estimate["T"] == pytest.approx(0.4, abs=4 * fit.standard_error["T"])
     assert fit.standard_error["T"] < 0.05
+
+
+def lagged(noise, seed, name):
+    """The response of a lag to a held input, with noise (n,)."""
+    n = len(noise)
+    u, x = np.repeat(np.random.default_rng(seed).choice([-1.0, 1.0], n // 10), 10), np.zeros(n)
+    for i in range(n - 1):
+        x[i + 1] = u[i] + (x[i] - u[i]) * math.exp(-0.05 / 0.4)
+    record = gb.Record(0.05 * np.arange(n), {"u": u, "x": x + noise}, name=name)
+    return gb.Problem(Lag(), record, gb.OutputError(inputs="held"))
+
+
+def named_weights(problems):
+    fit = gb.fit(sum(problems), [{}], progress=False)
+    return fit, [text for text in fit.notes if "weight=" in text]
+
+
+def test_a_record_with_correlated_errors_has_too_much_weight_beside_a_white_one():
+    random = np.random.default_rng(1)
+    slow = lfilter([math.sqrt(1 - 0.95**2)], [1, -0.95], random.standard_normal(900))[300:]
+    white, colored = 0.05 * random.standard_normal(150), 0.05 * slow
+    problems = [lagged(white, 1, "white"), lagged(colored, 2, "slow")]
+    fit, (said,) = named_weights(problems)
+    share, gain = map(float, re.search(r"of (\S+) for 'slow', .* about (\S+) times", said).groups())
+    assert "'white'" not in said
+    assert 0.01 < share < 0.3
+    problems[1] = problems[1].with_(weight=share)
+    better, said = named_weights(problems)
+    assert not said
+    ratio = [fit.standard_error[name] / better.standard_error[name] for name in ("T", "c")]
+    assert 1.25 < gain < 1.3 * max(ratio)
+    assert max(ratio) > 1.2
+
+
+def test_records_with_equal_errors_have_the_right_weights():
+    random = np.random.default_rng(2)
+    noise = random.standard_normal((3, 300)) * [[0.02], [0.1], [0.05]]
+    assert not named_weights([lagged(e, k, f"run {k}") for k, e in enumerate(noise)])[1]

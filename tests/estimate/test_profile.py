@@ -17,6 +17,7 @@ from greybox.estimate.profiles import ProfileOf, Profiles
 from greybox.files.text_table import number
 from greybox.models.tilt import PAPER_G
 from greybox.problems import pitch_hover, yaw_hover
+from greybox.solve.gauss_newton.driver import GaussNewton
 
 OMEGA = np.geomspace(0.3, 30, 15)
 
@@ -425,3 +426,44 @@ def test_a_fit_profiles_parameters_without_bounds():
     fit = gb.fit(gb.Problem(Unbounded(), data), starts=1, progress=False)
     low, high = fit.profiles["b"].interval
     assert low < 0 < high
+
+
+class Pair(gb.StateSpace):
+    """Sideslip and roll rate from two controls."""
+
+    states, inputs, outputs = ("v", "p", "phi"), ("lat", "ped"), ("v", "p")
+    delays = {"lat": "tau"}
+    Lp = gb.Parameter(-3.0, bounds=(-12, 0))
+    Lv = gb.Parameter(-0.5, bounds=(-2, 2))
+    Yv = gb.Parameter(-0.2, bounds=(-1, 1))
+    Llat = gb.Parameter(12.0, bounds=(1, 50))
+    Lped = gb.Parameter(2.0, bounds=(-8, 8))
+    tau = gb.Parameter(0.05, bounds=(0, 0.2))
+
+    def derivative(self, x, u, p):
+        roll = p.Lv * x.v + p.Lp * x.p + p.Llat * u.lat + p.Lped * u.ped
+        return p.Yv * x.v + gb.g * x.phi + u.ped, roll, x.p
+
+    def output(self, x, u, p):
+        return x.v, x.p
+
+
+def test_many_responses_are_profiled_by_the_search_of_their_fit(monkeypatch):
+    """Runs from one point after the other would take fifty times as long as the fit."""
+
+    def run(self, start):
+        raise AssertionError("a run from one start")
+
+    monkeypatch.setattr(GaussNewton, "run", run)
+    omega, random = np.geomspace(0.5, 20, 60), np.random.default_rng(0)
+    responses = []
+    for y in Pair.outputs:
+        for u in Pair.inputs:
+            exact = gb.frequency_response(Pair(), None, omega, input=u, output=y).response
+            noise = 0.05 * random.standard_normal((2, omega.size))
+            measured = exact * (1 + noise[0] + 1j * noise[1])
+            responses.append(gb.FrequencyResponse(omega, measured, input=u, output=y))
+    problem = gb.Problem(Pair(), responses, gb.SquaredRelativeError())
+    fit = gb.fit(problem, starts=2, progress=False)
+    low, high = gb.profile(fit, "Lv")["Lv"].interval
+    assert_allclose((low, high), fit.interval()["Lv"], atol=0.05 * (high - low))

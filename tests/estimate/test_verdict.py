@@ -49,7 +49,7 @@ def test_what_is_not_determined_is_named(fit):
     judged = verdict(shaky)
     assert judged.grade == "doubt"
     assert (
-        "0 are well determined: b0 and a0 exceeded the guidelines (20 % error"
+        "0 are well determined; b0 and a0 exceeded the guidelines (20 % error"
         in judged.sentences[0]
     )
 
@@ -135,7 +135,7 @@ def quantity(name, at_bound):
         ({"free": ()}, "No parameter was free.", True),
         (
             {"quantities": (quantity("a", True), quantity("b", False))},
-            "Of 3 free parameters, 2 are well determined: a ended at a bound. To determine more, fix a parameter or add data.",
+            "Of 3 free parameters, 2 are well determined; a ended at a bound. To determine more, fix a parameter or add data.",
             False,
         ),
         (
@@ -143,7 +143,7 @@ def quantity(name, at_bound):
                 "identifiability": SimpleNamespace(beyond=("c",), error=np.array([0.3])),
                 "quantities": (quantity("a", True),),
             },
-            "Of 3 free parameters, 1 is well determined: a ended at a bound; c exceeded the guidelines (20 % error, "
+            "Of 3 free parameters, 1 is well determined; a ended at a bound; c exceeded the guidelines (20 % error, "
             "10 % insensitivity). To determine more, fix a parameter or add data.",
             False,
         ),
@@ -152,7 +152,7 @@ def quantity(name, at_bound):
                 "identifiability": SimpleNamespace(beyond=tuple("abcd"), error=np.full(6, 0.3)),
                 "free": tuple("abcdef"),
             },
-            "Of 6 free parameters, 2 are well determined: a, b, c and d exceeded the guidelines (20 % error, 10 % "
+            "Of 6 free parameters, 2 are well determined; a, b, c and d exceeded the guidelines (20 % error, 10 % "
             "insensitivity). To determine more, fix a parameter or add data.",
             False,
         ),

@@ -266,3 +266,8 @@ def test_no_more_sines_are_added_than_there_are_frequencies():
     )
     assert [*chosen] == [0, 1, 2]
     assert seconds == pytest.approx([3 * 2 * np.pi, 5.0, 3 * 2 * np.pi / 4])
+
+
+def test_a_signal_that_the_model_does_not_have_is_named():
+    with pytest.raises(ValueError, match="Lag has no output 'theta'; it has y"):
+        plan_sines(Lag(), LAG, {"K": 0.003}, band=(0.5, 15), amplitude=0.5, noise=0.05)

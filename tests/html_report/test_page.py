@@ -13,6 +13,8 @@ from greybox.html_report import page as page_module
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import fit_section
 from greybox.html_report.page import page
+from greybox.models.controller import AttitudeController
+from greybox.models.tilt import Tilt
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +123,9 @@ def test_a_page_without_some_of_the_details_says_how_to_see_them(fit):
     assert "of another member" not in page(whole, None, "study")
     some = page([*whole, Entry("three", None)], None, "study")
     assert "Below are details of 1 result." in some
+
+
+def test_the_margins_of_one_loop_need_no_list(fit, tmp_path):
+    answer = gb.margins(Tilt(), AttitudeController(rate=400, signals={"q": "theta_dot"}), {})
+    gb.report(replace(fit, parts=fit.parts[:1], models=None), tmp_path / "x.html", margins=answer)
+    assert headings((tmp_path / "x.html").read_text())[-1] == "Stability margins"

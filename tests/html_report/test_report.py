@@ -7,6 +7,7 @@ import math
 import os
 import re
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -99,6 +100,16 @@ def test_every_axis_has_a_scale_and_points_their_frequencies(show, one):
         (plane,) = shown.locator("figure:has-text('Nyquist')").all()
         assert plane.locator("text.beside").count() >= 3
         assert plane.locator("path.band").count() == 1  # the confidence ellipses of the curve
+
+
+def test_seconds_since_1970_are_counted_from_a_round_number(show, fit, tmp_path):
+    _, record = fit.parts
+    late = replace(record.data, time=1.7e9 + record.data.time)
+    simulated = replace(record.simulated, time=late.time)
+    part = replace(record, data=late, simulated=simulated)
+    gb.report(replace(fit, parts=(part,), models=None), tmp_path / "late.html")
+    area = show(tmp_path / "late.html").locator(".area").first
+    assert {"2", "4", "6", "8", "Time, s +1.7e9"} <= {*ticks(area)}
 
 
 def test_frequencies_are_in_hertz_on_request(show, one, fit):

@@ -240,3 +240,12 @@ def test_a_band_ends_at_two_fifths_of_the_sampling_rate():
     values[400:550] = np.random.default_rng(2).choice([-1.0, 1.0], 150)
     (found,) = manoeuvres_in(np.arange(1000) / 50, values)
     assert found.band[1] == pytest.approx(0.4 * 2 * np.pi * 50, rel=0.03)
+
+
+@pytest.mark.parametrize(("seed", "size", "noise"), [(1, 2.5, 0.45), (1, 3.0, 0.45), (4, 2.5, 0.4)])
+def test_a_step_in_noise_begins_before_it_ends(seed, size, noise):
+    """The rests before and behind it overlap."""
+    time = np.arange(0, 10, 0.02)
+    values = size * (time >= 5) + noise * np.random.default_rng(seed).standard_normal(time.size)
+    (step,) = manoeuvres_in(time, values)
+    assert 4.5 < step.start < step.end < 5.5

@@ -30,3 +30,12 @@ def test_of_long_lines_the_extremes_of_every_column_are_drawn(count):
         drawn = x[(t >= first) & (t < first + size)]
         assert np.nanmax(drawn) == np.nanmax(column)
         assert np.nanmin(drawn) == np.nanmin(column)
+
+
+def test_an_output_of_a_slower_sensor_is_a_line_that_ends_at_its_gap():
+    time = np.arange(60.0)
+    values = np.where(time % 5 == 0, time, np.nan)
+    values[20:40] = np.nan
+    t, x = drawn_line(time, values, [np.arange(60)])
+    np.testing.assert_array_equal(t, [0, 5, 10, 15, np.nan, 40, 45, 50, 55])
+    np.testing.assert_array_equal(x, t)

@@ -116,6 +116,15 @@ def test_a_legend_below_has_as_many_columns_as_fit(width, columns):
     assert ax.figure.legends[0]._ncols == columns
 
 
+def test_a_legend_with_keys_of_many_colors_stays_within_the_figure():
+    lines = [Series("fit of the model", "line", X, X + k, k) for k in range(8)]
+    names = [Series(f"response {k}", "points", X, X, k) for k in range(8)]
+    (ax,) = draw([Figure("made", "x", [Panel("y", [*lines, *names])])], size=(5.0, 4.0))
+    ax.figure.draw_without_rendering()
+    box = ax.figure.legends[0].get_window_extent()
+    assert 0 <= box.x0 < box.x1 <= ax.figure.bbox.width
+
+
 # --- axes of a user
 
 

@@ -380,3 +380,9 @@ def test_a_clipped_control_that_is_held_between_updates_is_called_saturated():
     """A controller at 10 Hz in a log of 50 Hz."""
     made = record(u=lambda t: np.clip(2 * np.sin(3 * np.floor(10 * t) / 10), -1, 1))
     assert found(check(made, None, GOOD))["saturation"] == "refusal"
+
+
+def test_a_binary_sequence_is_no_signal_of_low_resolution():
+    steps = np.repeat(RANDOM.choice([-1.0, 1.0], 300), 10)
+    quality = check(record(u=lambda t: 0.1 * steps[: t.size]), None, GOOD)
+    assert "amplitude" not in found(quality)

@@ -377,10 +377,16 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
             "'made' has a prior, which is not drawn",
         ),
         (
-            {"records": ("one",), "responses": ("one",)},
+            {"records": (SimpleNamespace(gains=()),), "responses": ("one",)},
             {},
             ValueError,
             "'made' has records and responses",
+        ),
+        (
+            {"records": (SimpleNamespace(gains=(("v", "v"),)),)},
+            {},
+            ValueError,
+            "'made' has residuals that correct its states",
         ),
     ],
 )

@@ -36,7 +36,7 @@ def correlated_frequencies(
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
             if errors is not None and errors.independent < unlikely:
                 yield (
-                    f"neighboring residuals of {part.problem.name!r} are alike "
+                    f"neighboring residuals of {part.name!r} are alike "
                     f"({errors.mean:.2f} from one point to the next), although its errors are "
                     "stated to be independent: the model misses something, or slow changes of the "
                     "vehicle or the air lasted for several tests. Without this statement, "
@@ -51,7 +51,7 @@ def correlated_frequencies(
                 # For 12 points with a correlation of 0.8, intervals of 95 % contain the truth in 86
                 # to 93 % of fits, for 24 points in 91 to 98 %.
                 yield (
-                    f"the residuals of {part.problem.name!r} are correlated along frequency "
+                    f"the residuals of {part.name!r} are correlated along frequency "
                     f"({errors.mean:.2f} from one point to the next; independent errors have a "
                     "probability of "
                     f"{percent(errors.independent)} %). Either the points are closer than the "
@@ -66,7 +66,7 @@ def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
     for information in accuracy.informations:
         if information.doubtful:
             yield (
-                f"the errors of {some(information.doubtful)} of {information.part.problem.name!r} "
+                f"the errors of {some(information.doubtful)} of {information.part.name!r} "
                 "are larger at low or at high frequencies, or correlated along frequency, like "
                 "those of turbulence or of a model that misses something. Intervals would be too "
                 "narrow, so there are none: in turbulence, use EquationError(gusts=True), or, if "

@@ -25,7 +25,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Finding
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
-from greybox.files.text_table import listed, number
+from greybox.files.text_table import listed, number, percent
 from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.metrics import is_resolved
@@ -76,8 +76,8 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             omega = part.data.omega[deviation.index]
             one_in = number(1 / max(points * deviation.probability, 1e-12), 2)
             yield (
-                f"the point at {omega:.4g} rad/s of {part.problem.name!r} is an outlier, "
-                f"{100 * deviation.relative:.2g} % from the model: fewer than one in {one_in} fits "
+                f"the point at {omega:.4g} rad/s of {part.name!r} is an outlier, "
+                f"{percent(deviation.relative)} % from the model: fewer than one in {one_in} fits "
                 "to clean data have such a point. Fit again without it to see its effect."
             )
         yield from _unequal_sizes(part, values, SIZE / len(responses))
@@ -100,7 +100,7 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
         cure = f"give larger variances at {'high' if r > 0 else 'low'} frequencies"
     if math.erfc(abs(r) * math.sqrt((len(ratio) - 1) / 2)) < level:
         yield (
-            f"the size of the errors of {part.problem.name!r} changes with frequency beyond what "
+            f"the size of the errors of {part.name!r} changes with frequency beyond what "
             f"the criterion assumes (rank correlation {r:.2f}), so that intervals may be wrong: "
             f"{cure}, or fit a part of the band."
         )
@@ -115,10 +115,10 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             continue
         for output in part.outputs:
             residual = part.residual(output)[None]
-            if not np.isfinite(residual).any():
+            shown = np.isfinite(residual[0])
+            if not shown.any():
                 continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
-            shown = np.isfinite(residual[0])
             fitted = np.abs(part.simulated[output])[shown]
             r, chance = _rank_correlation(size[shown], fitted)
             # Rounding follows what is rounded.

@@ -36,7 +36,7 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
     """Repeat the findings of the log reader: restarts of the clock, lost lines."""
     return once(
         # Findings of one kind differ in their numbers.
-        (re.sub(r"[\d.]+", "", text), part.data.name or part.name, f"data of {part.name!r}: {text}")
+        (re.sub(r"[\d.]+", "", text), part.name, f"data of {part.name!r}: {text}")
         for part in nlp.problem.parts_with(Record)
         for text in part.data.findings
     )
@@ -45,7 +45,7 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
 def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
     """Name data that are fitted twice, as of a file that was given twice."""
     pairs = [
-        (same[0].problem.name, again.problem.name, "points")
+        (same[0].name, again.name, "points")
         for same in grouped(nlp.parts_of(ResponsePart), lambda part: part.data.checksum)
         for again in same[1:]
     ]
@@ -53,8 +53,7 @@ def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
         earlier, later = first.model.record, again.model.record
         outputs = {*first.outputs} & {*again.outputs}
         if outputs and earlier.checksum == later.checksum and share_samples(earlier, later):
-            samples = f"samples of {listed(sorted(outputs))}"
-            pairs.append((first.problem.name, again.problem.name, samples))
+            pairs.append((first.name, again.name, f"samples of {listed(sorted(outputs))}"))
 
     return once(
         (
@@ -82,14 +81,13 @@ def record_warnings(
         for part, fitted in zip(nlp.parts, answer.parts, strict=True)
         if isinstance(part, RecordPart) and isinstance(fitted, FittedRecord)
     ]
-    alone = len(pairs) == 1
 
     return (
-        *(once(_short(answer, accuracy, alone=alone)) if noisy else ()),
-        *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
+        *(once(_short(answer, accuracy)) if noisy else ()),
+        *once(finding for pair in pairs for finding in unexplained_outputs(*pair)),
         *(biased_by_feedback(pairs, unstable=unstable) if noisy else ()),
         *(colored_predictions(pairs, explained=misfit is None or misfit.explains) if noisy else ()),
-        *once(_bounded(nlp, trajectories, alone=alone)),
+        *once(_bounded(nlp, trajectories)),
         *once(_flattened_inputs(pairs)),
     )
 
@@ -97,25 +95,25 @@ def record_warnings(
 def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
     """Name inputs of a limited band that lines between samples attenuate."""
     for part, _ in pairs:
-        stretch, record = max(part.data.stretches, key=len), part.model.record
-        is_uniform = record.has_time and stretch.times is None
+        stretch = max(part.data.stretches, key=len)
+        is_uniform = part.model.has_time and stretch.times is None
         if not is_uniform or part.model.criterion.inputs == "linear":
             continue
         for name, between, values in zip(
             part.system.inputs, part.model.between, stretch.inputs, strict=True
         ):
             power = np.abs(np.fft.rfft(np.hanning(values.size) * (values - values.mean()))) ** 2
-            rate = np.arange(power.size) / values.size
+            rate = np.fft.rfftfreq(values.size)
             # Steps and corners have power at all frequencies: they are lines, or held.
             if between.held or power[rate > 0.3].sum() >= 1e-3 * power.sum():
                 continue
             # Lines through samples are these samples, each a triangle: its spectrum is sinc².
-            lost = float(power @ (1 - np.sinc(rate) ** 4) / power.sum())
+            lost = power @ (1 - np.sinc(rate) ** 4) / power.sum()
             # A multisine up to 0.2 of the sampling rate loses 9 %, a sweep up to a tenth of it 2 %.
             if lost > 0.04:
                 yield (
                     f"{name} flattened",
-                    record.name or part.problem.name,
+                    part.name,
                     f"{name} moves fast for its sampling rate: lines between its samples lose "
                     f"{100 * lost:.1f} % of its power, which shifts the estimates. Give it at a "
                     "higher rate (interpolated by its band, as by scipy.signal.resample), with "
@@ -124,7 +122,7 @@ def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
                 )
 
 
-def _short(answer: Fit, accuracy: Accuracy, *, alone: bool) -> Iterator[Finding]:
+def _short(answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
     """Name records that are too short to show how long their errors stay correlated.
 
     White noise of 50 to 150 samples looks so in one of twenty records: a test must reject, too.
@@ -134,24 +132,20 @@ def _short(answer: Fit, accuracy: Accuracy, *, alone: bool) -> Iterator[Finding]
         colored = errors.colored
         if not isinstance(fitted, FittedRecord) or colored is None or colored.is_long_enough:
             continue
-        slowest = int(np.argmax(colored.correlation_times))
-        time, output = float(colored.correlation_times[slowest]), fitted.outputs[slowest]
+        time, output = max(zip(colored.correlation_times, fitted.outputs, strict=True))
         if _looks_white(fitted, output, outputs):
             continue
-        place = _place(fitted, alone=alone)
         yield (
             output,
-            fitted.data.name or fitted.name,
-            f"the residuals of {output}{place} stay correlated for about {time:.2g} "
+            fitted.name,
+            f"the residuals of {output} in {fitted.name!r} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
             f"that, less than {FEWEST_TIMES:g}. The standard errors are rough; use a longer "
             "record.",
         )
 
 
-def unexplained_outputs(
-    part: RecordPart, fitted: FittedRecord, *, alone: bool
-) -> Iterator[Finding]:
+def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Iterator[Finding]:
     """Name outputs that the model hardly reproduces."""
     # With constant inputs a static model is a mean, which reproduces no variation by definition.
     is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
@@ -176,12 +170,11 @@ def unexplained_outputs(
             cure = f", although its noise would allow about {attainable} %: {cure}."
         else:
             continue
-        name = output + _place(fitted, alone=alone)
         yield (
             f"{output} {kind}",
-            fitted.data.name or fitted.name,
-            f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
-            + cure,
+            fitted.name,
+            f"the model reproduces almost none of the variation of {output} in {fitted.name!r} "
+            f"(fit {percent:.1f} %)" + cure,
         )
 
 
@@ -198,12 +191,12 @@ def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Iterator[str
             # So long a filter leaves gusts of 0.15 to 2 s in the prediction errors. With 8 or 25
             # lags, up to a tenth fewer of these fits are found.
             test = whiteness(errors, 12, fitted.innovation_parameters(output))
-            lag = int(np.argmax(np.abs(test.correlations)))
-            r = float(test.correlations[lag])
+            lag = np.argmax(np.abs(test.correlations))
+            r = test.correlations[lag]
             # A gust of less correlation is not worth another criterion: it biases the estimates by
             # a fraction of a standard error.
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > 0.1:
-                place = _place(fitted, alone=len(pairs) == 1)
+                place = _place(fitted, pairs)
                 after = part.data.stretches[0].step * (lag + 1)
                 values.append(f"{r:.2g} after {after:.2g} s for {output}{place}")
 
@@ -268,7 +261,7 @@ def biased_by_feedback(pairs: Pairs, *, unstable: bool = False) -> Iterator[str]
 
     for part, fitted in tested:
         inputs = {name: _by_piece(fitted, fitted.data[name]) for name in part.system.inputs}
-        place = _place(fitted, alone=len(pairs) == 1)
+        place = _place(fitted, pairs)
         for output in fitted.outputs:
             e = fitted.residual(output)
             # Rounding follows the inputs in advance, if these repeat.
@@ -296,28 +289,24 @@ def biased_by_feedback(pairs: Pairs, *, unstable: bool = False) -> Iterator[str]
         )
 
 
-def _bounded(
-    nlp: CompiledProblem, trajectories: Sequence[Trajectory], *, alone: bool
-) -> Iterator[Finding]:
+def _bounded(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[Finding]:
     """Warn where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
         if gain and gain.is_at_limit(trajectory):
-            name = gain.part.model.record.name or part.problem.name
-            place = "" if alone else f" in {name!r}"
             yield (
                 "limit",
-                name,
-                f"the Kalman gain{place} reached the stability limit, as if the data showed no "
-                "process noise in a state that it corrects. The standard errors do not account for "
-                "the limit and are too small: let it correct fewer "
-                "states, or compare with OutputError().",
+                part.name,
+                f"the Kalman gain in {part.name!r} reached the stability limit, as if the data "
+                "showed no process noise in a state that it corrects. The standard errors do not "
+                "account for the limit and are too small: let it correct fewer states, or compare "
+                "with OutputError().",
             )
 
 
-def _place(fitted: FittedRecord, *, alone: bool) -> str:
+def _place(fitted: FittedRecord, pairs: Pairs) -> str:
     """Return which record is meant; nothing where there is only one."""
-    return "" if alone else f" in {fitted.data.name or fitted.name!r}"
+    return "" if len(pairs) == 1 else f" in {fitted.name!r}"
 
 
 def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:

@@ -2,11 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
-from functools import partial
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -48,10 +45,6 @@ class GaussNewton(LocalSolver):
         self.settings = settings
         self.limits = _limits(nlp)
         self._parts = AllParts(nlp.parts, nlp.free, self.limits, settings)
-
-    def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
-        """Return a recipe for the same solver, on the whole problem."""
-        return partial(GaussNewton, settings=self.settings), (self.nlp,)
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
-from greybox.compiled.segments import Segments
+from greybox.compiled.segments import Course, Segments
 from greybox.compiled.transient_part import TransientPart
 from greybox.files.arrays import Array, BoolArray, of_diagonal
 from greybox.solve.constraints import Limits
@@ -147,9 +147,9 @@ class ShortSegments:
         )
         data = data.reshape(len(data), -1)
         q = np.repeat(np.array([at.q for at in placed]).T, m, axis=1)
-        along, _ = segments.simulate(states.reshape(-1, n), q, data)
-        b = segments.linearize(along, q, self._weight, data)
-        products = segments.products(segments.residuals(along, q, data))
+        at = Course(segments.simulate(states.reshape(-1, n), q, data)[0], q, data)
+        b = segments.linearize(at, self._weight)
+        products = segments.products(segments.residuals(at))
         errors = self._weight @ products @ self._weight.T
 
         slope = np.array([at.slope for at in placed])
