@@ -10,6 +10,7 @@ from greybox.cli.output import Answer, attributes, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
+from greybox.files.arrays import by_name
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
@@ -130,7 +131,7 @@ def message(name: str, record: Record) -> dict[str, Any]:
     return {
         "name": name,
         "samples": len(record),
-        **dict(zip(("rate", "start", "end"), times, strict=True)),
+        **by_name(("rate", "start", "end"), times),
         "signals": {signal: record.units.get(signal, "") for signal in record.signals},
     }
 

@@ -21,7 +21,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ComplexArray, by_name, frozen
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -180,7 +180,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     def values_at(z: Any, constants: Any) -> dict[str, Any]:
         """Return all values by name, at symbols of the solver's variables and the constants."""
-        return dict(zip(names, [*scaling.expressions(z), *constants], strict=True))
+        return by_name(names, [*scaling.expressions(z), *constants])
 
     limits, constraint = limits_of(problem, names)
     parts: dict[Problem, Part] = {}

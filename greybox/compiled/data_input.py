@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.response_columns import EXTRAS
-from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, by_name, real_and_imaginary
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -55,7 +55,7 @@ def _with_symbols(data: FrequencyResponse, symbols: Any) -> FrequencyResponse:
     """Return the data with symbols in place of their numbers."""
     re, im, magnitude, *others = ca.vertsplit(symbols, len(data))
     opened = copy(data)  # a new one would check its values, which are symbols
-    columns = dict(zip(columns_of(data), others, strict=True))
+    columns = by_name(columns_of(data), others)
     vars(opened).update(response=_Measured(re, im, magnitude), **columns)
     return opened
 

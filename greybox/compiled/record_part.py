@@ -21,7 +21,7 @@ from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, by_name
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -187,7 +187,7 @@ class RecordPart(SegmentedPart):
             # Constants with a covariance are treated as unknowns, all of them without scaling.
             places = (*places, *uncertain)
             point = ca.SX.sym("x", len(places))
-            named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
+            named: dict[str, Any] = by_name(names, values.tolist())
             named |= {names[place]: point[i] for i, place in enumerate(places)}
             model = record_model(self.problem, named, point, self.model.method, [])
             part = RecordPart(model, self.data, self.substeps)

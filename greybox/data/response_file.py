@@ -12,6 +12,7 @@ from greybox.data.response_columns import (
     columns_by_role,
     written_columns,
 )
+from greybox.files.arrays import by_name
 from greybox.files.delimited_text import numbered, read_delimited, write_delimited
 from greybox.files.safe_files import require_file
 
@@ -161,7 +162,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
                 f"two responses are of {response.output} to {response.input}: keep one of them."
             )
         for name, x in response.columns.items():
-            values = dict(zip(response.omega.tolist(), x.tolist(), strict=True))
+            values = by_name(response.omega.tolist(), x.tolist())
             columns[prefix + name] = [values.get(w, "") for w in omega]
     write_delimited(path, {PAIRS: pairs}, columns)
 

@@ -14,7 +14,7 @@ from greybox.estimate.undetermined import (
     collinear_groups,
     invisible_groups,
 )
-from greybox.files.arrays import Array, IntArray, all_finite, frozen, positive_or_one
+from greybox.files.arrays import Array, IntArray, all_finite, by_name, frozen, positive_or_one
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 from greybox.statistics.column_space import triangle_of
@@ -299,7 +299,7 @@ def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
     information = np.array([np.sum(root**2, axis=0) for root in roots])
     share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
-    return dict(zip(nlp.free, share.tolist(), strict=True))
+    return by_name(nlp.free, share.tolist())
 
 
 def known_directions(

@@ -13,7 +13,7 @@ import numpy as np
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, frozen, positive_or_one
+from greybox.files.arrays import Array, by_name, frozen, positive_or_one
 from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
@@ -140,7 +140,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
         )
 
     values = drawn_values(fit, count, fit.names, seed)
-    columns = dict(zip(fit.names, values.T, strict=True))
+    columns = by_name(fit.names, values.T)
     for k, part in enumerate(fit.parts if fit.derived else ()):
         model = fit.model_of(k)
         local = Names({name: columns[part.outside(name)] for name in model.parameters})

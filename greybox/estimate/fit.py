@@ -34,6 +34,7 @@ from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
+from greybox.files.arrays import by_name
 from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted
 from greybox.formulation.prior_part import stated_priors
@@ -364,7 +365,7 @@ def assemble(
         misfit = assessed_misfit(nlp, best, trajectories, accuracy.at_bound, {})
 
     values = nlp.all_values(best)
-    estimate = dict(zip(nlp.names, values.tolist(), strict=True))
+    estimate = by_name(nlp.names, values.tolist())
     lines, covariance, slopes = quantities(nlp, accuracy, values)
     # The warnings below read the fitted values, so the parts come first.
     # Values, not the compiled parts: a fit must be small, and readable without its model.

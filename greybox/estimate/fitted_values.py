@@ -15,7 +15,7 @@ from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import Array, all_finite, by_name
 from greybox.formulation.problem import Problem
 from greybox.modeling.model import Model, equation
 from greybox.modeling.model_reference import reference, source_text
@@ -156,7 +156,7 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         ),
         outputs=part.outputs,
         noise=noise,
-        initial=dict(zip(part.system.states, nodes[part.data.begins_stretch].T, strict=True)),
+        initial=by_name(part.system.states, nodes[part.data.begins_stretch].T),
         method=model.method.described(part.data.segment_length, part.substeps),
         inputs=model.criterion.inputs,
         biases=tuple(model.criterion.biases),
@@ -202,10 +202,10 @@ def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> Fitt
     return FittedSpectrum(
         **_of_problem(part.problem),
         data=part.data,
-        fitted=dict(zip(part.outputs, fitted, strict=True)),
+        fitted=by_name(part.outputs, fitted),
         outputs=part.outputs,
         noise=noise,
-        ends=dict(zip(part.states, ends.tolist(), strict=True)),
+        ends=by_name(part.states, ends.tolist()),
         at={name: float(value) for name, value in part.problem.at.items()},
         nuisances=nuisances,
     )

@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from greybox.estimate.undetermined import BLIND
-from greybox.files.arrays import Array, BoolArray, frozen
+from greybox.files.arrays import Array, BoolArray, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table, with_error
 
@@ -276,7 +276,7 @@ def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
         for chosen in product(powers, repeat=count):
             if chosen[0] > 0 and math.gcd(*chosen) == 1:
                 for group in combinations(members, count):
-                    yield dict(zip(group, chosen, strict=True))
+                    yield by_name(group, chosen)
 
 
 def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, int]]:

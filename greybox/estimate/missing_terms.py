@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ComplexArray, by_name, frozen
 from greybox.files.text_table import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
@@ -364,7 +364,7 @@ def constants_of_record(record: DisturbedRecord) -> Iterator[Term]:
 def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
     """Return the states, inputs with their rates, and the time of a record, (samples,)."""
     part = record.part
-    signals = dict(zip(part.system.states, record.states, strict=True))
+    signals = by_name(part.system.states, record.states)
     for u, a in zip(record.inputs, part.system.inputs, strict=True):
         signals |= {a: u, f"rate of {a}": record.by_stretch(_backward, u)}
     return signals | {"time, s": part.data.at_samples(part.model.record.time)[0]}
@@ -460,9 +460,9 @@ def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
 
 def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
     system = record.part.system
-    x = dict(zip(system.states, record.states, strict=True))
-    u = dict(zip(system.inputs, record.inputs, strict=True))
-    p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
+    x = by_name(system.states, record.states)
+    u = by_name(system.inputs, record.inputs)
+    p = by_name(record.part.model.parameters, record.parameters)
     signals = (Names(x), Names(u), Names(p))
 
     prefixes = {**dict.fromkeys(x, "x."), **dict.fromkeys(u, "u."), "sign": "gb."}

@@ -3,7 +3,7 @@
 import math
 from typing import Any, Literal
 
-from greybox.files.arrays import Array, Interval, frozen
+from greybox.files.arrays import Array, Interval, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import alternatives, number, one_line
@@ -162,7 +162,7 @@ class Profiles(Printed):
             "profiles": {
                 p.name: {name: getattr(p, name) for name in fields}
                 | words[p.name]
-                | {"others": dict(zip(self.free, p.others.T, strict=True))}
+                | {"others": by_name(self.free, p.others.T)}
                 for p in self.profiles
             },
             "limit": self.limit,

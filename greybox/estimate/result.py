@@ -32,7 +32,7 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Array, Interval, frozen
+from greybox.files.arrays import Array, Interval, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -292,7 +292,7 @@ class Fit(Printed):
         if run is None:
             return None
 
-        ended = dict(zip(self.free, run.estimate.tolist(), strict=True))
+        ended = by_name(self.free, run.estimate.tolist())
         return {
             q.name: ended.get(q.name, q.value)
             for q in self.quantities

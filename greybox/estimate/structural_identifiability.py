@@ -15,7 +15,15 @@ from greybox.data.record import Record
 from greybox.estimate.covariance import informations
 from greybox.estimate.identifiability import KnownDirections, identifiability
 from greybox.estimate.undetermined import Combination, invisible_groups
-from greybox.files.arrays import Array, BoolArray, Values, all_finite, frozen, positive_or_one
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    Values,
+    all_finite,
+    by_name,
+    frozen,
+    positive_or_one,
+)
 from greybox.files.text_table import as_names, counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
@@ -269,8 +277,8 @@ def _of_record(
     criterion = OutputError(noise=dict.fromkeys(outputs, 1.0), initial=initial, inputs="held")
 
     for size in SIZES:
-        signals = dict(zip(model.input_names, size * shape, strict=True))
-        signals |= dict(zip(outputs, measured, strict=True))
+        signals = by_name(model.input_names, size * shape)
+        signals |= by_name(outputs, measured)
         signals = {name: np.where(gaps, np.nan, values) for name, values in signals.items()}
         record = Record(time, signals, name="random inputs", has_time=not model.is_static)
         nlp = compile_problem(Problem(model, record, criterion, **options))

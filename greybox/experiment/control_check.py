@@ -10,6 +10,7 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, updated
+from greybox.files.arrays import by_name
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import entries_by_name
 
@@ -96,7 +97,7 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     best, late = math.inf, {}
     # A logged setpoint may precede the control that it belongs to by up to three samples.
     for samples in itertools.product(range(4), repeat=len(delayed)):
-        trial = dict(zip(delayed, samples, strict=True))
+        trial = by_name(delayed, samples)
         shifted = [np.roll(row, trial.get(n, 0)) for n, row in zip(names, rows, strict=True)]
         _, control = simulate(controller.initial, np.array(shifted))
         computed = np.interp(time, grid, np.asarray(control)[0])

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
+from greybox.files.arrays import by_name
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -136,7 +137,7 @@ class Controller(ABC):
             "rate": self.rate,
             "values": dict(self.values),
             "signals": dict(self.signals),
-            "initial": dict(zip(self.states, self.initial, strict=True)),
+            "initial": by_name(self.states, self.initial),
         }
 
     def __repr__(self) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, propagate
-from greybox.files.arrays import Array, Values, frozen
+from greybox.files.arrays import Array, Values, by_name, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -90,5 +90,5 @@ def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     errors = propagate(accuracy, np.eye(count, len(nlp.names)))
     undetermined = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
-    standard_error = dict(zip(nlp.free, errors.tolist(), strict=True))
+    standard_error = by_name(nlp.free, errors.tolist())
     return ExpectedErrors(at, standard_error, information, undetermined, units)

@@ -25,6 +25,7 @@ from greybox.files.arrays import (
     IntArray,
     Interval,
     Values,
+    by_name,
     frozen,
     positive_or_one,
 )
@@ -233,7 +234,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         amplitude=size[chosen],
         duration=duration,
         limited_by=tuple((excitation, *limits)[k] for k in limit[chosen]),
-        standard_error=dict(zip(nlp.free, errors.tolist(), strict=True)),
+        standard_error=by_name(nlp.free, errors.tolist()),
         wanted=dict(wanted),
         flight_time=card.flown(omega[chosen], duration)[1],
         signal=excitation,
@@ -273,7 +274,7 @@ def _gains(
         raise ValueError(
             f"the loop of {model.label} is unstable: give gains that stabilize the plant."
         )
-    return dict(zip(signals, loop.gains(excitation, signals, omega)[0].T, strict=True))
+    return by_name(signals, loop.gains(excitation, signals, omega)[0].T)
 
 
 def _sensitivities(
@@ -366,7 +367,7 @@ def with_spare_sines(
     omega: Array, chosen: IntArray, duration: Array, count: int, periods: int
 ) -> tuple[IntArray, Array]:
     """Return at least `count` sines: short ones are added in the widest gaps of the band."""
-    seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
+    seconds = by_name(chosen.tolist(), duration.tolist())
     while len(seconds) < min(count, len(omega)):
         edges = [-1, *sorted(seconds), len(omega)]
         k = int(np.argmax(np.diff(edges)))

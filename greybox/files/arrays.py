@@ -1,6 +1,6 @@
 """Types of arrays and of named numbers; tests, parts and divisors of arrays."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, dataclass_transform
 
@@ -24,6 +24,11 @@ def frozen(kind: type[Kind]) -> type[Kind]:
     Values with arrays have none: whether two arrays are equal is an array, too.
     """
     return dataclass(frozen=True, eq=False)(kind)
+
+
+def by_name(names: Iterable[Any], values: Iterable[Any]) -> dict[Any, Any]:
+    """Return values by their names, one for each."""
+    return dict(zip(names, values, strict=True))
 
 
 def all_finite(*arrays: Any) -> bool:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, by_name, frozen
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, is_number
 
@@ -122,7 +122,7 @@ class DelimitedText:
                         "not a number."
                     )
 
-        return dict(zip(places, np.reshape(values, (-1, len(places))).T, strict=True))
+        return by_name(places, np.reshape(values, (-1, len(places))).T)
 
 
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import frozen
+from greybox.files.arrays import by_name, frozen
 from greybox.files.html_text import preformatted
 from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import RelativeLikelihood
@@ -99,10 +99,7 @@ class Sum(Addable, Generic[Part]):
         for part in self.parts:
             for name in part.tied:
                 outside = part.outside(name)
-                values = [
-                    part.local_values(dict(zip(merged, point, strict=True)))[name]
-                    for point in points
-                ]
+                values = [part.local_values(by_name(merged, point))[name] for point in points]
                 alike = np.allclose(seen.setdefault(outside, values), values, equal_nan=True)
                 if outside in merged or not alike:
                     raise ValueError(

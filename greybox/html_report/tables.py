@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
+from greybox.files.arrays import by_name
 from greybox.files.text_table import is_number, number, percent, with_error
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.formula import with_formulas
@@ -47,8 +48,8 @@ def parameter_table(fit: Fit) -> Element:
         intervals, errors, insensitivities = fit.interval(0.95), {}, {}
         with suppress(ValueError):  # the fit has no standard errors
             judged = fit.identifiability
-            errors = dict(zip(judged.names, judged.error.tolist(), strict=True))
-            insensitivities = dict(zip(judged.names, judged.insensitivity.tolist(), strict=True))
+            errors = by_name(judged.names, judged.error.tolist())
+            insensitivities = by_name(judged.names, judged.insensitivity.tolist())
         for row, (name, *_) in zip(cells, rows, strict=True):
             low, high = intervals.get(name, (math.nan, math.nan))
             row[3:3] = [

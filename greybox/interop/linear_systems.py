@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array, Values, by_name
 from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -95,7 +95,7 @@ class GivenModel:
         p = np.array(list(self.model.values(self.values).values()), dtype=float)
         delays = system.delay(p).full().ravel().tolist()
         if pade is None:
-            self._require_no_delay(dict(zip(system.inputs, delays, strict=True)))
+            self._require_no_delay(by_name(system.inputs, delays))
         return system, p
 
     def _require_no_delay(self, delays: Values) -> None:

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Values, all_finite, frozen
+from greybox.files.arrays import Array, ComplexArray, Values, all_finite, by_name, frozen
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
@@ -98,5 +98,5 @@ def linearize(
         inputs=tuple(model.inputs),
         outputs=tuple(model.outputs),
         delays=np.array(delays, dtype=float),
-        point=dict(zip(names, point.tolist(), strict=True)),
+        point=by_name(names, point.tolist()),
     )

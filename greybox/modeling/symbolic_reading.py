@@ -9,6 +9,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from greybox.files.arrays import by_name
 from greybox.modeling.model import Model, Names, ParameterFormula
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
@@ -30,7 +31,7 @@ def parameter_names(model: Model, p: Any) -> Names:
 
 def entries_by_name(names: Iterable[str], column: Any) -> dict[str, Any]:
     """Return the entries (n,) of a column of CasADi by these names."""
-    return dict(zip(names, ca.vertsplit(column), strict=True))
+    return by_name(names, ca.vertsplit(column))
 
 
 def dense_jacobian(values: Any, by: Any) -> Any:

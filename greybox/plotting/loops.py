@@ -9,7 +9,7 @@ from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, by_name
 from greybox.plotting.bode import BARS, error_bars
 from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -67,7 +67,7 @@ def loop_figures(margins: Margins) -> list[Figure]:
         columns = [(data.omega, size), (data.omega, angle), (angle, size)]
         bars = error_bars(data, np.array([size, angle]))
         looks: list[dict[str, Any]] = [
-            dict(zip(("x", "y", "low", "high"), (*column, *ends), strict=True))
+            by_name(("x", "y", "low", "high"), (*column, *ends))
             for column, ends in zip(columns, [*bars, bars[0]], strict=True)
         ]
         looks.append(in_plane(data, margins.level))

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray, by_name, frozen
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -105,7 +105,7 @@ def history_figure(
     inputs = dict.fromkeys(name for history in drawn for name in history.inputs)
     panels = []
     for output in outputs:
-        panels += _output_panels(dict(zip(names, drawn, strict=True)), output, columns)
+        panels += _output_panels(by_name(names, drawn), output, columns)
     for name in inputs:
         data = next(history.data for history in drawn if name in history.data.signals)
         values = shown_unit(data.units.get(name, ""))[0] * data[name]

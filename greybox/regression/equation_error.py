@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, Values, frozen
+from greybox.files.arrays import Array, Values, by_name, frozen
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -173,7 +173,7 @@ def equation_error(
     start = start_values(unknown)
     equations = regressions(system, record.signals, constants)
     _require_equations(model, equations, record)
-    between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
+    between = by_name(system.inputs, between_samples(inputs, system.inputs, record))
     data = regressors(equations, record, start, between)
     low, high = np.reshape([unknown[n].bounds for n in equations.linear], (-1, 2)).T
     values, residuals = _solved(data, low, high)

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray, by_name, frozen
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
@@ -84,7 +84,7 @@ def with_own_values(
     covariance = _covariance(simulator, estimate)
     errors = np.sqrt(np.diag(covariance)[estimate.places]).tolist()
     pairs = zip(estimate.values.tolist(), errors, strict=True)
-    values = dict(zip(estimate.names, pairs, strict=True))
+    values = by_name(estimate.names, pairs)
     rows = np.unique(estimate.windows.rows)
     numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in outputs)
     note = _note(values, parameters, numbers, title)

@@ -11,7 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
-from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, by_name, frozen
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -147,8 +147,8 @@ class Simulator:
             return _Run(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
 
         result = self._accurate(float(stretch.steps.max()), run)
-        signals = dict(zip(model.system.states, result.along.states, strict=True))
-        signals |= dict(zip(self._outputs, result.outputs, strict=True))
+        signals = by_name(model.system.states, result.along.states)
+        signals |= by_name(self._outputs, result.outputs)
         if model.covariance is None or diverged(signals).any():
             return signals, ()
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, by_name, frozen
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
@@ -126,7 +126,7 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     ends = () if minima else tuple(outcome.nodes for _, outcome in results.values())
     if screened is not None and not stop_requested():
         # Starts that were only compared are listed too, so that the answer counts them.
-        made = dict(zip(rows, runs, strict=True))
+        made = by_name(rows, runs)
         runs = Runs.of(
             replace(made[k], index=k)
             if k in made
@@ -169,7 +169,7 @@ def _certified(
         minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
         changed = solver.certified(runs, minima)
         if not changed:
-            return dict(zip(rows, pairs, strict=True)), runs, minima
+            return by_name(rows, pairs), runs, minima
         for k, outcome in changed.items():
             outcomes[k] = outcome
 

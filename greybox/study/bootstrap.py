@@ -23,7 +23,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Interval, frozen
+from greybox.files.arrays import Array, Interval, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
@@ -88,7 +88,7 @@ class Bootstrap(Printed):
     @cached_property
     def columns(self) -> dict[str, Array]:
         """Return the values of every quantity in the replicates that did not fail."""
-        return dict(zip(self.names, self._successful.T, strict=True))
+        return by_name(self.names, self._successful.T)
 
     def __getitem__(self, name: str) -> Array:
         """Return the values of a quantity in the replicates that did not fail."""

@@ -11,6 +11,7 @@ from glob import escape, glob
 from pathlib import Path
 from typing import Any
 
+from greybox.files.arrays import by_name
 from greybox.modeling.model import require_known
 from greybox.study.batch import Member
 from greybox.study.data_file import reading_once
@@ -105,7 +106,7 @@ def combined(choices: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
     varied = [key for key in axes if len(axes[key]) > 1 and key != first]
     combinations = []
     for values in itertools.product(*axes.values()):
-        chosen = dict(zip(axes, values, strict=True))
+        chosen = by_name(axes, values)
         head = _label(first, chosen.get(first, ""), place)
         rest = ", ".join(_label(key, chosen[key], place) for key in varied)
         name = f"{head}: {rest}" if rest else head

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from greybox.files.arrays import frozen
+from greybox.files.arrays import by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
@@ -79,10 +79,7 @@ class Comparison(Printed):
     @property
     def table(self) -> list[dict[str, Any]]:
         """The rows as plain values: data, output, measure, unit, and the value by label."""
-        return [
-            vars(row) | {"values": dict(zip(self.labels, row.values, strict=True))}
-            for row in self.rows
-        ]
+        return [vars(row) | {"values": by_name(self.labels, row.values)} for row in self.rows]
 
     def value(self, measure: str, label: str, data: str = "fit", output: str = "") -> float | None:
         """Return one number of the table.

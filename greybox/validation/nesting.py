@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, by_name
 from greybox.files.text_table import listed
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -86,7 +86,7 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
         choices.append([v for v in values if low <= v <= high and math.isfinite(v)])
     # 256 are all combinations of four terms; of more terms, the first ones are zero.
     combinations = itertools.islice(itertools.product(*choices), 256)
-    candidates = (dict(zip(unknown, values, strict=True)) for values in combinations)
+    candidates = (by_name(unknown, values) for values in combinations)
     removed = next(filter(is_small, candidates), None)
     if removed is None:
         place = f" where {listed(unknown)} is 0, 1 or at a bound" if unknown else ""

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, by_name
 from greybox.files.text_table import counted
 from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.sine import MOST_HARMONICS
@@ -22,7 +22,7 @@ from greybox.statistics.metrics import rms
 def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     """Warn if more harmonics would change the estimate `x` (p,) noticeably, or cannot be tried."""
     values = nlp.all_values(x)
-    named = dict(zip(nlp.names, values.tolist(), strict=True))
+    named = by_name(nlp.names, values.tolist())
     for part in nlp.parts_of(ResponsePart):
         problem, sine = part.problem, part.problem.amplitude
         if sine is None or not sine.harmonics:

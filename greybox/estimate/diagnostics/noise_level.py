@@ -12,6 +12,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Finding, once
+from greybox.files.arrays import by_name
 from greybox.files.text_table import counted, some
 
 # Squared residuals over given variances below which these are doubted, or include other errors.
@@ -31,7 +32,7 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
     remaining = 1 - len(nlp.free) / total
     shared = Counter[str]()
     for part in nlp.parts_of(RecordPart):
-        shared.update(dict(zip(part.outputs, part.few.tolist(), strict=True)))
+        shared.update(by_name(part.outputs, part.few.tolist()))
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
             findings += _of_response(part, trajectory, remaining, 0.01 / len(parts))

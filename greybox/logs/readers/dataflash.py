@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, by_name
 from greybox.files.progress import bar
 from greybox.files.text_table import counted
 from greybox.logs.readers import ardupilot_metadata
@@ -90,7 +90,7 @@ def _contents(
     # One sort instead of a comparison for each type: a file may describe many types.
     order = np.argsort(positions.numbers, kind="stable")
     counts = np.bincount(positions.numbers, minlength=len(positions.layouts))
-    rows = dict(zip(positions.layouts, np.split(order, np.cumsum(counts)[:-1]), strict=True))
+    rows = by_name(positions.layouts, np.split(order, np.cumsum(counts)[:-1]))
 
     def decoded(layout: Layout, units: Units) -> Messages:
         return _decoded(

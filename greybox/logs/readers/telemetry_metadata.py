@@ -8,7 +8,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, by_name
 from greybox.logs.readers.ardupilot_metadata import mode_name, vehicle_in
 from greybox.logs.readers.telemetry_packets import Kind
 
@@ -102,7 +102,7 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
             for code, value in zip(codes, values, strict=True)
         ]
 
-    return dict(zip(sent.texts["param_id"], values, strict=True))
+    return by_name(sent.texts["param_id"], values)
 
 
 def _modes(beats: Heartbeats, vehicle: str) -> tuple[tuple[float, str], ...]:
