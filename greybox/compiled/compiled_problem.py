@@ -21,7 +21,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, by_name, frozen
+from greybox.files.arrays import Array, ComplexArray, Strings, by_name, frozen
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -74,8 +74,8 @@ class CompiledProblem(Portable):
     """
 
     problem: AnyProblem
-    free: tuple[str, ...]
-    constants: tuple[str, ...]
+    free: Strings
+    constants: Strings
     constant_values: Array
     lower: Array
     upper: Array
@@ -83,7 +83,7 @@ class CompiledProblem(Portable):
     method: Transcription
     parts: tuple[Part, ...]
     constraint: ca.Function
-    limits: tuple[str, ...]
+    limits: Strings
     programs: tuple[CostProgram, ...] = ()
     zero_costs: Array = field(default_factory=lambda: np.zeros(0))
     data: Array = field(default_factory=lambda: np.zeros(0))
@@ -100,7 +100,7 @@ class CompiledProblem(Portable):
         return any(part.has_states for part in self.parts)
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Strings:
         """Free parameters, then constants: the order of all values."""
         return (*self.free, *self.constants)
 

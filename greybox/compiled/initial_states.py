@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, positive_or_one
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Strings, positive_or_one
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.statistics.noise_ratio import SMOOTH, noise_ratio
@@ -24,7 +24,7 @@ SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -1
 class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
-    def __init__(self, system: Dynamics, outputs: tuple[str, ...]) -> None:
+    def __init__(self, system: Dynamics, outputs: Strings) -> None:
         """Compile the model and its derivatives."""
         self._n = len(system.states)
         self._driven = len((system.undelayed or system).states)

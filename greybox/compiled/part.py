@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, all_finite, frozen
+from greybox.files.arrays import Array, Strings, all_finite, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
@@ -222,7 +222,7 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
-    doubtful: tuple[str, ...] = ()
+    doubtful: Strings = ()
 
 
 class Program(ABC):
@@ -275,7 +275,7 @@ class Portable:
         Names of the attributes that stay.
     """
 
-    local: ClassVar[tuple[str, ...]] = ("problem",)
+    local: ClassVar[Strings] = ("problem",)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what travels."""
@@ -422,7 +422,7 @@ class Part(Portable, ABC):
 
     def information(
         self,
-        names: tuple[str, ...],
+        names: Strings,
         values: Array,
         uncertain: tuple[int, ...],
         trajectory: Trajectory | None,

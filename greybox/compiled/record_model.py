@@ -13,7 +13,7 @@ from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
 from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
@@ -81,11 +81,11 @@ class RecordModel(Portable):
     method: Transcription
     system: Dynamics
     between: tuple[Intersample, ...]
-    outputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    outside_names: tuple[str, ...]
+    outputs: Strings
+    parameters: Strings
+    outside_names: Strings
     gains: tuple[tuple[str, str], ...]
-    driven: tuple[str, ...]
+    driven: Strings
     begin: Array
     active: IntArray
     locate: ca.Function
@@ -93,7 +93,7 @@ class RecordModel(Portable):
     known_states: BoolArray
     initial_states: InitialStates
     steps: dict[tuple[Integrator, int], SampleStep]
-    expressions: tuple[str, ...]
+    expressions: Strings
 
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample, or return it where that was done before."""
@@ -192,8 +192,8 @@ def record_model(
 def _shared_functions(
     problem: Problem,
     criterion: TimeCriterion,
-    parameters: tuple[str, ...],
-    outputs: tuple[str, ...],
+    parameters: Strings,
+    outputs: Strings,
     between: Sequence[Intersample],
 ) -> SharedFunctions:
     """Compile the functions that records of one kind share."""

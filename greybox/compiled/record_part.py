@@ -21,7 +21,7 @@ from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
-from greybox.files.arrays import Array, by_name
+from greybox.files.arrays import Array, Strings, by_name
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -173,7 +173,7 @@ class RecordPart(SegmentedPart):
 
     def information(
         self,
-        names: tuple[str, ...],
+        names: Strings,
         values: Array,
         uncertain: tuple[int, ...],
         trajectory: Trajectory | None,

@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, all_finite, frozen, of_diagonal, positive_or_one
+from greybox.files.arrays import (
+    Array,
+    IntArray,
+    Strings,
+    all_finite,
+    frozen,
+    of_diagonal,
+    positive_or_one,
+)
 from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
 
-def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
+def require_independent(outputs: Strings, measured: Array) -> None:
     """Check that the measured outputs (k, samples) are independent.
 
     Otherwise their full covariance cannot be inverted.
@@ -122,7 +130,7 @@ def diagonal(values: Array) -> Array:
 
 
 def residual_covariance_of(
-    criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
+    criterion: TimeCriterion, outputs: Strings, measured: Array
 ) -> ResidualCovariance:
     """Return the residual covariance that the criterion asks for; measured outputs (k, samples)."""
     known, is_full = None, criterion.noise == "full"

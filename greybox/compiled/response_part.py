@@ -18,7 +18,14 @@ from greybox.compiled.part import (
     Trajectory,
 )
 from greybox.compiled.shared_response import SharedSystem, SineTest
-from greybox.files.arrays import Array, ComplexArray, complex_array, frozen, real_and_imaginary
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    Strings,
+    complex_array,
+    frozen,
+    real_and_imaginary,
+)
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
@@ -193,7 +200,7 @@ class ResponsePart(Part):
 
     def information(
         self,
-        names: tuple[str, ...],
+        names: Strings,
         values: Array,
         uncertain: tuple[int, ...],
         trajectory: Trajectory | None,

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Strings, frozen
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function, substep_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -117,8 +117,8 @@ def sample_step(
     system: Dynamics,
     held: Sequence[bool],
     criterion: TimeCriterion,
-    outputs: tuple[str, ...],
-    names: tuple[str, ...],
+    outputs: Strings,
+    names: Strings,
     integrator: Integrator,
     substeps: int,
 ) -> SampleStep:
@@ -143,8 +143,8 @@ def _measurement(
     system: Dynamics,
     held: Sequence[bool],
     criterion: TimeCriterion,
-    outputs: tuple[str, ...],
-    names: tuple[str, ...],
+    outputs: Strings,
+    names: Strings,
 ) -> ca.Function:
     """Return the quantities before the step: delayed inputs, residuals, corrected states."""
     n, m, k = len(system.states), len(system.inputs), len(outputs)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import JITTER, Record
-from greybox.files.arrays import Array, BoolArray, IntArray, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -189,8 +189,8 @@ def joined(each: Sequence[SampledData]) -> SampledData:
 
 def sampled_data(
     record: Record,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
+    inputs: Strings,
+    outputs: Strings,
     *,
     lead: ArrayLike,
     complete: bool,
@@ -269,8 +269,8 @@ def sampled_data(
 
 def gapless(
     record: Record,
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
+    inputs: Strings,
+    outputs: Strings,
     *,
     lead: ArrayLike = 0.0,
     complete: bool = False,

@@ -29,6 +29,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,
     ComplexArray,
+    Strings,
     all_finite,
     frozen,
     positive_or_one,
@@ -349,7 +350,7 @@ class TransientPart(Part):
     @one_thread_at_a_time
     def information(
         self,
-        names: tuple[str, ...],
+        names: Strings,
         values: Array,
         uncertain: tuple[int, ...],
         trajectory: Trajectory | None,
@@ -403,9 +404,7 @@ def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Fu
     return ca.Function("locate", [z], [q, dense_jacobian(q, z)])
 
 
-def _matrices(
-    problem: Problem, system: Dynamics, outputs: tuple[str, ...], gusts: tuple[str, ...]
-) -> ca.Function:
+def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strings) -> ca.Function:
     """Return (all parameters) -> [A, B; C, D], the delays, and the derivatives of the entries."""
     model = problem.model
     declared = ca.MX.sym("p", len(problem.declared))

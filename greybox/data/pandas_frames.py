@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Strings
 from greybox.files.heading import heading
 from greybox.files.optional_package import required
 
@@ -64,7 +64,7 @@ def columns_of(frame: Frame, without: str = "") -> dict[str, Array]:
     return result
 
 
-def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...]]:
+def times_of(frame: Frame, time: str | None) -> tuple[Array, str, Strings]:
     """Return the times of a data frame in s, the column that they come from, and findings.
 
     The index is the time if it has dates, the name of a time column, or floating-point numbers.

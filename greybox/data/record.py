@@ -18,7 +18,7 @@ from greybox.data.checked_array import (
 )
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import Array, IntArray, Interval, Values, frozen
+from greybox.files.arrays import Array, IntArray, Interval, Strings, Values, frozen
 from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
@@ -92,7 +92,7 @@ class Record:
         default_factory=dict, repr=False, metadata=NOT_STORED
     )
     hold: Values = field(default_factory=dict, repr=False)
-    findings: tuple[str, ...] = field(default=(), metadata=NOT_STORED)
+    findings: Strings = field(default=(), metadata=NOT_STORED)
     has_time: bool = True
 
     def __post_init__(self) -> None:
@@ -341,7 +341,7 @@ class Recording(Mapping[str, Record]):
     source: str = ""
     checksum: str = ""
     metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    findings: tuple[str, ...] = ()
+    findings: Strings = ()
 
     def __post_init__(self) -> None:
         """Write out control characters in names and texts, which come from a file."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from greybox.files.arrays import Strings
 from greybox.files.text_table import number, one_line, text_table
 
 KINDS = ("sine", "sweep", "multisine", "noise", "step", "manoeuvre")
@@ -49,7 +50,7 @@ class Segment:
     unit: str = ""
     source: str = ""
     usable: bool = True
-    findings: tuple[str, ...] = ()
+    findings: Strings = ()
 
     def __post_init__(self) -> None:
         """Check the values; a sine's band is its frequency."""

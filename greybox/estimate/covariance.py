@@ -14,7 +14,15 @@ from greybox.estimate.undetermined import (
     collinear_groups,
     invisible_groups,
 )
-from greybox.files.arrays import Array, IntArray, all_finite, by_name, frozen, positive_or_one
+from greybox.files.arrays import (
+    Array,
+    IntArray,
+    Strings,
+    all_finite,
+    by_name,
+    frozen,
+    positive_or_one,
+)
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 from greybox.statistics.column_space import triangle_of
@@ -75,8 +83,8 @@ class Accuracy:
     bias: Array
     shares: tuple[tuple[Array, float], ...] = ()
     combinations: tuple[Combination, ...] = ()
-    at_bound: tuple[str, ...] = ()
-    active: tuple[str, ...] = ()
+    at_bound: Strings = ()
+    active: Strings = ()
     white: Array | None = None
     independent: tuple[Array, float] | None = None
     informations: tuple[Information, ...] = ()
@@ -455,7 +463,7 @@ def _at_bound(
     x: Array,
     shares: Sequence[_Share],
     trajectories: Sequence[Trajectory | None],
-) -> tuple[str, ...]:
+) -> Strings:
     """Name the parameters that a bound holds."""
     # How close a solver comes to a bound depends on its tolerances, not on the data. A parameter is
     # held if it is closer than the data can resolve (by the standard error that it would have with
@@ -485,7 +493,7 @@ def _at_bound(
 
 
 @one_thread_at_a_time
-def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, tuple[str, ...]]:
+def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, Strings]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
     p = len(nlp.free)
     if not nlp.limits:

@@ -13,7 +13,7 @@ import numpy as np
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, by_name, frozen, positive_or_one
+from greybox.files.arrays import Array, Strings, by_name, frozen, positive_or_one
 from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
@@ -41,7 +41,7 @@ class Draws(Printed):
     """
 
     name: str
-    names: tuple[str, ...]
+    names: Strings
     columns: dict[str, Array]
 
     def __len__(self) -> int:

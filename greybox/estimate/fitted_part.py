@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, Values
+from greybox.files.arrays import Array, ComplexArray, Strings, Values
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.input_assumptions import Inputs, described_inputs
@@ -60,7 +60,7 @@ class FittedPart:
     weight: float
     rename: Mapping[str, str]
     tied: Mapping[str, str]
-    constraints: tuple[str, ...]
+    constraints: Strings
     model: Mapping[str, Any]
     label: str
     equation: str
@@ -191,14 +191,14 @@ class FittedRecord(FittedPart):
 
     data: Record
     simulated: Record
-    outputs: tuple[str, ...]
+    outputs: Strings
     noise: Array
     initial: Mapping[str, Array]
     method: str
     inputs: Inputs = "record"
-    biases: tuple[str, ...] = ()
+    biases: Strings = ()
     gains: tuple[tuple[str, str], ...] = ()
-    driven: tuple[str, ...] = ()
+    driven: Strings = ()
     gain: Array | None = None
     gain_slope: Array | None = None
     is_static: bool = False
@@ -209,7 +209,7 @@ class FittedRecord(FittedPart):
         return int(np.isfinite(self.residuals).any(axis=0).sum())
 
     @property
-    def added(self) -> tuple[str, ...]:
+    def added(self) -> Strings:
         """Names of the parameters that the criterion added to those of the model."""
         # With process noise the gains follow from the variances, which are estimated instead.
         noise = [f"K_{state}_{output}" for state, output in self.gains]
@@ -222,7 +222,7 @@ class FittedRecord(FittedPart):
         return len(self.driven) or sum(of == output for _, of in self.gains)
 
     @property
-    def input_names(self) -> tuple[str, ...]:
+    def input_names(self) -> Strings:
         """Names of the inputs: the signals that are not outputs."""
         return tuple(name for name in self.data.signals if name not in self.outputs)
 
@@ -273,7 +273,7 @@ class FittedSpectrum(FittedPart):
 
     data: TransientSpectrum
     fitted: Mapping[str, ComplexArray]
-    outputs: tuple[str, ...]
+    outputs: Strings
     noise: Array
     ends: Values
     at: Values

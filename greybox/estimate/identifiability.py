@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from greybox.estimate.undetermined import BLIND
-from greybox.files.arrays import Array, BoolArray, by_name, frozen
+from greybox.files.arrays import Array, BoolArray, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table, with_error
 
@@ -96,7 +96,7 @@ class DeterminedCombination:
     """
 
     formula: str
-    names: tuple[str, ...]
+    names: Strings
     powers: tuple[int, ...]
     value: float
     standard_error: float
@@ -136,16 +136,16 @@ class Identifiability(Printed):
     chapter 12.
     """
 
-    names: tuple[str, ...]
+    names: Strings
     error: Array
     insensitivity: Array
-    at_bound: tuple[str, ...]
+    at_bound: Strings
     correlated: tuple[tuple[str, str, float], ...]
     condition: float
     combinations: tuple[DeterminedCombination, ...]
 
     @property
-    def beyond(self) -> tuple[str, ...]:
+    def beyond(self) -> Strings:
         """The parameters beyond a guideline, which the data do not determine well."""
         well = (self.error <= ERROR_GUIDELINE) & (self.insensitivity <= INSENSITIVITY_GUIDELINE)
         return tuple(

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from greybox.files.arrays import Strings
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -50,7 +51,7 @@ class Cause:
     share: float
     p_value: float
     p_correlated: float
-    alike: tuple[str, ...] = ()
+    alike: Strings = ()
     added: tuple[str, Formula] | None = field(
         default=None, compare=False, metadata={"stored": False}
     )

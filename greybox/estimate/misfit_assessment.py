@@ -26,7 +26,7 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Strings, frozen
 from greybox.modeling.added_terms import Formula
 from greybox.statistics.autoregressive_test import (
     Outputs,
@@ -371,9 +371,7 @@ def _on_knots(group: Group, key: Key, signals: Sequence[Array]) -> tuple[Array, 
     return at, np.vstack(columns)
 
 
-def _alike(
-    group: Group, tested: Sequence[Tested], texts: Sequence[tuple[str, ...]]
-) -> list[tuple[str, ...]]:
+def _alike(group: Group, tested: Sequence[Tested], texts: Sequence[Strings]) -> list[Strings]:
     """Return for every term the texts of those whose effects are nearly the same."""
     effects = beside(group.white(_columns(group, tested)), group.white_fitted)
     unit = effects / np.linalg.norm(effects, axis=0)

@@ -26,7 +26,7 @@ from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Array, Interval, frozen
+from greybox.files.arrays import Array, Interval, Strings, frozen
 from greybox.files.progress import bar
 from greybox.files.text_table import as_names, number
 from greybox.formulation.starts import Sobol
@@ -577,7 +577,7 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
     first, last = int(inside[0]), int(inside[-1])
     at_best = search.minima.at_bounds(search.best) | {line.name}
 
-    def end_of(k: int, side: int, root: float, end: End) -> tuple[float, End, tuple[str, ...]]:
+    def end_of(k: int, side: int, root: float, end: End) -> tuple[float, End, Strings]:
         if not 0 <= k + side < len(points):
             return side * math.inf, end, ()
         inner, outer = points[k], points[k + side]

@@ -3,7 +3,7 @@
 import math
 from typing import Any, Literal
 
-from greybox.files.arrays import Array, Interval, by_name, frozen
+from greybox.files.arrays import Array, Interval, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import alternatives, number, one_line
@@ -53,7 +53,7 @@ class ProfileOf:
     ends: tuple[End, End]
     bounds: Interval
     bias: float = 0.0
-    at_bound: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    at_bound: tuple[Strings, Strings] = ((), ())
     connected: bool = True
 
     def __str__(self) -> str:
@@ -109,9 +109,9 @@ class Profiles(Printed):
     name: str
     level: float
     limit: dict[str, float]
-    free: tuple[str, ...]
+    free: Strings
     profiles: tuple[ProfileOf, ...]
-    warnings: tuple[str, ...] = ()
+    warnings: Strings = ()
 
     def __getitem__(self, name: str) -> ProfileOf:
         for profile in self.profiles:

@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord
 from greybox.estimate.missing_terms import Term
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Strings
 from greybox.statistics.autoregressive_test import ORDER
 from greybox.statistics.metrics import is_resolved
 
@@ -29,7 +29,7 @@ def repeated_residuals(
     That is the period before, or an earlier stretch, also of another record. The second value is
     zero for samples (outputs, samples) that only repeat those of that test.
     """
-    earlier: list[tuple[tuple[str, ...], Array, Array]] = []
+    earlier: list[tuple[Strings, Array, Array]] = []
     for record in records:
         data, outputs, rows = record.part.data, record.part.outputs, []
         stretches = zip(*map(data.unpadded, (record.inputs, record.residuals)), strict=True)

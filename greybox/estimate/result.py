@@ -32,7 +32,7 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Array, Interval, by_name, frozen
+from greybox.files.arrays import Array, Interval, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -168,7 +168,7 @@ class Fit(Printed):
     runs: Runs
     minima: tuple[Minimum, ...]
     agreeing: int
-    warnings: tuple[str, ...]
+    warnings: Strings
     seed: int | None
     starts: str
     seconds: float
@@ -177,21 +177,21 @@ class Fit(Printed):
     given: tuple[Model | type[Model], ...] = field(default=(), repr=False, metadata=NOT_STORED)
     white: Array | None = field(default=None, repr=False)
     independent: tuple[Array, float] | None = field(default=None, repr=False)
-    notes: tuple[str, ...] = ()
+    notes: Strings = ()
     directions: KnownDirections | None = field(default=None, repr=False)
     profiles: Profiles | None = field(default=None, repr=False)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     prior_share: Mapping[str, float] = field(default_factory=dict)
     misfit: Misfit | None = field(default=None, repr=False)
-    command: tuple[str, ...] = field(default=(), repr=False)
+    command: Strings = field(default=(), repr=False)
 
     @cached_property
-    def free(self) -> tuple[str, ...]:
+    def free(self) -> Strings:
         """Names of the free parameters."""
         return tuple(q.name for q in self.quantities if q.kind == "free")
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Strings:
         """Names of the free, fixed and tied parameters, in this order."""
         return tuple(q.name for q in self.quantities if q.kind != "derived")
 

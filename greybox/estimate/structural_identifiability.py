@@ -18,6 +18,7 @@ from greybox.estimate.undetermined import Combination, invisible_groups
 from greybox.files.arrays import (
     Array,
     BoolArray,
+    Strings,
     Values,
     all_finite,
     by_name,
@@ -62,13 +63,13 @@ class StructuralIdentifiability:
     """
 
     model: str
-    names: tuple[str, ...]
+    names: Strings
     groups: tuple[Combination, ...]
-    combinations: tuple[str, ...]
+    combinations: Strings
     data: str
 
     @property
-    def identifiable(self) -> tuple[str, ...]:
+    def identifiable(self) -> Strings:
         """The parameters that the structure determines."""
         lost = {name for group in self.groups for name in group.names}
         return tuple(name for name in self.names if name not in lost)

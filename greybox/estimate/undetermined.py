@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Strings
 from greybox.statistics.column_space import triangle_of
 
 BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
@@ -31,14 +31,14 @@ class Combination:
         States whose unknown initial values take part.
     """
 
-    names: tuple[str, ...]
+    names: Strings
     index: float
     directions: int = 1
-    states: tuple[str, ...] = ()
+    states: Strings = ()
 
 
 def invisible_groups(
-    invisible: Array, size: Array, names: tuple[str, ...], initial: Sequence[Mapping[str, Array]]
+    invisible: Array, size: Array, names: Strings, initial: Sequence[Mapping[str, Array]]
 ) -> tuple[Combination, ...]:
     """Return the groups of parameters that move without effect in `invisible` directions (p, b).
 
@@ -77,7 +77,7 @@ def invisible_groups(
 def collinear_groups(
     jacobian: Array,
     active: Array,
-    names: tuple[str, ...],
+    names: Strings,
     at_bound: Sequence[str],
     invisible: Array,
 ) -> tuple[Combination, ...]:

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
+from greybox.files.arrays import Strings
 from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
 
@@ -36,7 +37,7 @@ class Verdict:
     """
 
     grade: Grade
-    sentences: tuple[str, ...]
+    sentences: Strings
 
     @property
     def level(self) -> str:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.arrays import by_name
+from greybox.files.arrays import Strings, by_name
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -253,7 +253,7 @@ def run_controllers(
     return following
 
 
-def sensors_of(controllers: Sequence[Controller]) -> tuple[str, ...]:
+def sensors_of(controllers: Sequence[Controller]) -> Strings:
     """Return what controllers read from the plant: inputs that no controller provides."""
     provided = {c.outside(name) for c in controllers for name in c.outputs}
     names = (c.outside(name) for c in controllers for name in c.inputs)

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, propagate
-from greybox.files.arrays import Array, Values, by_name, frozen
+from greybox.files.arrays import Array, Strings, Values, by_name, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -35,7 +35,7 @@ class ExpectedErrors:
     values: Values
     standard_error: Values
     information: Array
-    undetermined: tuple[str, ...]
+    undetermined: Strings
     units: Mapping[str, str]
 
     def __str__(self) -> str:

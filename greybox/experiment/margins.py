@@ -26,7 +26,7 @@ from greybox.experiment.loop_numbers import (
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.arrays import Array, ComplexArray, Values, frozen
+from greybox.files.arrays import Array, ComplexArray, Strings, Values, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Model, require_known
@@ -127,7 +127,7 @@ class Margins:
     instability: float
     level: float
     loop: SampledLoop | None = field(repr=False)
-    notes: tuple[str, ...] = ()
+    notes: Strings = ()
     points: tuple[FrequencyResponse, ...] = ()
 
     def __getitem__(self, name: str) -> Margin:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Values, frozen
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Strings, Values, frozen
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -34,7 +34,7 @@ class LinearController(NamedTuple):
     `y` is what they measure, `e` what is added to each command: a setpoint, or a control.
     """
 
-    commands: tuple[str, ...]
+    commands: Strings
     F: Array
     G: Array
     H: Array
@@ -65,8 +65,8 @@ class SampledLoop:
     period : float, s
     """
 
-    inputs: tuple[str, ...]
-    sensors: tuple[str, ...]
+    inputs: Strings
+    sensors: Strings
     A: Array
     early: Array
     late: Array
@@ -87,7 +87,7 @@ class SampledLoop:
         return replace(self, **{name: getattr(self, name)[plants] for name in arrays})
 
     @property
-    def signals(self) -> tuple[str, ...]:
+    def signals(self) -> Strings:
         """What is measured and what is commanded."""
         return (*self.sensors, *self.controller.commands)
 
@@ -284,7 +284,7 @@ def sampled_loop(
 
 @one_thread_at_a_time
 def _plants(
-    model: Model, system: Dynamics, sensors: tuple[str, ...], values: Array, at: Values
+    model: Model, system: Dynamics, sensors: Strings, values: Array, at: Values
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return A, B, and C, D of the sensors, and the delays (plants, inputs)."""
     # One mapped call for all plants: a call for each takes a quarter of the time of margins.
@@ -296,9 +296,7 @@ def _plants(
     return A, B, C, D, delay[:, :, 0]
 
 
-def _continuous(
-    model: Model, system: Dynamics, sensors: tuple[str, ...], at: Values
-) -> ca.Function:
+def _continuous(model: Model, system: Dynamics, sensors: Strings, at: Values) -> ca.Function:
     """Return the function from parameters to A, B, and C, D of the sensors, and the delays."""
     x, u, p = system.symbols
     f = system.derivative(x, u, p)
@@ -341,7 +339,7 @@ def measured_signal(
 
 @one_thread_at_a_time
 def linear_controller(
-    controllers: Sequence[Controller], sensors: tuple[str, ...], inputs: tuple[str, ...]
+    controllers: Sequence[Controller], sensors: Strings, inputs: Strings
 ) -> LinearController:
     """Linearize the chain of controllers about their initial states and signals of zero."""
     outside = [c.outside(n) for c in controllers for n in (*c.setpoints, *c.outputs)]

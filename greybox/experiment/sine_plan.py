@@ -24,6 +24,7 @@ from greybox.files.arrays import (
     ComplexArray,
     IntArray,
     Interval,
+    Strings,
     Values,
     by_name,
     frozen,
@@ -84,7 +85,7 @@ class SinePlan:
     omega: Array
     amplitude: Array
     duration: Array
-    limited_by: tuple[str, ...]
+    limited_by: Strings
     standard_error: Values
     wanted: Values
     flight_time: float

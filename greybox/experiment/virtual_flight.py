@@ -18,7 +18,7 @@ from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import measured_signal
-from greybox.files.arrays import Array, Values, all_finite, frozen
+from greybox.files.arrays import Array, Strings, Values, all_finite, frozen
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -181,9 +181,9 @@ class _Loop:
     p: Array
     controllers: tuple[Controller, ...]
     clock: float
-    excited: tuple[str, ...]
-    measured: tuple[str, ...]
-    forced: tuple[str, ...]
+    excited: Strings
+    measured: Strings
+    forced: Strings
     initial: Values
 
     @cached_property
@@ -210,7 +210,7 @@ class _Loop:
         return np.concatenate([plant, *(c.initial for c in self.controllers), *past])
 
 
-def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
+def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], Strings]:
     """Return every signal of the log by name, at the controller's rate, and findings."""
     n = len(loop.system.states)
     substeps = 1

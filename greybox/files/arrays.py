@@ -13,6 +13,7 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
 Values = Mapping[str, float]  # by the names of parameters or signals
 Interval = tuple[float, float]  # its low and its high end
+Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 
 Kind = TypeVar("Kind")
 

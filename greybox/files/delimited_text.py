@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.files.arrays import Array, by_name, frozen
+from greybox.files.arrays import Array, Strings, by_name, frozen
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, is_number
 
@@ -54,7 +54,7 @@ class DelimitedText:
 
     path: Path
     separator: str
-    header: tuple[str, ...]
+    header: Strings
     lines: Sequence[str]
     line_numbers: Sequence[int]
     facts: Mapping[str, str]

@@ -6,6 +6,8 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from greybox.files.arrays import Strings
+
 # Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
 # follows), halves of characters (no terminal takes them), line and paragraph separators.
 CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -85,7 +87,7 @@ def listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def as_names(names: str | Iterable[str]) -> tuple[str, ...]:
+def as_names(names: str | Iterable[str]) -> Strings:
     """Return one name or several as a tuple."""
     return (names,) if isinstance(names, str) else tuple(names)
 

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray, frozen, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, Strings, frozen, real_and_imaginary
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.relative_score import ROUNDING, relative_score
 from greybox.modeling.complex_arithmetic import Complex
@@ -42,7 +42,7 @@ class Criterion(AnyCriterion):
     """
 
     condition = "errors isotropic in the complex plane and of one relative size"
-    uses: ClassVar[tuple[str, ...] | None] = None
+    uses: ClassVar[Strings | None] = None
     weighs_alike: ClassVar[bool] = False
     locator: "ClassVar[Criterion | None]" = None
 

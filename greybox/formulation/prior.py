@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
@@ -42,7 +42,7 @@ class NormalPrior:
     mean, covariance : (k,) and (k, k) arrays
     """
 
-    names: tuple[str, ...]
+    names: Strings
     mean: Array
     covariance: Array
 
@@ -110,7 +110,7 @@ def normal_priors(
     return densities + [_of_estimate(source, tuple(names)) for source, names in sources.values()]
 
 
-def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
+def _of_estimate(source: HeldEstimate, names: Strings) -> NormalPrior:
     covariance = np.asarray(source.covariance_of(names), dtype=float)
     unknown = [
         name

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Strings, frozen
 from greybox.formulation.time_criteria import OutputError, TimeCriterion, modeled_outputs
 from greybox.modeling.colored_disturbance import gust_time
 from greybox.modeling.model import Model
@@ -55,7 +55,7 @@ class EquationError(TimeCriterion):
         time = gust_time((spectrum.step, spectrum.duration), "equation")
         return {"T_gust": time} if self.gusts else {}
 
-    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
+    def compared(self, model: Model, record: Record) -> Strings:
         """Refuse a record."""
         raise ValueError(
             "EquationError is for the Fourier integrals of a manoeuvre and the data are a record: "
@@ -65,7 +65,7 @@ class EquationError(TimeCriterion):
 
 def outputs_in_spectrum(
     criterion: TimeCriterion, model: Model, spectrum: TransientSpectrum
-) -> tuple[str, ...]:
+) -> Strings:
     """Return the outputs of the model that are in the spectrum.
 
     Raises

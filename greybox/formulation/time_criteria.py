@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Strings, frozen
 from greybox.files.text_table import as_names
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
@@ -114,7 +114,7 @@ class TimeCriterion(AnyCriterion):
         """Return the model with the states of the disturbances that the criterion assumes."""
         return undisturbed(model)
 
-    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
+    def compared(self, model: Model, record: Record) -> Strings:
         """Return the outputs of the model that are in the record.
 
         Raises
@@ -174,7 +174,7 @@ class TimeCriterion(AnyCriterion):
         """Return the pairs of state and output with a gain, ``K_<state>_<output>``."""
         return ()
 
-    def driven(self) -> tuple[str, ...]:
+    def driven(self) -> Strings:
         """Return the states whose process noise is estimated, from which the gains then follow."""
         return ()
 
@@ -330,7 +330,7 @@ class PredictionError(TimeCriterion):
             )
         return result
 
-    def driven(self) -> tuple[str, ...]:
+    def driven(self) -> Strings:
         """Return the states with process noise."""
         return (*self.process_noise, *map(gust_on, self.disturbance))
 
@@ -355,7 +355,7 @@ class PredictionError(TimeCriterion):
 
 def modeled_outputs(
     model: Model, inputs: Iterable[str], outputs: Iterable[str], noun: str
-) -> tuple[str, ...]:
+) -> Strings:
     """Return the outputs of the model that are among those of the data.
 
     Raises

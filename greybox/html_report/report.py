@@ -7,6 +7,7 @@ import numpy as np
 
 from greybox.estimate.result import Fit
 from greybox.experiment.margins import Margins
+from greybox.files.arrays import Strings
 from greybox.files.grouping import grouped
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, number
@@ -97,7 +98,7 @@ def report(
 def members_of(study: Study) -> list[Entry]:
     """Return the members of a study, those with the same answer as one; the first with fits."""
 
-    def seen(member: StudyMember) -> tuple[str, ...]:
+    def seen(member: StudyMember) -> Strings:
         # Neither a seed nor an approximation of the delay need change an answer.
         factors = [
             f"{n} {value}" for n, value in member.factors.items() if n not in ("seed", "delay")

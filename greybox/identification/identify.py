@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Interval, Values, frozen
+from greybox.files.arrays import Interval, Strings, Values, frozen
 from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
@@ -53,7 +53,7 @@ class Identification:
     choices: tuple[Choice, ...]
     measurements: tuple[Measurement, ...]
     selection: Selection | None = None
-    through: tuple[str, ...] = ()
+    through: Strings = ()
 
     @property
     def measurement(self) -> Measurement:
@@ -61,7 +61,7 @@ class Identification:
         return self.measurements[0]
 
     @property
-    def refusals(self) -> tuple[str, ...]:
+    def refusals(self) -> Strings:
         """Why responses are no basis for a model."""
         return tuple(chain.from_iterable(m.quality.refusals for m in self.measurements))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Interval, frozen
+from greybox.files.arrays import Interval, Strings, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.measurement import named_signals
@@ -33,7 +33,7 @@ class MatrixMeasurement:
 
     record: Record
     responses: tuple[FrequencyResponse, ...]
-    choices: tuple[str, ...]
+    choices: Strings
 
     def __repr__(self) -> str:
         return one_line(self, counted(len(self.responses), "response"))
@@ -121,7 +121,7 @@ def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
     return float(record.time[moves[0]]), float(record.time[moves[-1] + 1])
 
 
-def _row(response: FrequencyResponse) -> tuple[str, ...]:
+def _row(response: FrequencyResponse) -> Strings:
     error = float(np.median(response.relative_error))
     ends = (number(float(response.omega[0]), 4), number(float(response.omega[-1]), 4))
     return (response.output, response.input, str(len(response)), *ends, number(100 * error, 2))

@@ -17,7 +17,7 @@ from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import known_unit
-from greybox.files.arrays import Interval, frozen
+from greybox.files.arrays import Interval, Strings, frozen
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -212,7 +212,7 @@ class Measurement:
     record: Record
     response: FrequencyResponse | None
     quality: Quality
-    choices: tuple[str, ...]
+    choices: Strings
     filters: Mapping[str, tuple[KnownFilter, ...]] = field(repr=False)
     controller: str
     detail: str = field(repr=False)
@@ -604,7 +604,7 @@ def _choices(
     controller: str,
     signals: Mapping[str, str],
     response: FrequencyResponse | None,
-) -> tuple[str, ...]:
+) -> Strings:
     loop = "open loop, as stated" if settings.open_loop else loop_text(controller)
     if used and used[0].kind == "sine":
         estimate = (

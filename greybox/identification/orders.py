@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray, Values
+from greybox.files.arrays import Array, ComplexArray, Strings, Values
 from greybox.files.text_table import counted
 from greybox.identification.selection import (
     UNSTABLE,
@@ -314,7 +314,7 @@ def _candidate(
     return Candidate(str(orders), result, *_described(orders, result))
 
 
-def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
+def _described(orders: Orders, fit: Fit) -> tuple[str, Strings]:
     """Return the factored transfer function, and remarks on its poles and zeros."""
     if not fit.converged:
         return "", ()

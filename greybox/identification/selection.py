@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Strings, frozen
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.validation.measures import relative_rms
 from greybox.validation.parsimony import parsimony
@@ -47,7 +47,7 @@ class Candidate:
     label: str
     fit: Fit
     about: str = ""
-    remarks: tuple[str, ...] = ()
+    remarks: Strings = ()
 
     @property
     def noise(self) -> float:
@@ -183,7 +183,7 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     return Selection(tuple(candidates), fitted[k], tuple(bic), reason, note)
 
 
-def held_by_bounds(fit: Fit) -> tuple[str, ...]:
+def held_by_bounds(fit: Fit) -> Strings:
     """Return the remark that parameters ended at a bound."""
     names = [quantity.name for quantity in fit.quantities if quantity.at_bound]
     return (f"{listed(names)} at {'its' if len(names) == 1 else 'their'} bound",) if names else ()

@@ -9,6 +9,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
+from greybox.files.arrays import Strings
 from greybox.files.optional_package import required
 from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
@@ -170,7 +171,7 @@ def _named(name: str) -> dict[str, str]:
     return {"name": plain} if plain else {}
 
 
-def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
+def _signal_names(given: Sequence[str], labels: Sequence[str]) -> Strings:
     """Return the given names, else the labels with ``u[0]`` as ``u`` or ``u1``."""
     # Names of signals become attributes in formulas, x.u1, where brackets cannot stand.
     if given:

@@ -2,17 +2,19 @@
 
 from dataclasses import dataclass
 
+from greybox.files.arrays import Strings
+
 
 @dataclass(frozen=True)
 class AxisSignals:
     """The signals of one axis, the best first; `terms` are terms of its controllers."""
 
-    controls: tuple[str, ...]
-    angles: tuple[str, ...]
-    rates: tuple[str, ...]
-    setpoints: tuple[str, ...]
-    terms: tuple[str, ...]
-    sticks: tuple[str, ...] = ()
+    controls: Strings
+    angles: Strings
+    rates: Strings
+    setpoints: Strings
+    terms: Strings
+    sticks: Strings = ()
 
 
 # Names of angle and rate in models.

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Strings, frozen
 from greybox.files.text_table import as_names, counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
@@ -26,7 +26,7 @@ STOP = 0.5
 class Derived:
     """A signal computed from others on the common time base: ``compute(*inputs) -> (n,)``."""
 
-    inputs: tuple[str, ...]
+    inputs: Strings
     compute: Callable[..., Array]
     unit: str
 
@@ -183,7 +183,7 @@ class _Source:
     time: Array
     values: Array
     unit: str
-    findings: tuple[str, ...]
+    findings: Strings
     hold: float | None
     step: float  # s, median of the requested stretch: the rate may differ elsewhere
 

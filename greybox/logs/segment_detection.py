@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, Strings
 from greybox.files.text_table import as_names
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
@@ -287,7 +287,7 @@ def stretches(
     ]
 
 
-def announcing(recording: Recording) -> tuple[str, ...]:
+def announcing(recording: Recording) -> Strings:
     """Return the messages that look like announcements of tests, with the fields of `ANNOUNCED`."""
     fields = {ANNOUNCED[key] for key in ("segment", "omega", "amplitude")}
     return tuple(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import all_finite
+from greybox.files.arrays import Strings, all_finite
 from greybox.modeling.function_of_s import polynomial_value
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -141,7 +141,7 @@ def _coefficients(values: Sequence[float], what: str) -> list[float]:
 
 def _signal_names(
     names: Sequence[str], letter: str, count: int, *, numbered: bool = False
-) -> tuple[str, ...]:
+) -> Strings:
     if not names:
         is_alone = count == 1 and not numbered
         return (letter,) if is_alone else tuple(f"{letter}{k + 1}" for k in range(count))

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Values, all_finite, by_name, frozen
+from greybox.files.arrays import Array, ComplexArray, Strings, Values, all_finite, by_name, frozen
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
@@ -31,9 +31,9 @@ class LinearSystem:
     B: Array
     C: Array
     D: Array
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    states: Strings
+    inputs: Strings
+    outputs: Strings
     delays: Array
     point: Values
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from greybox.files.arrays import Interval
+from greybox.files.arrays import Interval, Strings
 from greybox.files.text_table import alternatives
 from greybox.modeling.parameter import Parameter
 
@@ -136,12 +136,12 @@ class Model(ABC):
 
     @property
     @abstractmethod
-    def input_names(self) -> tuple[str, ...]:
+    def input_names(self) -> Strings:
         """Names of the input signals."""
 
     @property
     @abstractmethod
-    def output_names(self) -> tuple[str, ...]:
+    def output_names(self) -> Strings:
         """Names of the output signals."""
 
     @property

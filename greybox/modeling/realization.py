@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, all_finite, frozen
+from greybox.files.arrays import Array, Strings, all_finite, frozen
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
@@ -48,10 +48,10 @@ class Dynamics:
         (inputs) -> the states of delays of inputs that have always been constant.
     """
 
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    parameters: tuple[str, ...]
+    states: Strings
+    inputs: Strings
+    outputs: Strings
+    parameters: Strings
     derivative: ca.Function
     output: ca.Function
     delay: ca.Function

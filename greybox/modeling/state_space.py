@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+from greybox.files.arrays import Strings
 from greybox.modeling.model import Model, require_known, require_signal_names
 
 
@@ -81,11 +82,11 @@ class StateSpace(Model):
         return not self.states and not self.delays
 
     @property
-    def input_names(self) -> tuple[str, ...]:
+    def input_names(self) -> Strings:
         """Names of the inputs."""
         return tuple(self.inputs)
 
     @property
-    def output_names(self) -> tuple[str, ...]:
+    def output_names(self) -> Strings:
         """Names of the outputs."""
         return tuple(self.outputs)

@@ -5,6 +5,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from greybox.files.arrays import Strings
 from greybox.modeling.model import Model, Names, ParameterFormula, merged_parameters, require_known
 
 
@@ -40,12 +41,12 @@ class TransferFunction(Model):
         """
 
     @property
-    def input_names(self) -> tuple[str, ...]:
+    def input_names(self) -> Strings:
         """The one input."""
         return (self.input,)
 
     @property
-    def output_names(self) -> tuple[str, ...]:
+    def output_names(self) -> Strings:
         """The one output."""
         return (self.output,)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, IntArray, by_name, frozen
+from greybox.files.arrays import Array, IntArray, Strings, by_name, frozen
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -41,8 +41,8 @@ class History:
     label: str
     data: Record
     modeled: Record
-    outputs: tuple[str, ...]
-    inputs: tuple[str, ...]
+    outputs: Strings
+    inputs: Strings
     pieces: list[IntArray]
 
 

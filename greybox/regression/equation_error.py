@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, Values, by_name, frozen
+from greybox.files.arrays import Array, Strings, Values, by_name, frozen
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -40,7 +40,7 @@ class UsedEquation:
     """
 
     left: str
-    parameters: tuple[str, ...]
+    parameters: Strings
     r_squared: float
     rows: int
     band: float
@@ -76,12 +76,12 @@ class EquationErrorEstimate:
     name: str
     estimate: Values
     equations: tuple[UsedEquation, ...]
-    left_out: tuple[str, ...]
+    left_out: Strings
     missing: Mapping[str, str]
-    at_bound: tuple[str, ...]
-    states: tuple[str, ...]
+    at_bound: Strings
+    states: Strings
     parameters: Mapping[str, Parameter]
-    warnings: tuple[str, ...]
+    warnings: Strings
     inputs: Mapping[str, str]
 
     def __repr__(self) -> str:
@@ -218,7 +218,7 @@ def equation_error(
 class _NoOutputs(OutputError):  # noqa: N818  (no exception)
     """A criterion that compares no outputs: regressions may do with states alone."""
 
-    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
+    def compared(self, model: Model, record: Record) -> Strings:
         modeled_outputs(model, record.signals, model.output_names, "record")  # checks the inputs
         return ()
 
@@ -261,9 +261,7 @@ def explained(target: Array, errors: Array) -> float:
     return 1 - float(errors @ errors) / variance if variance > 0 else math.nan
 
 
-def _why(
-    name: str, equations: Equations, groups: Sequence[tuple[str, ...]], parameter: Parameter
-) -> str:
+def _why(name: str, equations: Equations, groups: Sequence[Strings], parameter: Parameter) -> str:
     partners = next((group for group in groups if name in group), ())
     if len(partners) > 1:
         return f"only a combination of {', '.join(partners)} is determined: fix one of them"

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from greybox.files.arrays import Values, frozen
+from greybox.files.arrays import Strings, Values, frozen
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
@@ -41,8 +41,8 @@ class Equation:
 
     target: str
     kind: Kind
-    parameters: tuple[str, ...]
-    signals: tuple[str, ...]
+    parameters: Strings
+    signals: Strings
 
     @property
     def left(self) -> str:
@@ -74,14 +74,14 @@ class Equations:
 
     states: tuple[KnownState, ...]
     equations: tuple[Equation, ...]
-    state_names: tuple[str, ...]
-    input_names: tuple[str, ...]
-    free: tuple[str, ...]
-    linear: tuple[str, ...]
-    nonlinear: tuple[str, ...]
+    state_names: Strings
+    input_names: Strings
+    free: Strings
+    linear: Strings
+    nonlinear: Strings
     rows: ca.Function
     delay: ca.Function
-    left_out: tuple[str, ...]
+    left_out: Strings
 
 
 def regressions(
@@ -225,12 +225,12 @@ class _Analysis:
     def _unknown(self, row: ca.SX) -> set[str]:
         return {*_needed(row, self.state)} - self.states.keys()
 
-    def _parameters(self, row: ca.SX) -> tuple[str, ...]:
+    def _parameters(self, row: ca.SX) -> Strings:
         """Return the free parameters of a row and of its delays."""
         late = [self.delays[self.model.inputs.index(n)] for n in _needed(row, self.input)]
         return tuple(_needed(ca.vertcat(row, *late), self.parameter))
 
-    def _linear(self, rows: ca.SX) -> tuple[str, ...]:
+    def _linear(self, rows: ca.SX) -> Strings:
         """Return the parameters in which all rows are jointly affine."""
         # A parameter of a delay changes the regressors themselves.
         excluded = _needed(self.delays, self.parameter)

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, IntArray, Values, frozen
+from greybox.files.arrays import Array, IntArray, Strings, Values, frozen
 from greybox.formulation.input_assumptions import Inputs, between_samples
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
@@ -57,13 +57,13 @@ class ModelAtEstimate:
 
     label: str
     system: Dynamics
-    names: tuple[str, ...]
+    names: Strings
     q: Array
     covariance: Array | None
     criterion: TimeCriterion
     part: Any
     declared: Mapping[str, Parameter] = field(default_factory=dict)
-    own: tuple[str, ...] = ()
+    own: Strings = ()
     held: tuple[bool, ...] = ()
 
     @property
@@ -103,7 +103,7 @@ class ModelAtEstimate:
         system = self.system.later([assumption.late for assumption in between])
         return replace(self, system=system, held=tuple(assumption.held for assumption in between))
 
-    def noise(self, outputs: tuple[str, ...]) -> Array | None:
+    def noise(self, outputs: Strings) -> Array | None:
         """Return the covariance (k, k) of the errors of these outputs; None if unknown."""
         if self.part is None or not set(outputs) <= set(self.part.outputs):
             return None
@@ -183,7 +183,7 @@ def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
 
 
 def criterion_of(
-    inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]
+    inputs: Inputs, biases: Strings, gains: tuple[tuple[str, str], ...]
 ) -> TimeCriterion:
     """Return the criterion under which a model runs, with innovations if there are `gains`."""
     if gains:

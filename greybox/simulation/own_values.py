@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, IntArray, by_name, frozen
+from greybox.files.arrays import Array, IntArray, Strings, by_name, frozen
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
@@ -34,10 +34,10 @@ BLIND = 1e-9  # relative eigenvalue of the information below which a direction i
 def with_own_values(
     model: ModelAtEstimate,
     windows: Windows,
-    outputs: tuple[str, ...],
+    outputs: Strings,
     integrator: Integrator | None,
     own: Sequence[str],
-) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], tuple[str, ...]]:
+) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], Strings]:
     """Return the model with the values `own` estimated from the windows.
 
     Also returned are these values with their standard errors, which include those of the model's
@@ -73,7 +73,7 @@ def with_own_values(
 
     title = record.name or "the record"
     undetermined = [name for name in dict.fromkeys(own) if name not in estimate.names]
-    notes: tuple[str, ...] = ()
+    notes: Strings = ()
     if undetermined:
         notes = (
             f"{listed(undetermined)}: not determined by {title}, the value of the fit is used.",
@@ -125,7 +125,7 @@ class _Estimate:
     numbers: int
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Strings:
         return tuple(self.model.names[k] for k in self.places)
 
     @property
@@ -153,9 +153,7 @@ class _Estimate:
         return len(self.places), -float(np.sum(np.log(np.diag(self.covariance))))
 
 
-def _longer(
-    model: ModelAtEstimate, windows: Windows, outputs: tuple[str, ...]
-) -> Iterator[Windows]:
+def _longer(model: ModelAtEstimate, windows: Windows, outputs: Strings) -> Iterator[Windows]:
     """Yield windows of the record four times as long, and so on to the longest stretch.
 
     The longer a free simulation is, the better it shows constant errors.

@@ -8,7 +8,7 @@ from statistics import NormalDist
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
@@ -70,9 +70,9 @@ class Prediction:
 
     label: str
     data: Record
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    states: tuple[str, ...]
+    inputs: Strings
+    outputs: Strings
+    states: Strings
     lead: float
     horizon: float
     rows: IntArray
@@ -81,7 +81,7 @@ class Prediction:
     noise: Array
     trajectory: Array
     one_step: Array
-    notes: tuple[str, ...] = ()
+    notes: Strings = ()
     own: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:

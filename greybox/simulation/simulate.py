@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
-from greybox.files.arrays import Array, BoolArray, Values, all_finite
+from greybox.files.arrays import Array, BoolArray, Strings, Values, all_finite
 from greybox.files.text_table import as_names, counted, some
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator
@@ -248,7 +248,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
 def predict_windows(
     model: ModelAtEstimate,
     windows: Windows,
-    outputs: tuple[str, ...],
+    outputs: Strings,
     integrator: Integrator | None = None,
     own: Sequence[str] | None = None,
 ) -> tuple[Prediction, BoolArray, str]:
@@ -301,7 +301,7 @@ def predict_windows(
 
 
 def _not_finite(
-    simulated: WindowSimulations, windows: Windows, outputs: tuple[str, ...], model: ModelAtEstimate
+    simulated: WindowSimulations, windows: Windows, outputs: Strings, model: ModelAtEstimate
 ) -> str:
     """Return the number of windows that are not finite, and the first such signal with its time."""
     if not simulated.not_finite.any():
@@ -327,7 +327,7 @@ def cure(called: str) -> str:
     return f"give a shorter {called} if the model is unstable, or {DOMAINS}"
 
 
-def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
+def _not_known(unknown: Strings, model: ModelAtEstimate) -> str:
     return (
         f"the standard errors of {model.label} are unknown if they depend on {', '.join(unknown)}, "
         "which the data of the fit do not determine"

@@ -11,7 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
-from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, by_name, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, Strings, all_finite, by_name, frozen
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -107,7 +107,7 @@ class Simulator:
     def __init__(
         self,
         model: ModelAtEstimate,
-        outputs: tuple[str, ...],
+        outputs: Strings,
         integrator: Integrator | None,
     ) -> None:
         if not isinstance(integrator, Integrator | None):
@@ -129,7 +129,7 @@ class Simulator:
 
     def free_run(
         self, stretch: Stretch, initial: Array, fitted_initial: bool
-    ) -> tuple[dict[str, Array], tuple[str, ...]]:
+    ) -> tuple[dict[str, Array], Strings]:
         """Simulate one stretch from the states `initial` (n,), which the fit may have estimated.
 
         Returns outputs, standard errors and states by name, and the parameters without a standard
@@ -222,7 +222,7 @@ class Simulator:
             data=data,
         )
 
-    def standard_errors(self, simulated: WindowSimulations) -> tuple[Array, tuple[str, ...]]:
+    def standard_errors(self, simulated: WindowSimulations) -> tuple[Array, Strings]:
         """Return standard errors (w, samples, k) of the outputs, and values without such errors."""
         initial = simulated.initial
         informing = np.where(simulated.in_lead[..., None], simulated.slopes, 0.0)
@@ -385,13 +385,13 @@ def with_implied_states(
 
 def _standard_errors(
     by_value: Array, variance: Array, model: ModelAtEstimate
-) -> tuple[Array, tuple[str, ...]]:
+) -> tuple[Array, Strings]:
     """Return the standard errors (..., k) of outputs with the variance (..., k) of the states.
 
     A sample that depends on a value without a standard error has none either; the names of these
     values are returned, too.
     """
-    unknown: tuple[str, ...] = ()
+    unknown: Strings = ()
     if model.covariance is not None and len(model.uncertain):
         covariance = model.covariance[np.ix_(model.uncertain, model.uncertain)]
         undetermined = np.isnan(np.diag(covariance))

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray, Strings, frozen
 from greybox.modeling.parameter import is_finite_number
 
 # Samples of a default length: two or more for each state of the models here, which have 2 to 5.
@@ -132,7 +132,7 @@ def cut(
 
 
 def sample_data(
-    windows: Windows, inputs: tuple[str, ...], outputs: tuple[str, ...], delays: Array
+    windows: Windows, inputs: Strings, outputs: Strings, delays: Array
 ) -> dict[str, Array]:
     """Return ``whole, around, measured, step`` of all samples in the windows, (rows, w, samples).
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Strings, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 
 # Change of trim over the amplitude, and standard error over the response: an error of the gain
@@ -55,8 +55,8 @@ class FrequencyPoint:
     distortion: tuple[float, float]
     drift: tuple[float, float]
     saturation: float
-    findings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    findings: Strings = ()
+    notes: Strings = ()
     unexplained: float = math.nan
 
 
@@ -69,7 +69,7 @@ class FiniteFrequency:
     left_out: tuple[tuple[Segment, str], ...] = ()
 
     @property
-    def findings(self) -> tuple[str, ...]:
+    def findings(self) -> Strings:
         """Warnings on points, and messages on the tests that were left out."""
         warnings = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
         omissions = [
@@ -90,7 +90,7 @@ class FiniteFrequency:
         )
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Strings:
         """Remarks on the points."""
         return tuple(f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.notes)
 
@@ -200,7 +200,7 @@ def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
     return replace(point, unexplained=share, standard_error=error, findings=findings)
 
 
-def _row(point: FrequencyPoint) -> tuple[str, ...]:
+def _row(point: FrequencyPoint) -> Strings:
     gain = abs(point.response)
     phase = math.degrees(math.atan2(point.response.imag, point.response.real))
     return (

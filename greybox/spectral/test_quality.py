@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Interval
+from greybox.files.arrays import Interval, Strings
 from greybox.files.text_table import counted, one_line
 from greybox.spectral.saturation import at_limit
 
@@ -68,7 +68,7 @@ class Quality:
         return not self.refusals
 
     @property
-    def refusals(self) -> tuple[str, ...]:
+    def refusals(self) -> Strings:
         """The reasons to refuse the test."""
         return tuple(f.text for f in self.findings if f.severity == "refusal")
 

@@ -23,7 +23,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Interval, by_name, frozen
+from greybox.files.arrays import Array, Interval, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
@@ -74,15 +74,15 @@ class Bootstrap(Printed):
     name: str
     about: str
     seed: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
+    names: Strings
+    units: Strings
     estimate: Array
     fit_error: Array
     values: Array
-    statuses: tuple[str, ...]
+    statuses: Strings
     bounds: Array
     dof: Array
-    warnings: tuple[str, ...] = ()
+    warnings: Strings = ()
     seconds: float = 0.0
 
     @cached_property
@@ -144,7 +144,7 @@ class Bootstrap(Printed):
         return intervals
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Strings:
         """Remark on the parameters that the data bound on one side only."""
         # Intervals of poles far above the band reached at least 2.5 times as far to one side as to
         # the other, those of lags and of the tilt model at most 2.1 times
@@ -444,7 +444,7 @@ def _made(
                 runs.write()
 
 
-def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:
+def replicate_warnings(statuses: Strings, dof: float) -> Iterator[str]:
     """Warn of many failed replicates, and of too few replicates for an interval."""
     # Replicates may fail because their estimates lie far out. Beyond 5 %, twice the share of a tail
     # of a 95 % interval, the tails of the others say little.

@@ -10,6 +10,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
+from greybox.files.arrays import Strings
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
@@ -82,7 +83,7 @@ def read_data(
     return _record_of(log, path, model)
 
 
-def _header(path: Path) -> tuple[str, ...] | None:
+def _header(path: Path) -> Strings | None:
     """Return the names in the header of a table, or None if the file is not text."""
     # Only the beginning: a log may have gigabytes.
     with path.open("rb") as file:

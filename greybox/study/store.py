@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Strings, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
@@ -495,7 +495,7 @@ def _is_ours(connection: sqlite3.Connection) -> bool:
     return connection.execute("PRAGMA application_id").fetchone() == (APPLICATION,)
 
 
-def _tables(connection: sqlite3.Connection) -> tuple[str, ...]:
+def _tables(connection: sqlite3.Connection) -> Strings:
     """Return the statements that made the tables of a database."""
     query = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rootpage"
     return tuple(sql for (sql,) in connection.execute(query))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.pandas_frames import Frame
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Strings, frozen
 from greybox.files.grouping import grouped
 from greybox.files.html_text import Printed
 from greybox.files.optional_package import required
@@ -153,7 +153,7 @@ class Study(Printed):
             self._require_factor(factor)
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
         # takes longer than comparing it.
-        best: dict[tuple[str, ...], StudyMember] = {}
+        best: dict[Strings, StudyMember] = {}
         words = [_differences([m.factors.get(factor, "") for m in self.done]) for factor in by]
         for place, member in enumerate(self.done):
             combination = ": ".join(filter(None, (texts[place] for texts in words)))

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from greybox.files.arrays import by_name, frozen
+from greybox.files.arrays import Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
@@ -66,10 +66,10 @@ class Comparison(Printed):
         The reason, in one sentence.
     """
 
-    labels: tuple[str, ...]
+    labels: Strings
     data: str
     rows: tuple[Row, ...]
-    statements: tuple[str, ...]
+    statements: Strings
     predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(
         default_factory=dict, repr=False
     )

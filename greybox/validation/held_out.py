@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.result import Fit
-from greybox.files.arrays import BoolArray
+from greybox.files.arrays import BoolArray, Strings
 from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Prediction
@@ -74,7 +74,7 @@ def predict_same_windows(
     return tuple(zip(*by_record, strict=True)), notes
 
 
-def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
+def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> Strings:
     """Return the outputs of all models that the record has; ValueError if there are none."""
     shared = [
         name

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import all_finite
+from greybox.files.arrays import Strings, all_finite
 from greybox.files.text_table import listed, number, one_line
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import NotNestedError, nested_values
@@ -48,7 +48,7 @@ class NestedTest:
 
     small: str
     large: str
-    terms: tuple[str, ...]
+    terms: Strings
     likelihood_ratio: float
     scale: float
     statistic: float

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, by_name
+from greybox.files.arrays import Array, Strings, by_name
 from greybox.files.text_table import listed
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -122,7 +122,7 @@ class _Part:
         self.model = model
         self.part = part
         # By the criterion.
-        self.added: tuple[str, ...] = getattr(part, "added", ())
+        self.added: Strings = getattr(part, "added", ())
         self.names = {name: part.outside(name) for name in (*model.parameters, *self.added)}
         self._dynamics = dynamics(model) if isinstance(model, StateSpace) else None
 

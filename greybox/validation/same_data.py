@@ -8,6 +8,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Strings
 from greybox.files.text_table import number
 
 LIKELIHOOD = "negative log-likelihood"
@@ -25,7 +26,7 @@ def check_fits(fits: Sequence[Fit]) -> None:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
 
 
-def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
+def labels_of(fits: Sequence[Fit]) -> Strings:
     """Return the names of the models, with problems or numbers where they are alike."""
     # Names of models say most. Only if these are equal, names of problems or numbers are needed.
     models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]

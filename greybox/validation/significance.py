@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Strings
 from greybox.files.text_table import counted, listed, number
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
@@ -31,7 +31,7 @@ def verdicts(
     comparable: bool,
     likelihoods: Likelihoods | None,
     aic: Sequence[float],
-) -> tuple[tuple[str, ...], list[NestedTest]]:
+) -> tuple[Strings, list[NestedTest]]:
     """Return the sentences of a comparison, and the tests of nested models.
 
     `predictions` are by kind of data, `comparable` says whether the costs are. `likelihoods` are

@@ -18,7 +18,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Values, frozen
+from greybox.files.arrays import Strings, Values, frozen
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
@@ -79,8 +79,8 @@ class StepwiseSelection:
         p-values of chosen terms that are needed only if the errors are independent along frequency.
     """
 
-    candidates: tuple[str, ...]
-    terms: tuple[str, ...]
+    candidates: Strings
+    terms: Strings
     fit: Fit
     without: Fit
     trials: tuple[Trial, ...]

@@ -39,6 +39,7 @@ from greybox.estimate.diagnostics.records import (
 )
 from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Strings
 from greybox.solve.discretization_error import DiscretizationError
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
@@ -49,9 +50,7 @@ UNEXPLAINED = (
 )
 
 
-def warnings_of_failure(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
-) -> tuple[str, ...]:
+def warnings_of_failure(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Strings:
     """Return the warnings of a fit without a converged run."""
     return (
         *not_finite_warnings(nlp, search),
@@ -67,7 +66,7 @@ def warnings(
     answer: Fit,
     trajectories: Sequence[Trajectory],
     error: DiscretizationError | None,
-) -> tuple[str, ...]:
+) -> Strings:
     """Return the warnings of a converged fit."""
     # In the order of consequence: first what could make the answer meaningless, then what makes
     # parameters or standard errors doubtful, then single points.

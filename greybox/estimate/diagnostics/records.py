@@ -18,7 +18,7 @@ from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.missing_terms import dynamic_equations
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Strings
 from greybox.files.grouping import grouped
 from greybox.files.text_table import listed, some
 from greybox.modeling.colored_disturbance import ColoredDisturbance
@@ -68,7 +68,7 @@ def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
 
 def record_warnings(
     nlp: CompiledProblem, answer: Fit, trajectories: Sequence[Trajectory], accuracy: Accuracy
-) -> tuple[str, ...]:
+) -> Strings:
     """Return the warnings about the records of a fit.
 
     Residuals of a wrong model look like feedback, which is then not tested, and like gusts unless

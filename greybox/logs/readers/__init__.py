@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
+from greybox.files.arrays import Strings
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import printable
 from greybox.logs.named_columns import in_si
@@ -44,7 +45,7 @@ class Format(NamedTuple):
 
     module: str
     about: str
-    suffixes: tuple[str, ...]
+    suffixes: Strings
     recognizes: Callable[[bytes], bool]
 
 

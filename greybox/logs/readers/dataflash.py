@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, IntArray, by_name
+from greybox.files.arrays import Array, IntArray, Strings, by_name
 from greybox.files.progress import bar
 from greybox.files.text_table import counted
 from greybox.logs.readers import ardupilot_metadata
@@ -82,9 +82,7 @@ def recording(
     return Recording(by_name, path.name, checksum, metadata, findings)
 
 
-def _contents(
-    data: Bytes, messages: Collection[str] | None
-) -> tuple[list[Messages], tuple[str, ...]]:
+def _contents(data: Bytes, messages: Collection[str] | None) -> tuple[list[Messages], Strings]:
     """Return the messages, the requested ones with their columns, and findings."""
     positions = index(data)
     # One sort instead of a comparison for each type: a file may describe many types.
@@ -163,7 +161,7 @@ def clock_column(layout: Layout) -> str:
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 
-def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, ...]:
+def _missing(present: set[str], messages: Collection[str] | None) -> Strings:
     """Return findings on requested or necessary messages that are missing."""
     # A missing RATE has a finding of its own, with the cure.
     names = ", ".join(sorted(present - {*ABOUT}))
@@ -178,7 +176,7 @@ def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, 
     return tuple(findings)
 
 
-def _damage(positions: Index) -> tuple[str, ...]:
+def _damage(positions: Index) -> Strings:
     findings = []
     if positions.damage:
         skipped = sum(end - start for start, end in positions.damage)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
-from greybox.files.arrays import IntArray, frozen
+from greybox.files.arrays import IntArray, Strings, frozen
 
 Bytes = bytes | mmap.mmap
 HEAD = b"\xa3\x95"  # before every message; the number of its type follows
@@ -30,7 +30,7 @@ class Layout:
     name: str
     length: int
     format: str
-    columns: tuple[str, ...]
+    columns: Strings
 
     @property
     def dtype(self) -> np.dtype:
@@ -157,7 +157,7 @@ def _is_followed(data: Bytes, end: int) -> bool:
 
 
 def sound_layout(
-    kind: int, name: str, length: int | None, letters: str, columns: tuple[str, ...]
+    kind: int, name: str, length: int | None, letters: str, columns: Strings
 ) -> Layout | None:
     """Return the layout, or None if its letters, columns and length do not fit together.
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.DFReader import MULT_TO_PREFIX
 
+from greybox.files.arrays import Strings
 from greybox.logs.readers.ardupilot_metadata import column, unit
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.messages import Messages
@@ -51,7 +52,7 @@ class UnitTables:
         self._letters = dict(zip(map(_integer, column(used, "FmtType")), letters, strict=False))
 
     @property
-    def findings(self) -> tuple[str, ...]:
+    def findings(self) -> Strings:
         """Messages about letters with several units in the table."""
         return tuple(
             f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: "
@@ -75,7 +76,7 @@ class UnitTables:
         return Units(columns, _instance(layout, units))
 
 
-def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], Strings]:
     """Give messages of logs without unit tables ArduPilot's usual units, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
         return groups, ()

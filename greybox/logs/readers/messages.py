@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import GAP, Record
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray, Strings, frozen
 from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
 
@@ -65,7 +65,7 @@ def checksum_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
+def bare(messages: Collection[str] | None) -> Strings | None:
     """Return names without instances: a request for ``IMU[0]`` reads all of IMU."""
     return (
         None
@@ -74,7 +74,7 @@ def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
     )
 
 
-def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], Strings]:
     """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
     timed = [group for group in groups if group.time is not None and len(group)]
     # In the order of the file, since restarts show in it across all types of messages.
@@ -90,7 +90,7 @@ def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], tuple[str,
 
 def records(
     groups: Iterable[Messages], source: str, checksum: str
-) -> tuple[dict[str, Record], tuple[str, ...]]:
+) -> tuple[dict[str, Record], Strings]:
     """Return a record for every type and instance with a time and a number, and findings."""
     by_name: dict[str, Record] = {}
     findings: list[str] = []

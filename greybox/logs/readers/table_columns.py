@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.time_column import seconds, tick, times_in_seconds
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Strings
 from greybox.files.text_table import some
 from greybox.logs.readers.messages import Messages
 
@@ -19,7 +19,7 @@ WIDEST = 64
 
 def table(
     name: str, columns: Mapping[str, Array], units: Mapping[str, str], rate: float | None = None
-) -> tuple[Messages, tuple[str, ...]]:
+) -> tuple[Messages, Strings]:
     """Make messages of columns that share a time, and findings on those that were left out.
 
     Without a time column the samples are `rate` Hz apart, or ``Ts`` seconds where the table has

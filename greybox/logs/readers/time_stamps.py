@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, Strings
 
 # s by which stamps fall at a clock restart; between messages of one boot they fall by up to 4 ms.
 BACK = 1.0
@@ -34,7 +34,7 @@ def restarts(stamps: Array) -> tuple[int, ...]:
     return tuple(starts)
 
 
-def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
+def one_clock(stamps: Array) -> tuple[Array, Strings]:
     """Return the stamps, s, on one clock, NaN for implausible ones, and findings.
 
     After a restart the clock is set to `PAUSE` after the last stamp of the previous boot, so that a
