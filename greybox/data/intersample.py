@@ -12,11 +12,13 @@ with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (in
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from greybox.files.arrays import Values
 
 HELD = math.inf
 CONTINUOUS = 0.0
@@ -48,7 +50,7 @@ def intersample(hold: float, step: float) -> Intersample:
 
 
 def hold_of_response(
-    input: str, output: str, sampled: Iterable[tuple[Mapping[str, float], float]]
+    input: str, output: str, sampled: Iterable[tuple[Values, float]]
 ) -> dict[str, str]:
     """Return for how long values of the input of a response lasted, for `FrequencyResponse.about`.
 

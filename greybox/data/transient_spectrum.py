@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.checked_array import finite_array, require_size
 from greybox.data.frequency_response import Stretch
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ComplexArray, Values, frozen
 from greybox.files.text_table import one_line, printable, write_out
 
 
@@ -49,7 +49,7 @@ class TransientSpectrum:
     outputs: Mapping[str, ComplexArray]
     duration: float
     step: float
-    input_change: Mapping[str, float] = field(default_factory=dict)
+    input_change: Values = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     source: str = ""

@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ComplexArray, by_name, frozen
+from greybox.files.arrays import Array, ComplexArray, Values, by_name, frozen
 from greybox.files.text_table import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
@@ -271,7 +271,7 @@ class Term:
     half_step: float = np.inf
     added: Formula | None = None
     code: str = ""
-    outputs: Mapping[str, float] = field(default_factory=dict)
+    outputs: Values = field(default_factory=dict)
     shapes: Callable[..., Sequence[ComplexArray]] | None = None
     levels: tuple[float, ...] = ()
     is_function: bool = False

@@ -1,6 +1,5 @@
 """The confidence band of a fitted response, to first order in the errors of the parameters."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -8,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ComplexArray, Values, frozen
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
@@ -168,7 +167,7 @@ def band_of(
 @one_thread_at_a_time
 def response_and_slope(
     model: Model,
-    values: Mapping[str, float],
+    values: Values,
     omega: Array,
     sine: Sine | None,
     measured: Array,

@@ -32,7 +32,7 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Array, Interval, Strings, by_name, frozen
+from greybox.files.arrays import Array, Interval, Strings, Values, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -181,7 +181,7 @@ class Fit(Printed):
     directions: KnownDirections | None = field(default=None, repr=False)
     profiles: Profiles | None = field(default=None, repr=False)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    prior_share: Mapping[str, float] = field(default_factory=dict)
+    prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = field(default=None, repr=False)
     command: Strings = field(default=(), repr=False)
 

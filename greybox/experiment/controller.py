@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.arrays import Strings, by_name
+from greybox.files.arrays import Strings, Values, by_name
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -89,11 +89,11 @@ class Controller(ABC):
 
     def __init__(
         self,
-        values: Mapping[str, float] | None = None,
+        values: Values | None = None,
         *,
         rate: float | None = None,
         signals: Mapping[str, str] | None = None,
-        initial: Mapping[str, float] | None = None,
+        initial: Values | None = None,
     ) -> None:
         label = type(self).__name__
         values, initial = values or {}, initial or {}

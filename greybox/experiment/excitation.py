@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Values, frozen
 from greybox.files.text_table import one_line
 
-NOTHING: Mapping[str, float] = MappingProxyType({})  # where no noise, limit or start is given
+NOTHING: Values = MappingProxyType({})  # where no noise, limit or start is given
 
 
 class Maneuver(NamedTuple):

@@ -1,14 +1,14 @@
 """Files of gains that ground stations load."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
+from greybox.files.arrays import Values
 from greybox.files.safe_files import write_text
 
 REAL = 9  # MAV_PARAM_TYPE_REAL32 of MAVLink
 
 
-def write_gains(gains: Mapping[str, float], path: str | Path) -> None:
+def write_gains(gains: Values, path: str | Path) -> None:
     """Write parameters to a file for a ground station, atomically.
 
     A name that ends in ``.params`` makes a file of QGroundControl for PX4 (columns vehicle,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 
 
 @runtime_checkable
@@ -11,7 +11,7 @@ class HeldEstimate(Protocol):
     """Values and their covariance, as a `Fit` has them."""
 
     @property
-    def estimate(self) -> Mapping[str, float]:
+    def estimate(self) -> Values:
         """Values by name."""
         ...
 

@@ -4,12 +4,13 @@ The samples do not show which. The record states it (`Record.hold`), or the user
 assumption, which every result reports with the size of its effect.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
+from greybox.files.arrays import Values
 from greybox.files.text_table import number
 
 Inputs = Literal["record", "linear", "held"]
@@ -29,7 +30,7 @@ def between_samples(
     inputs: Inputs,
     names: Sequence[str],
     record: Record,
-    assumed: Mapping[str, float] = MappingProxyType({}),
+    assumed: Values = MappingProxyType({}),
 ) -> tuple[Intersample, ...]:
     """Return how each of the named inputs of a record runs between its samples.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Strings, frozen
+from greybox.files.arrays import Strings, Values, frozen
 from greybox.files.text_table import as_names
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
@@ -63,7 +63,7 @@ class TimeCriterion(AnyCriterion):
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
     """
 
-    noise: Literal["diagonal", "full"] | Mapping[str, float] = "diagonal"
+    noise: Literal["diagonal", "full"] | Values = "diagonal"
     inputs: Inputs = "record"
     biases: Sequence[str] = ()
     initial: Mapping[str, float | ParameterFormula] = field(default_factory=dict)

@@ -7,7 +7,7 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Interval
+from greybox.files.arrays import Interval, Values
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
@@ -64,7 +64,7 @@ def stated_for(model: Model, stated: Mapping[str, Any]) -> dict[str, Any]:
 def fit_within_far_bounds(
     model: Model,
     responses: Sequence[FrequencyResponse],
-    points: Sequence[Mapping[str, float]],
+    points: Sequence[Values],
     *,
     bounds: Mapping[str, Interval],
     stated: Mapping[str, Any],

@@ -1,17 +1,17 @@
 """A model at its estimate as a CasADi function, for control and estimators."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
 
+from greybox.files.arrays import Values
 from greybox.interop.linear_systems import given_model
 from greybox.interop.source_names import identifier
 
 
 def to_casadi(
     thing: Any,
-    values: Mapping[str, float] | None = None,
+    values: Values | None = None,
     *,
     pade: int | None = None,
     part: int = 0,

@@ -1,7 +1,7 @@
 """To and from python-control, ``pip install 'greybox-id[control]'``."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Strings, Values
 from greybox.files.optional_package import required
 from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
@@ -19,11 +19,11 @@ from greybox.modeling.model import pick_signals
 
 def to_control(
     thing: Any,
-    values: Mapping[str, float] | None = None,
+    values: Values | None = None,
     *,
     kind: Literal["transfer-function", "state-space"] | None = None,
     pade: int | None = None,
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     input: str = "",
     output: str = "",
     part: int = 0,

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array, IntArray, Strings
+from greybox.files.arrays import Array, IntArray, Strings, Values
 from greybox.files.text_table import as_names
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
@@ -111,7 +111,7 @@ def _system_identification(data: Recording | Record) -> list[Segment]:
     return runs
 
 
-def _one_run(data: Recording, start: float, until: float, setting: Mapping[str, float]) -> Segment:
+def _one_run(data: Recording, start: float, until: float, setting: Values) -> Segment:
     """Return one run from its settings; the waveform lasts TR, fades included."""
     planned_end = start + setting["TR"]
     axis = int(setting["Ax"])

@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from greybox.files.arrays import Interval, Strings
+from greybox.files.arrays import Interval, Strings, Values
 from greybox.files.text_table import alternatives
 from greybox.modeling.parameter import Parameter
 
@@ -157,7 +157,7 @@ class Model(ABC):
     def _repr_markdown_(self) -> str:
         return f"**{self.label}**\n\n{equation(self)}"
 
-    def values(self, values: Mapping[str, float] | None = None, **more: float) -> Names:
+    def values(self, values: Values | None = None, **more: float) -> Names:
         """Return parameter values by name; a parameter without one has its declared start.
 
         Raises

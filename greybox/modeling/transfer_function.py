@@ -5,7 +5,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Strings, Values
 from greybox.modeling.model import Model, Names, ParameterFormula, merged_parameters, require_known
 
 
@@ -221,7 +221,7 @@ def feedback(
     return FeedbackLoop(forward, back, sign)
 
 
-def require_no_operating_point(model: Model, at: Mapping[str, float] | None) -> None:
+def require_no_operating_point(model: Model, at: Values | None) -> None:
     """Raise ValueError where an operating point is given to a transfer function."""
     if at:
         raise ValueError(

@@ -1,18 +1,15 @@
 """The cost of a problem at given parameters."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
+from greybox.files.arrays import Values
 from greybox.modeling.model import require_known
 from greybox.solve.gauss_newton.driver import GaussNewton
 
 
-def cost(
-    problem: AnyProblem, values: Mapping[str, float], method: Transcription | None = None
-) -> float:
+def cost(problem: AnyProblem, values: Values, method: Transcription | None = None) -> float:
     """Return the cost of a problem at parameter `values` by name.
 
     Other parameters are at their start or fixed value.

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
@@ -23,7 +23,7 @@ class UniformStretch(NamedTuple):
     source: str
     origin: Stretch
     units: Mapping[str, str]
-    hold: Mapping[str, float]
+    hold: Values
 
 
 def uniform_stretches(

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Strings, all_finite
+from greybox.files.arrays import Strings, Values, all_finite
 from greybox.files.text_table import listed, number, one_line
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import NotNestedError, nested_values
@@ -130,7 +130,7 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
 
 
 def nested_test_at(
-    values: Mapping[str, float],
+    values: Values,
     small: Fit,
     large: Fit,
     labels: tuple[str, str],

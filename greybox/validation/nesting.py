@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Strings, by_name
+from greybox.files.arrays import Array, Strings, Values, by_name
 from greybox.files.text_table import listed
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -141,7 +141,7 @@ class _Part:
         others = [getattr(part, name, None) for name in ("at", "sine", "inputs")]
         return [criterion, settings, part.delay, part.weight, sorted(part.constraints), *others]
 
-    def equations(self, values: Mapping[str, float]) -> Equations:
+    def equations(self, values: Values) -> Equations:
         """Return derivatives, outputs and delays by name, or the response, at 40 points."""
         p = {name: values[self.names[name]] for name in self.model.parameters}
         system = self._dynamics

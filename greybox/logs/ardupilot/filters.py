@@ -7,11 +7,11 @@ FTNS at https://ardupilot.org/copter/docs/logmessages.html.
 """
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
 from greybox.data.record import Recording
+from greybox.files.arrays import Values
 from greybox.logs.known_filters import FirstOrderLowPass, KnownFilter, LowPass, Notch
 
 # Fields that are logged behind the filters of the gyro.
@@ -66,9 +66,7 @@ def _harmonic_notches(recording: Recording) -> tuple[Notch, ...]:
 KEYS = ("MODE", "FREQ", "BW", "ATT", "HMNCS", "REF", "OPTS")
 
 
-def _one_harmonic_notch(
-    recording: Recording, number: int, setting: Mapping[str, float]
-) -> list[Notch]:
+def _one_harmonic_notch(recording: Recording, number: int, setting: Values) -> list[Notch]:
     """Return the notches of all harmonics; empty if their frequency is unknown."""
     center, width = setting["FREQ"], setting["BW"]
     base = _logged_center(recording, number) or _set_center(recording, setting)
@@ -109,7 +107,7 @@ def _logged_center(recording: Recording, number: int) -> float:
     return 0.0
 
 
-def _set_center(recording: Recording, setting: Mapping[str, float]) -> float:
+def _set_center(recording: Recording, setting: Values) -> float:
     if setting["MODE"] == FIXED or setting["REF"] <= 0:
         return setting["FREQ"]
     # The center follows the root of the throttle, as thrust grows with the square of the speed.

@@ -9,14 +9,14 @@ common/chirp.c, with its debug fields as of pull requests 13105 and 15113.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record, median_step
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 from greybox.files.delimited_text import are_numbers
 from greybox.files.heading import Heading
 
@@ -64,7 +64,7 @@ def _unit(name: str) -> str:
     return "deg/s" if re.fullmatch(f"{GYRO}|{SETPOINT}", name) else ""
 
 
-def completed(record: Record, settings: Mapping[str, float]) -> Record:
+def completed(record: Record, settings: Values) -> Record:
     """Return the record of a blackbox with the controls, the chirp and the holds of its signals.
 
     ``axisSum[0]`` to ``axisSum[2]`` are the outputs of the PID controllers, and ``chirp`` is the

@@ -17,6 +17,7 @@ from dataclasses import replace
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import median_step
+from greybox.files.arrays import Values
 from greybox.logs.readers.messages import Messages
 
 # Message and fields. For fields in neither table, it is unknown.
@@ -67,7 +68,7 @@ LOOP_RATES = (
 )
 
 
-def with_holds(groups: Iterable[Messages], parameters: Mapping[str, float]) -> list[Messages]:
+def with_holds(groups: Iterable[Messages], parameters: Values) -> list[Messages]:
     """Return the messages with how long their values lasted, from the vehicle's parameters."""
     rates = [parameters[name] for name in LOOP_RATES if parameters.get(name, 0) > 0]
     period = 1 / rates[0] if rates else math.nan

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import GAP, Record
-from greybox.files.arrays import Array, IntArray, Strings, frozen
+from greybox.files.arrays import Array, IntArray, Strings, Values, frozen
 from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
 
@@ -43,7 +43,7 @@ class Messages:
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     instance: str = ""
-    hold: Mapping[str, float] = field(default_factory=dict)
+    hold: Values = field(default_factory=dict)
 
     def __len__(self) -> int:
         return self.order.size

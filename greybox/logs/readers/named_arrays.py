@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
@@ -123,7 +123,7 @@ def recording(
     path: Path,
     contents: Contents,
     messages: Collection[str] | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     stated: Mapping[str, str] | None = None,
     rate: float | None = None,
     *,
