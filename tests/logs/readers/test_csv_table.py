@@ -176,6 +176,21 @@ def test_times_have_the_unit_that_their_column_states(saved, unit):
     np.testing.assert_allclose(np.diff(record.time), 2000 * SECONDS[unit])
 
 
+@pytest.mark.parametrize("units", ["s,deg,deg/s,", "[s],[deg],[deg/s],[-]", "(s),(deg),(deg/s),()"])
+def test_units_are_in_a_line_below_the_names(saved, units):
+    rows = "".join(f"{k / 10},1.5,2,3\n" for k in range(9))
+    recording = saved(f"time,de,q,n\n{units}\n{rows}")
+    record = recording["flight"]
+    assert record.units["de"] == "deg"
+    assert record.units["q"] == "deg/s"
+    assert len(record) == 9
+    assert not recording.findings
+
+
+def test_a_line_of_missing_numbers_is_no_line_of_units(saved):
+    assert len(saved("time,de\n0,nan\n1,nan\n2,1.5\n3,1.5\n")["flight"]) == 4
+
+
 @pytest.mark.parametrize("header", ["Time (msec)", "time [usec]", "sample [min]", "t_ms"])
 def test_times_in_any_unit_of_time(saved, header):
     ticks = {"Time (msec)": 1e3, "time [usec]": 1e6, "sample [min]": 1 / 60, "t_ms": 1e3}[header]
