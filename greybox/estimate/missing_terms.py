@@ -111,20 +111,22 @@ TEXTS = {
         "",
     ),
     "function": (
-        "a function of {a} in the equation of {b}, of a shape unlike the terms tried",
-        "the derivative of {b} gets a function of x.{a}, as drawn with the residuals",
+        "a function of {a} in the equation of {b}",
+        "the derivative of {b} gets a function of x.{a} unlike the terms tried: "
+        "gb.plotting.residuals draws it",
     ),
     "feedback function": (
-        "a function of {a} fed back to {b}, of a shape unlike the terms tried",
-        "a StateSpace whose input {b} gets a function of {a}, as drawn with the residuals",
+        "a function of {a} fed back to {b}",
+        "a StateSpace whose input {b} gets a function of {a} unlike the terms tried: "
+        "gb.plotting.residuals draws it",
     ),
     "characteristic": (
-        "an input {a} with a curved characteristic, unlike the terms tried",
-        "a function of u.{a} in place of it, as drawn with the residuals",
+        "an input {a} with a curved characteristic",
+        "a function of u.{a} in place of it, which gb.plotting.residuals draws",
     ),
     "sensor curve": (
         "a sensor of {b} with a curved characteristic",
-        "a function of the output {b} in place of it, as drawn with the residuals",
+        "a function of the output {b} in place of it, which gb.plotting.residuals draws",
     ),
     "sensor scale": (
         "a sensor of {b} whose scale changes along the record",

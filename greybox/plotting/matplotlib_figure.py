@@ -199,7 +199,9 @@ def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
     if figure.is_plane:
         _draw_plane(ax, figure, panel)
     titles = [figure.subject if panel is figure.panels[0] else "", panel.title]
-    ax.set_title(plain("\n".join(filter(None, titles))), fontsize=12 if titles[0] else 10)
+    ax.set_title(
+        plain("\n".join(filter(None, titles))), fontsize=12 if titles[0] else 10, wrap=True
+    )
 
     _vertical_axis(ax, panel)
     ax.set_ylabel(plain(panel.label), fontsize=11)
