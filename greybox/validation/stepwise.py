@@ -19,6 +19,7 @@ from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Strings, Values, frozen
+from greybox.files.progress import bar
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
@@ -179,7 +180,11 @@ def stepwise(
         step += 1
         # Bonferroni: the smallest of many p-values is small by chance.
         limit = SIGNIFICANT / (len(absent) - len(current))
-        tried = [fits.trial(step, n, current, limit) for n in absent if n not in current]
+        tried = [
+            fits.trial(step, n, current, limit)
+            for n in bar(absent, desc="trying terms")
+            if n not in current
+        ]
         best = _best([t for t in tried if t.p_value < t.limit])
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
