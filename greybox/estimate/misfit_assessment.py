@@ -34,7 +34,7 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import beside, triangle_of
+from greybox.statistics.column_space import beside, column_basis, outside, triangle_of
 from greybox.statistics.score_test import (
     correlated_fits,
     joint_test,
@@ -80,6 +80,11 @@ class Group:
     def white_fitted(self) -> Array:
         """The columns (M, d) of the parameters, less what earlier samples predict."""
         return self.white(self.fitted)
+
+    @cached_property
+    def basis(self) -> Array:
+        """An orthonormal basis (M, r) of what the parameters can take of white residuals."""
+        return column_basis(self.white_fitted)
 
     @property
     def remains(self) -> float:
@@ -214,11 +219,8 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     """Return the misfit of a group, whose fit can change the columns of `determined` (d, k)."""
     group = replace(group, fitted=group.fitted @ determined)
     terms = _terms(group.parts, determined)
-    named, functions = (
-        [key for key, term in terms.items() if term.is_function == value] for value in (False, True)
-    )
-    tried, tested = _ranked(group, named)
-    columns = _columns(group, tested)
+    tried, tested = _ranked(group, [key for key, term in terms.items() if not term.is_function])
+    columns = np.hstack([group.residuals[:, :0], *(test.column for test in tested)])
     # Among responses, each family is as likely to be missing, whatever its number of terms.
     tests = [tried.total() if group.outputs else len(tried) * tried[test.key[0]] for test in tested]
     p_common = 1.0
@@ -226,14 +228,17 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     if group.outputs:
         p_correlated = p_values = group.chances(columns) * tests
         if min(p_values, default=1.0) > FALSE_ALARMS:
+            functions = [key for key, term in terms.items() if term.is_function]
             missing, p_of_functions = _functions(group, functions)
             tested = missing + tested
+            columns = np.hstack([*(test.column for test in missing), columns])
             p_correlated = p_values = np.append(p_of_functions, p_values)
     elif tested:
         p_of_terms, p_common = _p_of_responses(group, determined, columns, tested, tests)
         p_correlated = np.array(p_of_terms) * tests
 
-    shares, left, noise = _shares(group, tested)
+    white = group.white(columns)
+    shares, left, noise = _shares(group, tested, columns, white)
     texts = [terms[test.key].described(test.factor, test.error) for test in tested]
     causes = [
         Cause(
@@ -248,7 +253,7 @@ def _of_group(group: Group, determined: Array) -> Misfit:
         for k, (test, alike, *row) in enumerate(
             zip(
                 tested,
-                _alike(group, tested, texts),
+                _alike(outside(white, group.basis), texts),
                 *np.minimum([shares, np.minimum(p_values, p_correlated), p_correlated], 1).tolist(),
                 strict=True,
             )
@@ -272,11 +277,6 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     )
 
 
-def _columns(group: Group, tested: Sequence[Tested]) -> Array:
-    """Return the columns (N, c) of tested terms, also of none."""
-    return np.hstack([group.residuals[:, :0], *(test.column for test in tested)])
-
-
 def _terms(parts: Sequence[Regression], determined: Array) -> dict[Key, Term]:
     """Return the terms of all parts, of which one may need a value of its own."""
     # With two parts, either one may need another value; a single part has no counterpart. Beside
@@ -291,26 +291,24 @@ def _terms(parts: Sequence[Regression], determined: Array) -> dict[Key, Term]:
     }
 
 
-def _shares(group: Group, tested: Sequence[Tested]) -> tuple[Array, float, float]:
+def _shares(
+    group: Group, tested: Sequence[Tested], columns: Array, white: Array
+) -> tuple[Array, float, float]:
     """Return the shares of the misfit that terms explain, and those of the outputs that are left.
 
-    They are what the model leaves of the squares of the outputs, and what noise would leave.
+    They are what the model leaves of the squares of the outputs, and what noise would leave. The
+    terms have columns (N, c), and white ones (M, c).
     """
-    residuals, columns = group.residuals, _columns(group, tested)
-    together = columns[:, :TOGETHER]
-    white = group.white_residuals
+    residuals = group.residuals
     without, remainder = (
-        float(np.sum(beside(white, fitted) ** 2))
-        for fitted in (
-            group.white_fitted,
-            np.hstack([group.white_fitted, group.white(together)]),
-        )
+        float(np.sum(beside(group.white_residuals, fitted) ** 2))
+        for fitted in (group.basis, np.hstack([group.basis, white[:, :TOGETHER]]))
     )
     explained = len(white) * (1 - remainder / (without + TINY)) + TINY
     shares = np.array([test.decrease / explained for test in tested])
 
     measured = np.vstack([part.measured for part in group.parts])
-    noise = beside(residuals, np.hstack([group.fitted, together]))
+    noise = beside(residuals, np.hstack([group.fitted, columns[:, :TOGETHER]]))
     # Perhaps only one of the outputs of a record follows a missing term.
     of_outputs = [
         [
@@ -348,7 +346,7 @@ def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
         # What the parameters explain is determined neither here nor in the shape of the term, nor
         # are knots with too few samples.
         both = np.hstack([columns, cause.value * test.column])
-        effects = beside(group.white(both), group.white_fitted)
+        effects = outside(group.white(both), group.basis)
         inverse = np.linalg.pinv(effects[:, :-1], rcond=0.02)
         values = inverse @ group.white_residuals
         size = float(np.std(group.white_residuals - effects[:, :-1] @ values))
@@ -371,9 +369,8 @@ def _on_knots(group: Group, key: Key, signals: Sequence[Array]) -> tuple[Array, 
     return at, np.vstack(columns)
 
 
-def _alike(group: Group, tested: Sequence[Tested], texts: Sequence[Strings]) -> list[Strings]:
-    """Return for every term the texts of those whose effects are nearly the same."""
-    effects = beside(group.white(_columns(group, tested)), group.white_fitted)
+def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
+    """Return for every term the texts of those whose effects (M, c) are nearly the same."""
     unit = effects / np.linalg.norm(effects, axis=0)
     is_alike = np.abs(unit.T @ unit) - np.eye(len(texts)) > 0.95
     return [tuple(texts[j][0] for j in np.flatnonzero(row).tolist()) for row in is_alike]
@@ -411,7 +408,7 @@ def _functions(group: Group, keys: Iterable[Key]) -> tuple[list[Tested], Array]:
         ]
         _, columns = _on_knots(group, key, signals)
         p_value, directions = joint_test(
-            group.white_residuals[:, 0], group.white_fitted, group.white(columns), group.remains
+            group.white_residuals[:, 0], group.basis, group.white(columns), group.remains
         )
         if directions.size:
             tested.append((p_value, key, columns @ directions))
@@ -424,7 +421,7 @@ def _functions(group: Group, keys: Iterable[Key]) -> tuple[list[Tested], Array]:
     count = sum(columns.shape[1] for *_, columns in tested)
     p_values = count * group.chances(np.hstack(effects), [each.shape[1] for each in effects])
     is_missing = p_values < FALSE_ALARMS
-    residuals = beside(group.white_residuals, group.white_fitted)
+    residuals = outside(group.white_residuals, group.basis)
     missing = []
     for k in np.flatnonzero(is_missing).tolist():
         column = effects[k] @ (group.white(effects[k]).T @ residuals)

@@ -87,7 +87,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
 
 
 def joint_test(
-    residuals: Array, fitted: Array, terms: Array, remains: float = REMAINS
+    residuals: Array, basis: Array, terms: Array, remains: float = REMAINS
 ) -> tuple[float, Array]:
     """Test c terms together, as the values of a function at c knots.
 
@@ -103,9 +103,10 @@ def joint_test(
 
     Parameters
     ----------
-    residuals, fitted, terms, remains : see `score_tests`
+    residuals, terms, remains : see `score_tests`
+    basis : (N, r) array
+        Orthonormal, of what the fit can absorb.
     """
-    basis = column_basis(fitted)
     vectors, lengths, axes = np.linalg.svd(outside(terms, basis), full_matrices=False)
     longest = max(np.linalg.norm(terms, axis=0), default=0.0)
     kept = lengths > max(PRINCIPAL * max(lengths, default=0.0), remains * longest)
