@@ -114,7 +114,7 @@ def _fitted(
                 f"{folder_beside(options.out)} has the runs of another, unfinished fit: repeat its "
                 "command, or give --force to start over."
             ) from error
-        # Whoever allows a fit to be overwritten with --force also allows its runs to be lost.
+        # A user who allows a fit to be overwritten with --force also allows its runs to be lost.
         stored.remove()
         return _fitted(make, stored, options)
 

@@ -50,7 +50,7 @@ def attributes(thing: Any, *names: str) -> dict[str, Any]:
 def require_writable(
     path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = ""
 ) -> None:
-    """Check that a file can be written and has one of these endings; None is no file.
+    """Check that a file can be written and has one of these endings; None means no file.
 
     Raises
     ------

@@ -29,7 +29,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 AnyProblem = Problem | Sum[Problem]
 PartKind = TypeVar("PartKind", bound=Part)
-# Of a problem without frequency responses.
+# The attributes of a problem without frequency responses.
 NOTHING = Columns(ca.Function("nothing", [], []))
 
 

@@ -215,7 +215,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     weighted, score = slopes.weighted, slopes.triangle.T @ slopes.triangle
     unseen, known = slopes.by_covariance, part.covariance.known
     if known is not None and not model.is_prior:
-        # The residuals show whether the given noise is right, unless they are so few that the
+        # The residuals show whether the given noise is right, unless there are so few that the
         # parameters may fit them exactly.
         counts = part.covariance.counts
         shown = np.diag(trajectory.products) / np.maximum(counts, 1)

@@ -58,7 +58,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     initial_directions = _initial_directions(part, linearization)
     curvature = of_diagonal(linearization.node_hessian)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
-    del linearization, curvature  # of a long record, a tenth of what fits into memory
+    del linearization, curvature  # for a long record, a tenth of the memory
     known = part.known_states
     by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)
 

@@ -71,7 +71,7 @@ class SampleStep:
         """Return (x, q, D) -> states (n, samples) after each sample, residuals (k, samples)."""
         if samples not in self.built:
             one = self.function
-            if one.is_a("SXFunction"):  # without the outputs, and what they alone need
+            if one.is_a("SXFunction"):  # without the outputs, and what only they need
                 symbols = self.symbols()
                 one = ca.Function("one", symbols, list(self.function(*symbols)[:2]), {"cse": True})
             x, q, _ = self.function.mx_in()

@@ -30,7 +30,7 @@ REST = 5
 
 @frozen
 class Stretch:
-    """Samples without a gap, in the mean `step` s apart.
+    """Samples without a gap, on average `step` s apart.
 
     Inputs (m, n); outputs (k, n), NaN where missing.
 
@@ -220,7 +220,7 @@ def sampled_data(
     stretches = gapless(
         record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
     )
-    # A system at rest with a constant input shows its noise alone, which any parameters explain.
+    # A system at rest with a constant input shows only its noise, which any parameters explain.
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
     if constant and not static:
         # Where an experiment has a few samples, they look like noise even if the states move.
@@ -336,9 +336,10 @@ def _stretch(
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER and np.any(leads > 0):
         raise ValueError(
-            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps), which a "
-            "delay needs: prepare the record with rate=..., which resamples it; put a few "
-            "irregular samples on a fine uniform time base, with NaN where nothing was measured."
+            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps), and a delay "
+            "needs uniform sampling: prepare the record with rate=..., which resamples it; put a "
+            "few irregular samples on a fine uniform time base, with NaN where nothing was "
+            "measured."
         )
 
     times = time if off > JITTER else None

@@ -235,7 +235,7 @@ class SegmentedPart(Part):
         placed: Placed = trajectory.detail
         b = self.segments.linearize(placed.along(trajectory.states), weight)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
-            # With other weights than the filter's own, the merit does not contain its covariance.
+            # With weights other than the filter's own, the merit does not contain its covariance.
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
 

@@ -317,7 +317,7 @@ def _with_progress(
     with bar(total=count, unit="start") as shown:
 
         def report(done: int, count: int) -> None:
-            # Shown from the first start on if it takes longer than half a second.
+            # Shown as soon as the first start takes longer than half a second.
             shown.delay = min(DELAY, done / 2)
             shown.update(done - shown.n)
 
@@ -415,7 +415,7 @@ def assemble(
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
     together = determined_together(answer) if accuracy.combinations else ()
-    # What a wrong model leaves is no error that a weight could account for.
+    # No weight could account for the misfit of a wrong model.
     explains = misfit is None or misfit.explains
     return replace(
         answer,

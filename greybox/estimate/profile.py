@@ -53,7 +53,7 @@ def profile(
 ) -> Profiles:
     """Profile the likelihood along parameters and derived quantities of a fit.
 
-    The criterion decides which likelihood its cost stands for:
+    The criterion determines the likelihood that its cost represents:
 
     - `RelativeError` (4.26), `SquaredRelativeError`, `RelativeLikelihood`: errors isotropic in the
       complex plane and of one relative size, which is estimated; Student's t.
@@ -219,7 +219,8 @@ class HeldMinima:
     ----------
     nlp : CompiledProblem
     best : Point
-        The minimum. Records are solved again: it may be slightly lower than that of the fit.
+        The minimum. Records are solved again, so it may be slightly lower than the minimum of the
+        fit.
     x : (p,) array
         The parameters there.
     accuracy : Accuracy
@@ -247,7 +248,7 @@ class HeldMinima:
         outcome = self._solver.near(x)
         if not outcome.converged:
             raise NoProfileError(
-                f"the minimum of {nlp.problem.name!r} is not found again from the estimate: "
+                f"the minimum of {nlp.problem.name!r} was not reached again from the estimate: "
                 f"{outcome.status}."
             )
         profile = self._solver.profile(outcome.estimate, outcome.nodes)
@@ -544,7 +545,7 @@ def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[P
     size = float(np.abs([line.value, *(slope / slope_of_x)]).max())
     error = line.standard_error
     first = STEP * limit * error if error > 0 else 0.02 * size
-    # The bound that the estimate has reached, but for rounding, does not shorten the first step.
+    # A bound that the estimate has reached, to within rounding, does not shorten the first step.
     bounds = () if line.at_bound else line.bounds
     return _Search(
         minima=minima,

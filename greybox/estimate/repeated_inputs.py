@@ -40,7 +40,7 @@ def repeated_residuals(
                 if names == outputs and inputs.shape == u.shape and _are_same(inputs, u):
                     before = residuals
             rows.append(before)
-            # Shorter ones are many in records with gaps, and say nothing.
+            # Records with gaps have many shorter ones, which show nothing.
             if u.shape[1] > ORDER:
                 earlier.append((outputs, u, e))
         values = data.padded(rows, 0.0)

@@ -202,7 +202,7 @@ def structural_identifiability(
 
 @frozen
 class _Sensitivity:
-    """How what is measured follows the free parameters at one point.
+    """How the measurements depend on the free parameters at one point.
 
     Attributes
     ----------

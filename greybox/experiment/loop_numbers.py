@@ -19,7 +19,7 @@ STEPS = 2**14  # most points of a step response: 70 MB for all draws
 
 
 class Located(NamedTuple):
-    """A quantity of every plant, and the frequency at which it arises, both (plants,).
+    """A quantity of every plant, and the frequency at which it occurs, both (plants,).
 
     The value is infinite where it does not exist, NaN where it is not defined.
     """
@@ -127,7 +127,7 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
     """Return `numbers` of the first plant, with their frequencies accurate to rounding.
 
-    The places at which quantities arise get points of their own, which are ever closer.
+    Points are added, closer and closer, around the frequencies at which quantities occur.
     """
     alone, coarse = loop.first, loop_frequencies(loop)
     width = math.log(coarse[1] / coarse[0])
@@ -171,7 +171,7 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
         "delay margin": unity.smallest(lag / unity.omega),
         "modulus margin": Located(least, closest),
     }
-    # An unstable loop has used its margins up.
+    # An unstable loop has no margin left.
     answer = {n: Located(np.where(is_stable, m.value, 0.0), m.omega) for n, m in margins.items()}
 
     # A loop whose sensitivity at rest is above -3 dB rejects nothing.
@@ -200,9 +200,9 @@ def closed_loop_numbers(
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
-    The options `attitude` are for the criteria of ADS-33: `integrals` is how often the response is
-    integrated to an angle (None if it is neither an angle nor a rate), and `boundary` has phase
-    delays and bandwidths (2, n).
+    The options `attitude` are for the criteria of ADS-33: `integrals` is how often the response
+    must be integrated to give an angle (None if it is neither an angle nor a rate), and `boundary`
+    has phase delays and bandwidths (2, n).
     """
     return {
         **_response_numbers(loop, omega, setpoint, response, **attitude),

@@ -129,7 +129,7 @@ class SampledLoop:
         feedback, commanded = control[..., :k], control[..., k:]
         rows = [self.controller.commands.index(name) for name in self.inputs]
 
-        # u = feedback y + command and y = plant u + error; one of them is added
+        # u = feedback y + command and y = plant u + error; one of command and error is added
         error = np.zeros((k, 1))
         command = np.zeros((len(omega), len(names) - k, 1))
         if added_to in self.sensors:
@@ -178,7 +178,7 @@ class SampledLoop:
         rows = [commands.index(name) for name in self.inputs]
         plants, n = self.A.shape[:2]
         m = len(self.inputs)
-        length = int(self.whole.max()) + 1  # past controls that some plant still waits for
+        length = int(self.whole.max()) + 1  # past controls that have not yet reached some plant
         size = n + len(F) + m * length
 
         # The last column is the command. The newest past control of an input is its first one.

@@ -49,7 +49,7 @@ def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
 ) -> str:
     """Align `rows` of text under `header`; columns in `left` are flush left, others right."""
-    # Written out before the widths are taken, since control characters have none.
+    # Control characters are written out first: they have no width.
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
 

@@ -17,7 +17,7 @@ COLUMNS = 600  # of a line on the page, two pixels wide; a line then takes about
 
 
 def figure_grid(figures: Sequence[Figure]) -> Element:
-    """Return figures as they stand on the page, beside one another where there is room."""
+    """Return figures for the page, side by side where there is room."""
     is_alone = len(figures) == 1
     return tag("div", [figure_element(figure, is_alone) for figure in figures], class_="figures")
 

@@ -48,7 +48,7 @@ def report(
     title : str
         By default the name of the fit.
     author : str
-        Who answers for the page; it stands below the title, with today's date.
+        Who answers for the page; it is printed below the title, with today's date.
 
     Raises
     ------

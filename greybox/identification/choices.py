@@ -132,7 +132,7 @@ def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float
     if not present(recording, [signal]):
         return 0.0
     record, field = recording.locate(signal)
-    # A heading jumps by a whole turn at north, which is no motion.
+    # A heading jumps by a whole turn at north, which is not a motion.
     turn = 2 * np.pi if record.units.get(field) == "rad" else 360
     spreads = [0.0]
     for test in tests:

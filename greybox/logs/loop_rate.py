@@ -1,16 +1,16 @@
 """Logs with only some passes of the control loop, and how much these differ from all passes.
 
 The gyro has a clock of its own: at 1 kHz and 400 passes a second, passes see two and three samples
-in turn. The D term divides the change of the gyro by a constant interval, so that it alternates by
-±20 % behind its filter, and the newest sample is older in one pass than in the next. The logged
-passes, say every second one, then differ in the mean from those that drove the motors, and noise
-hides it.
+in turn. The D term divides the change of the gyro by a constant interval, so it alternates by ±20 %
+after its filter, and the newest sample is older in one pass than in the next. The logged passes,
+say every second one, then differ on average from those that drove the motors, and noise hides the
+difference.
 
 PX4 runs its loop on the samples of the gyro, so that all passes are alike. But noise and steps
-above half the rate of a thinned log are folded into its band, and this too depends on which passes
-were logged: in virtual flights with steps of the setpoint, a 500 Hz loop that was logged at 125 Hz
-had gains that are 1 to 2 % off in the median over the band, at 62 Hz 2 to 4 %. The size is not
-known from the log.
+above half the rate of a thinned log alias into its band, and this too depends on which passes were
+logged: in virtual flights with steps of the setpoint, a 500 Hz loop that was logged at 125 Hz had
+gains that were 1 to 2 % off in the median over the band, at 62 Hz 2 to 4 %. The size is not known
+from the log.
 
 Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for
 what is logged in System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and
@@ -35,10 +35,10 @@ IDENTIFICATION = 8  # bit of SDLOG_PROFILE for every pass of PX4's rate controll
 # Phases to try between gyro and loop, and passes in the mean, a multiple of 2 to 6.
 PHASES, PASSES = 20, 240
 
-# Factor on an error of known size and unknown sign. Logged passes and the others change their roles
-# as the clocks of gyro and loop drift, at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75
-# ms in a test of 25 s: the mean of a square wave of random phase over up to one and a half of its
-# half periods has the mean square 1/2.
+# Factor on an error of known size and unknown sign. Logged passes and the others swap roles as the
+# clocks of gyro and loop drift, at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75 ms in
+# a test of 25 s: the mean of a square wave of random phase over up to one and a half of its half
+# periods has the mean square 1/2.
 DRIFTING = math.sqrt(1 / 2)
 
 

@@ -84,7 +84,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     # Differences of successive samples are free of the manoeuvre, their median of its edges; 1.4826
     # makes a standard deviation of it.
     noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-    # Of the range of a signal, ripple on sticks and drift of the trim are below a hundredth.
+    # Ripple on sticks and drift of the trim are below a hundredth of the range of a signal.
     drift = max(0.02 * float(high - low), 1e-12 * float(np.abs(values).max()))
     # A second of samples does not leave eight standard deviations by chance.
     height = max(drift, 8.0 * noise)

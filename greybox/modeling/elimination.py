@@ -90,7 +90,7 @@ def solve_pencils(pencil: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     try:
         return np.linalg.solve(pencil, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
-        # One singular matrix fails the whole stack, where one of NaN has a solution of NaN.
+        # One singular matrix fails the whole stack; a matrix of NaN has a solution of NaN.
         is_singular = np.linalg.matrix_rank(pencil) < right.shape[-1]
         regular = np.where(is_singular[..., None, None], np.nan, pencil)
         return np.linalg.solve(regular, right[..., None])[..., 0]

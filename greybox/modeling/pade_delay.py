@@ -99,7 +99,8 @@ def pade_step(x: Any, u: Any, slope: Any, delay: Any, h: Any) -> tuple[Any, Any,
     lag = delay / h * ca.DM(np.linalg.inv(A))
     first = rest * u + lag @ rest * slope * h
     end = first + rest * slope * h + transition @ (x - first)
-    # What the states lack of rest, on average and in slope: moments of the differential equation.
+    # The distance of the states from rest, on average and in slope: moments of the differential
+    # equation.
     behind = lag @ (end - x)
     rise = 6 * lag @ (x + end - 2 * behind - rest * (2 * u + slope * h))
     return end, u + behind[0] - rise[0] / 2, slope + rise[0] / h

@@ -57,7 +57,7 @@ class Memory:
         stored_start, outcome = self._known.get(number, (start, None))
         if np.array_equal(stored_start, start):
             return outcome
-        # Neighbors of an end begin elsewhere if an option has changed: they are made again.
+        # Runs near an end begin elsewhere if an option has changed: they are made again.
         if number < 0:
             return None
         raise KeptRunsError(

@@ -178,8 +178,8 @@ def batch(
         runs = StoredRuns(folder)
         try:
             done = {m.name for m in listed if stored[m.name].status == "done"}
-            # A notebook stores every picture of the bar: two a second suffice. The time left is by
-            # the mean of all members: a moving one counts only the time since the last picture.
+            # A notebook stores every update of the bar: two a second suffice. The time left is by
+            # the mean of all members: a moving one counts only the time since the last update.
             shown = bar(
                 is_shown=progress,
                 total=len(listed),
@@ -236,7 +236,7 @@ class _Unwritten(StoredRuns):
 class _WholeMembers(Runner):
     """Fits members, one in each row (1,), pickled; the estimate of an outcome is what to store.
 
-    That is nothing for a member that takes longer than `UNWRITTEN`: workers then share its runs.
+    Nothing is stored for a member that takes longer than `UNWRITTEN`: workers then share its runs.
     """
 
     def run(self, start: Any) -> Outcome:
@@ -254,7 +254,7 @@ class _WholeMembers(Runner):
 
 
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
-    """Yield what every member stores; nothing if it is large, or if a worker ended by it."""
+    """Yield what every member stores; nothing if it is large, or if its worker was lost."""
     # In a worker, classes of the user's script have another module, and members another key.
     study = unchanged_in.get()
     rows = ((k, np.array([pickled((m, _key(m), study))])) for k, m in enumerate(members))
@@ -276,7 +276,7 @@ def _fit_member(
 ) -> None:
     """Fit a member, unless it is done; an error of its own is its answer.
 
-    The `key` is that of its settings, if it is known.
+    The `key` identifies its settings, if it is known.
     """
     if _is_done(member, stored, compiled):
         return
@@ -286,7 +286,7 @@ def _fit_member(
         bar.set_description_str(
             f"{member.name}: {done} of {counted(count, 'start')}", refresh=False
         )
-        bar.update(0)  # shows it if the last picture is old
+        bar.update(0)  # shows it if the last update is old
 
     # The runs are written whatever ends the fit, but an answer only if the search was not cut: the
     # next call would take it for the answer from all starts.
@@ -305,7 +305,7 @@ def _fit_member(
         error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
     except (ExecutorLostError, KeptRunsError):  # of the workers or the folder, not of the member
         raise
-    # Whatever else happens ends this member alone: a batch runs for days without its user.
+    # Any other error ends only this member: a batch runs for days without its user.
     except Exception as raised:
         message = " ".join(str(raised).split())
         is_sentence = message and isinstance(raised, SENTENCES)
@@ -339,7 +339,7 @@ def _stated(problem: AnyProblem) -> dict[str, Any]:
 
 
 def _key(member: Member, *, formulas_alone: bool = False) -> str:
-    """Return a key of all that a member states, or of its formulas; empty with a lambda."""
+    """Return a key of all settings of a member, or of its formulas; empty with a lambda."""
     parts, by = member.problem.parts, member.by
     formulas = [
         (p.model, p.criterion, p.tied, p.constraints, getattr(p.data, "output", "")) for p in parts

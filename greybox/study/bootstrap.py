@@ -272,9 +272,9 @@ def bootstrap(
     drawn too, with their covariance. Every replicate is solved from the estimate: the spread is
     that of one minimum and does not include a choice among several.
 
-    Percentile intervals from 5 to 24 points covered 92 to 95 %, those of a pole that the data bound
-    on one side only 91 to 93 %. In time, with errors of correlation 0.8, they covered 92 % (± 2 %,
-    by ``benchmarks/bootstrap_coverage.py``).
+    Percentile intervals from 5 to 24 points covered 92 to 95 %; those of a pole that the data bound
+    on one side only covered 91 to 93 %. In time, with errors of correlation 0.8, they covered 92 %
+    (± 2 %, by ``benchmarks/bootstrap_coverage.py``).
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ def progress(study: Study) -> str:
     left = study.count("unfinished")
     lines = [study.state]
     if left and len(ends) > 2:
-        # The last members say how long the others take; the longest interval may be a pause.
+        # The last members show how long the others take; the longest interval may be a pause.
         seconds = float(np.mean(np.sort(np.diff(ends))[:-1]))
         lines.append(
             f"about {number(left * seconds / 60, 2)} min left, at {number(seconds, 2)} s a member; "

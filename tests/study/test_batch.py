@@ -198,7 +198,7 @@ def test_what_is_damaged_is_made_again_and_nothing_else(tmp_path, made, finished
             connection.execute("UPDATE members SET fit = NULL WHERE id = 1")
     else:
         database.write_bytes(b"\xff" * 5000)
-    with pytest.warns(UserWarning, match="what is missing is made again"):
+    with pytest.warns(UserWarning, match="what is missing is computed again"):
         study = gb.batch(first, tmp_path, progress=False)
     assert made == missing
     require_same(study["response"].fit, whole)

@@ -43,7 +43,7 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
 
 
 def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
-    """Name data that are fitted twice, as of a file that was given twice."""
+    """Name data that are fitted twice, such as a file that was given twice."""
     pairs = [
         (same[0].name, again.name, "points")
         for same in grouped(nlp.parts_of(ResponsePart), lambda part: part.data.checksum)
@@ -117,8 +117,8 @@ def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
                     f"{name} moves fast for its sampling rate: lines between its samples lose "
                     f"{100 * lost:.1f} % of its power, which shifts the estimates. Give it at a "
                     "higher rate (interpolated by its band, as by scipy.signal.resample), with "
-                    "outputs NaN in between, or state its hold; inputs='linear' says that it runs "
-                    "in lines.",
+                    "outputs NaN in between, or state its hold; inputs='linear' states that it "
+                    "varies in straight lines.",
                 )
 
 
