@@ -26,7 +26,7 @@ from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
-from greybox.statistics.bounded_errors import bounded
+from greybox.statistics.huber import bounded
 
 
 class RecordPart(SegmentedPart):

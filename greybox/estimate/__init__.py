@@ -24,7 +24,8 @@ Begin with `fit`.
 | `missing_terms` | the terms that it tries |
 | `repeated_inputs` | what repeats in the residuals with the inputs |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
-| `profile`, `profiles` | likelihood profiles, by minima with a quantity held; and their values |
+| `profile` | likelihood profiles, by minima with a quantity held, and where they end |
+| `profile_result` | the profiles as values |
 | `diagnostics` | the folder of warnings |
 | `verdict`, `summary` | the answer in a few sentences, and as plain values for JSON |
 | `storage`, `stored_values` | fits in HDF5 files, and how their fields are stored |

@@ -58,11 +58,11 @@ from greybox.solve.interruption import (
     stop_requested,
     take_interrupt,
 )
-from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, multistart, solver_for
-from greybox.solve.robust_errors import with_robust_errors
+from greybox.solve.robust_fit import with_robust_errors
+from greybox.solve.run_storage import RunStorage
 from greybox.solve.runs import SEARCH_OVER
 
 _version = cache(version)  # reading it takes 2 ms
@@ -155,7 +155,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     """
     by = SolverChoice(method, search, solver_options)
     with limited(end_after(seconds)):
-        return fit_keeping(
+        return fit_with_storage(
             None,
             problem,
             starts,
@@ -233,8 +233,8 @@ def _interruptible() -> Iterator[None]:
 @_interruptible()
 @one_blas_thread()
 @traced_once()
-def fit_keeping(
-    kept: KeptRuns | None,
+def fit_with_storage(
+    storage: RunStorage | None,
     problem: AnyProblem,
     starts: AnyStarts | None = None,
     seed: int | None = None,
@@ -265,7 +265,7 @@ def fit_keeping(
             points,
             movable=not isinstance(rule, Listed),
             executor=executor,
-            kept=kept,
+            storage=storage,
             promising=solver.promising if starts is None else (),
             beside=profiles,
         )

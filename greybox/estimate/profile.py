@@ -22,7 +22,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, assess, informations
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.profiles import End, ProfileOf, Profiles
+from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
@@ -431,7 +431,7 @@ class _Search:
         """Return the lowest minimum from these starts with the quantity at a value."""
         return replace(self.minima.lowest(self.held, starts, value), value=value)
 
-    def side(self, direction: int, limit: float) -> tuple[list[Point], End]:
+    def walk(self, direction: int, limit: float) -> tuple[list[Point], End]:
         """Walk from the estimate until |r| crosses a limit; the points, and how the walk ended."""
         points = [self.best]
         step = self.first
@@ -567,8 +567,8 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
     lowest, highest = -limit - bias, limit - bias
     # With a bias beyond the limit one end lies on the other side of the estimate: that walk still
     # takes a step, which shows the curve.
-    down, low_end = search.side(-1, max(-lowest, STEP * limit))
-    up, high_end = search.side(1, max(highest, STEP * limit))
+    down, low_end = search.walk(-1, max(-lowest, STEP * limit))
+    up, high_end = search.walk(1, max(highest, STEP * limit))
     points = [*down[::-1], *up[1:]]
     roots = np.array([search.root(point) for point in points])
     inside = np.flatnonzero((roots >= lowest) & (roots <= highest))

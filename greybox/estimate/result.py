@@ -23,7 +23,7 @@ from greybox.estimate.identifiability import (
 )
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import details, text
-from greybox.estimate.profiles import Profiles
+from greybox.estimate.profile_result import Profiles
 from greybox.estimate.response_band import (
     ResponseBand,
     band_of,

@@ -44,12 +44,12 @@ DRIFTING = math.sqrt(1 / 2)
 
 @dataclass(frozen=True)
 class Thinning:
-    """A log of every `kept`-th pass.
+    """A log of every `stride`-th pass.
 
     Attributes
     ----------
     loop, logged : float, Hz
-    kept : int
+    stride : int
     count : float
         Root mean square of the difference in gyro samples between the logged passes and all, as a
         share of their number; NaN if unknown.
@@ -61,14 +61,14 @@ class Thinning:
 
     loop: float
     logged: float
-    kept: int
+    stride: int
     count: float
     age: float
     cure: str
 
     def __str__(self) -> str:
         rates = f"{self.logged:.4g} of {self.loop:g} Hz"
-        ordinal = {2: "second", 3: "third"}.get(self.kept, f"{self.kept}th")
+        ordinal = {2: "second", 3: "third"}.get(self.stride, f"{self.stride}th")
         return f"every {ordinal} pass of the control loop was logged ({rates})"
 
 
@@ -86,21 +86,21 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     if loop < 1.25 * logged:
         return None
     # The rate of the log jitters, while the loop logs every pass, every second, every third ...
-    kept = round(loop / logged)
+    stride = round(loop / logged)
     if is_px4:
         profile = int(parameters.get("SDLOG_PROFILE", 1))
         cure = f"set SDLOG_PROFILE {profile | IDENTIFICATION} (system identification)"
         if profile & IDENTIFICATION:
             cure = "log to a faster card, or lower IMU_GYRO_RATEMAX"
-        return Thinning(loop, logged, kept, math.nan, math.nan, cure)
+        return Thinning(loop, logged, stride, math.nan, math.nan, cure)
     gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
-    count, age = _differences(gyro / loop, kept)
+    count, age = _differences(gyro / loop, stride)
     mode = next(
         (name for moment, name in reversed(recording.metadata.get("modes", ())) if moment <= start),
         "",
     )
 
-    return Thinning(loop, logged, kept, count, age / gyro, _cure(parameters, mode))
+    return Thinning(loop, logged, stride, count, age / gyro, _cure(parameters, mode))
 
 
 def thinning_error(
@@ -126,7 +126,7 @@ def thinning_error(
     )
 
 
-def _differences(per_pass: float, kept: int) -> tuple[float, float]:
+def _differences(per_pass: float, stride: int) -> tuple[float, float]:
     """Return how far logged passes differ from all passes, in gyro samples and in their age."""
     # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass
@@ -134,7 +134,9 @@ def _differences(per_pass: float, kept: int) -> tuple[float, float]:
     counts = np.diff(np.floor(times + 1e-9), axis=1)
     ages = (times - np.floor(times + 1e-9))[:, 1:]
     return tuple(  # type: ignore[return-value]
-        float(np.sqrt(np.mean((values[:, ::kept].mean(axis=1) - values.mean(axis=1)) ** 2)) / scale)
+        float(
+            np.sqrt(np.mean((values[:, ::stride].mean(axis=1) - values.mean(axis=1)) ** 2)) / scale
+        )
         for values, scale in ((counts, per_pass), (ages, 1.0))
     )
 

@@ -1,7 +1,8 @@
 """Implicit integrators, whose stages solve equations by Newton's method within every step.
 
 A collocation method is an implicit integrator whose stages the solver of the whole problem finds;
-both have the same solution. So these steps evaluate problems that were solved by collocation.
+both have the same solution. So these steps evaluate problems that were solved by collocation. A
+trapezoidal one, written as a user would write it, is in `tests/support/recipes.py`.
 """
 
 from abc import abstractmethod

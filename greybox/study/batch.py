@@ -17,7 +17,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
+from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
 from greybox.files.arrays import frozen
@@ -44,10 +44,10 @@ from greybox.solve.interruption import (
     listening,
     responding,
 )
-from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
+from greybox.solve.run_storage import RunStorageError
 from greybox.solve.runs import Outcome
 from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.ranking import held_out_error
@@ -204,7 +204,7 @@ def batch(
                                 member, runs, stored[member.name], compiled, executor, shown
                             )
                         shown.update(member.name not in done)
-                        runs.look()
+                        runs.write_due()
                         if runs.trouble:
                             break  # a full disk, which the last attempt names
                 finally:
@@ -229,7 +229,7 @@ def require_distinct(members: Sequence[Member]) -> None:
 class _Unwritten(StoredRuns):
     """Runs that another process writes."""
 
-    def look(self) -> None:
+    def write_due(self) -> None:
         """Write nothing."""
 
 
@@ -292,7 +292,7 @@ def _fit_member(
     # next call would take it for the answer from all starts.
     result, error = None, ""
     try:
-        result = fit_keeping(
+        result = fit_with_storage(
             runs,
             member.problem,
             member.starts,
@@ -303,7 +303,7 @@ def _fit_member(
             progress=bar is not None and report,
         )
         error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
-    except (ExecutorLostError, KeptRunsError):  # of the workers or the folder, not of the member
+    except (ExecutorLostError, RunStorageError):  # of the workers or the folder, not of the member
         raise
     # Any other error ends only this member: a batch runs for days without its user.
     except Exception as raised:

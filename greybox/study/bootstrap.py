@@ -34,9 +34,9 @@ from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
-from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import ProgressReport, multistart, solver_for
+from greybox.solve.run_storage import Memory
 from greybox.solve.runs import Outcome
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.replicates import Replicates

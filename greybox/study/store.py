@@ -29,7 +29,7 @@ from greybox.files.arrays import Array, Strings, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
-from greybox.solve.kept_runs import KeptRuns, KeptRunsError
+from greybox.solve.run_storage import RunStorage, RunStorageError
 from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
 
 Status = Literal["done", "failed", "unfinished"]
@@ -261,7 +261,7 @@ def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     return {member.name: member for member in read_members(folder)}
 
 
-class StoredRuns(KeptRuns):
+class StoredRuns(RunStorage):
     """The runs of a member of a study; those of the members of a batch are written together.
 
     Attributes
@@ -283,12 +283,12 @@ class StoredRuns(KeptRuns):
         """Switch to a member; a new one has no runs on disk."""
         self._name, self._is_new, self._has_begun = name, is_new, False
 
-    def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
+    def stored(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
         """Return the runs on disk by the number of their start.
 
         Raises
         ------
-        KeptRunsError
+        RunStorageError
             If they were made for another problem, or the database is damaged.
         """
         self.fingerprint = fingerprint
@@ -306,9 +306,9 @@ class StoredRuns(KeptRuns):
                 _require_whole(self._folder, checksum, text, self._name, number, key)
                 runs[int(number)] = _stored_run(text)
         except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-            raise KeptRunsError(_damaged(self._folder)) from error
+            raise RunStorageError(_damaged(self._folder)) from error
         if any(row[-1] != fingerprint for row in rows):
-            raise KeptRunsError(
+            raise RunStorageError(
                 f"the runs in {self._folder} belong to another problem, to other options, or to "
                 "another version of greybox or CasADi: repeat what the study began with, or begin "
                 "another study."
@@ -327,7 +327,7 @@ class StoredRuns(KeptRuns):
         row = name, number, text, _checksum(text, name, number, self.fingerprint)
         self._change(f"INSERT OR REPLACE INTO runs VALUES ({MEMBER}, ?, ?, ?)", *row)
         self._work += outcome.seconds
-        self.look()
+        self.write_due()
 
     def finish(self, answer: Mapping[str, Any], fit: bytes = b"") -> None:
         """Store the answer of the member, which is then done, and its fit."""
@@ -339,7 +339,7 @@ class StoredRuns(KeptRuns):
     def _change(self, statement: str, *values: Any) -> None:
         self.changes.append((statement, values))
 
-    def look(self) -> None:
+    def write_due(self) -> None:
         """Write runs that are older, or took longer, than `UNWRITTEN`."""
         # A commit takes some milliseconds. After every run of a response, which takes no longer,
         # the disk would cost as much time as the solver.

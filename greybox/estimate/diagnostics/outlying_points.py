@@ -26,8 +26,8 @@ from greybox.estimate.diagnostics.repeated import Finding
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number, percent
-from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
+from greybox.statistics.huber import bounded, robust_deviation
 from greybox.statistics.metrics import is_resolved
 
 # Share of fits to clean data in which any point is called an outlier.
