@@ -93,7 +93,8 @@ class Criterion(AnyCriterion):
 
         With the Jacobian J, the curvature of the cost is B = bread · JᵀJ and the covariance of its
         gradient is M = Jᵀ diag(meat) J, for errors in proportion to the sizes of the residuals; the
-        estimate has the covariance B⁻¹ M B⁻¹. `correction` scales the size of the noise for the number of estimated parameters.
+        estimate has the covariance B⁻¹ M B⁻¹. `correction` scales the size of the noise for the
+        number of estimated parameters.
         """
 
     def score_correlation(self, correlation: Array) -> Array:
