@@ -73,8 +73,8 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         nodes = by_nodes[batch].transpose(1, 2, 0).copy()
         by_states = np.einsum("lknc,npc->lkpc", J[:, :, :n], nodes)
         by_parameters = placed.slope.T @ J[:, :, n:]
-        for each in (by_states, by_parameters):
-            squares += np.einsum("lkpc,lkpc->p", each, each)
+        for columns in (by_states, by_parameters):
+            squares += np.einsum("lkpc,lkpc->p", columns, columns)
         root = by_states + by_parameters
         rows = np.moveaxis(root, 2, 0).reshape(p, -1)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the

@@ -142,8 +142,8 @@ class ResponsePart(Part):
         """Return the response at all values x (k,), or its derivatives."""
         functions = self.functions
         if (system := functions.system) is not None:
-            both = self.stored("both", values, lambda: system.responses(values[:, None]))
-            return both[is_slope][0]
+            results = self.stored("both", values, lambda: system.responses(values[:, None]))
+            return results[is_slope][0]
         function = functions.slope if is_slope else functions.response
         return self.stored(
             function.name(),

@@ -137,7 +137,10 @@ class ResponseCompiler:
         functions, programs = _stored.result(stated, self.traced) if stated else self.traced()
         data = self.source.numbers
         columns = zip(self.parts, functions, self.source.are_open, strict=True)
-        parts = {part: ResponsePart(part, each, data, is_open) for part, each, is_open in columns}
+        parts = {
+            part: ResponsePart(part, built_functions, data, is_open)
+            for part, built_functions, is_open in columns
+        }
         zero = [cost_of_zero(_locator(part), part.response) for part in parts]
         zero_costs = np.array(self.weights) * zero
         return parts, {**programs, "data": data, "zero_costs": zero_costs}

@@ -181,10 +181,10 @@ class SampledData:
         return self.padded(whole), self.padded(around)
 
 
-def joined(each: Sequence[SampledData]) -> SampledData:
+def joined(records: Sequence[SampledData]) -> SampledData:
     """Return the stretches of several records, one record after the other."""
-    stretches = tuple(stretch for data in each for stretch in data.stretches)
-    return SampledData(stretches, each[0].segment_length)
+    stretches = tuple(stretch for data in records for stretch in data.stretches)
+    return SampledData(stretches, records[0].segment_length)
 
 
 def sampled_data(

@@ -139,12 +139,12 @@ class SegmentedPart(Part):
     @cached_property
     def delays_at_rest(self) -> Array:
         """Return the states (s, n) of delays that rest at the first input of a stretch, else 0."""
-        rest = np.zeros((self.segments.count, self.states))
+        states = np.zeros((self.segments.count, self.states))
         if self.system.undelayed:
             first = np.array([stretch.inputs[:, 0] for stretch in self.data.stretches])
             delays = self.system.delay_rest(first.T).full().T
-            rest[self.data.begins_stretch, self.driven :] = delays
-        return rest
+            states[self.data.begins_stretch, self.driven :] = delays
+        return states
 
     # --- trajectories
 

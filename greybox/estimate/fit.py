@@ -314,12 +314,12 @@ def _with_progress(
     # A bar would be in the way of a function that reports progress in another form.
     if callable(progress) or not progress:
         return run(progress=progress or None)
-    with bar(total=count, unit="start") as shown:
+    with bar(total=count, unit="start") as progress_bar:
 
         def report(done: int, count: int) -> None:
             # Shown as soon as the first start takes longer than half a second.
-            shown.delay = min(DELAY, done / 2)
-            shown.update(done - shown.n)
+            progress_bar.delay = min(DELAY, done / 2)
+            progress_bar.update(done - progress_bar.n)
 
         return run(progress=report)
 

@@ -296,7 +296,9 @@ class HeldMinima:
                 bounds=(lower[:, None], upper[:, None]),
             )
             pairs = zip(ends.z.T, ends.at_minimum, strict=True)
-            minima = [self._response_minimum(z) if found else Point(z) for z, found in pairs]
+            minima = [
+                self._response_minimum(z) if at_minimum else Point(z) for z, at_minimum in pairs
+            ]
         return min(minima, key=lambda minimum: minimum.cost)
 
     def _solved(self, solver: GaussNewton, start: Point) -> Point:

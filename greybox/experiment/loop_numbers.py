@@ -98,10 +98,10 @@ class Crossings:
         count = np.bincount(self.plant, minlength=self.plants)
         if count[0] < 2:
             return {}
-        same = count == count[0]
+        complete = count == count[0]
         table = np.full((2, self.plants, count[0]), math.nan)
         for row, numbers in zip(table, (values, self.omega), strict=True):
-            row[same] = numbers[same[self.plant]].reshape(-1, count[0])
+            row[complete] = numbers[complete[self.plant]].reshape(-1, count[0])
         return {f"{name} {k + 1}": Located(*table[:, :, k]) for k in range(count[0])}
 
 
@@ -219,8 +219,8 @@ def _response_numbers(
     integrals: int | None,
     boundary: Array,
 ) -> Numbers:
-    rest = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
-    gain = loop.gains(setpoint, [response], omega)[..., 0] / rest
+    final = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
+    gain = loop.gains(setpoint, [response], omega)[..., 0] / final
     size, phase = np.abs(gain), np.unwrap(np.angle(gain), axis=1)
     answer = {
         "bandwidth": crossings(size - math.sqrt(0.5), omega).last,
@@ -328,7 +328,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Arr
             columns.append(across @ columns[-1])
         steps = np.concatenate(rows, axis=1) @ np.concatenate(columns, axis=2)
         steps = steps.swapaxes(1, 2)
-    rest = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
+    final = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)
     # Both begin at zero, before the step.
-    return np.r_[0.0, time], np.pad(steps.reshape(len(M), -1) / rest[:, None], ((0, 0), (1, 0)))
+    return np.r_[0.0, time], np.pad(steps.reshape(len(M), -1) / final[:, None], ((0, 0), (1, 0)))

@@ -95,10 +95,10 @@ class SampledLoop:
         """Return the gains (plants, n, sensors, inputs) of the plants at `omega` (n,) rad/s."""
         z = np.exp(1j * omega * self.period)
         delay = z[:, None, None] ** -self.whole[:, None, None, :]
-        before = delay / z[:, None, None]
+        earlier_delay = delay / z[:, None, None]
         pencil = z[:, None, None] * np.eye(self.A.shape[-1]) - self.A[:, None]
-        driven = self.late[:, None] * delay + self.early[:, None] * before
-        plant = self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * before
+        driven = self.late[:, None] * delay + self.early[:, None] * earlier_delay
+        plant = self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * earlier_delay
         return plant.astype(complex)
 
     def gains(
@@ -356,6 +356,6 @@ def linear_controller(
     total = ca.vertcat(*[signals[name] for name in commands])
     v = ca.vertcat(y, e)
     blocks = [ca.jacobian(f, z) for f in (ca.SX(ca.vertcat(*following)), total) for z in (x, v)]
-    rest = [value for c in controllers for value in c.initial]
-    numbers = ca.Function("controller", [x, v], blocks)(rest, np.zeros(v.numel()))
+    initial = [value for c in controllers for value in c.initial]
+    numbers = ca.Function("controller", [x, v], blocks)(initial, np.zeros(v.numel()))
     return LinearController(commands, *(np.asarray(ca.DM(block)) for block in numbers))

@@ -39,10 +39,10 @@ def all_printable(thing: Any) -> Any:
     return thing
 
 
-def write_out(thing: Any, *names: str) -> None:
+def write_out(target: Any, *names: str) -> None:
     """Write out control characters in these attributes of a new object, at any depth."""
     for name in names:
-        vars(thing)[name] = all_printable(getattr(thing, name))
+        vars(target)[name] = all_printable(getattr(target, name))
 
 
 def text_table(
@@ -76,10 +76,10 @@ def percent(share: float) -> str:
     return f"{float(number(100 * share, 2)):g}"
 
 
-def counted(count: float, one: str, more: str = "") -> str:
-    """Return "1 record" or "2 records"; `more` is an irregular plural."""
+def counted(count: float, singular: str, plural: str = "") -> str:
+    """Return "1 record" or "2 records"; `plural` is an irregular one."""
     amount = f"{count:g}" if isinstance(count, float) else f"{count}"
-    return f"{amount} {one if count == 1 else more or one + 's'}"
+    return f"{amount} {singular if count == 1 else plural or singular + 's'}"
 
 
 def listed(names: Sequence[str]) -> str:
@@ -170,7 +170,7 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def one_line(thing: object, *facts: str) -> str:
+def one_line(value: object, *facts: str) -> str:
     """Return ``<Class fact, fact>`` for the `repr` of a value, in less than 120 characters."""
-    text = printable(" ".join(f"<{type(thing).__name__} {', '.join(facts)}".split()))
+    text = printable(" ".join(f"<{type(value).__name__} {', '.join(facts)}".split()))
     return f"{text}>" if len(text) < 119 else f"{text[:115]}...>"

@@ -99,8 +99,10 @@ def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
     for name in ("input", "output"):
         if not stated.get(name):
             signals = next(iter(recording.values())).signals if len(recording) == 1 else {}
-            there = f"; it has {some([*signals], 12)}" if signals else ""
-            raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL{there}.")
+            signals_text = f"; it has {some([*signals], 12)}" if signals else ""
+            raise ValueError(
+                f"no {name} is known for this log: give {name}=NAME=SIGNAL{signals_text}."
+            )
     return Settings(**stated)
 
 

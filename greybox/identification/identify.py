@@ -150,8 +150,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     # The first log decides the signals of all: two sensors have two responses.
     stated |= {"drop_warned": not all_points, "refined": True}
     settings, choices = choose(recordings[0], **stated)
-    same = {name: getattr(settings, name) for name in ("input", "output", "axis")}
-    used = [settings, *(choose(r, **{**stated, **same})[0] for r in recordings[1:])]
+    common = {name: getattr(settings, name) for name in ("input", "output", "axis")}
+    used = [settings, *(choose(r, **{**stated, **common})[0] for r in recordings[1:])]
     measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
     result = Identification(tuple(recordings), choices, measurements)
     if result.refusals:

@@ -402,9 +402,9 @@ def _require_one_axis(used: Sequence[Segment]) -> None:
 def _within_band(sines: Sequence[Segment], band: Interval) -> list[Segment]:
     inside = [segment for segment in sines if band[0] <= segment.omega <= band[1]]
     if not inside:
-        there = ", ".join(f"{segment.omega:.4g}" for segment in sines)
+        listed = ", ".join(f"{segment.omega:.4g}" for segment in sines)
         raise ValueError(
-            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {there} "
+            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {listed} "
             "rad/s."
         )
     return inside

@@ -173,10 +173,10 @@ def select_orders(
             without = replace(orders, delay=False)
             candidates[-1] = _candidate(responses, without, starts, through, stated)
             undelayed.append(str(without))
-    rest = len(linear) - len(near)
+    rejected = len(linear) - len(near)
     notes = []
-    if rest:
-        notes.append(f"{counted(rest, 'other structure')} had a higher BIC by least squares.")
+    if rejected:
+        notes.append(f"{counted(rejected, 'other structure')} had a higher BIC by least squares.")
     if any(orders.delay for orders in linear):
         longest = TURN / max(responses, key=len).omega.max()
         notes.append(

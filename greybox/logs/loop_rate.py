@@ -104,7 +104,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
 
 
 def thinning_error(
-    found: Thinning, recording: Recording, axis: str, response: FrequencyResponse
+    thinned: Thinning, recording: Recording, axis: str, response: FrequencyResponse
 ) -> ComplexArray:
     """Return the relative errors (2, n) of a response from a control to an angle or a rate.
 
@@ -122,7 +122,10 @@ def thinning_error(
         share = share * s * low_pass(2, parameters["INS_GYRO_FILTER"], response.omega)
 
     return DRIFTING * np.array(
-        [share * found.count * remaining_alternation(parameters, axis, found.loop), s * found.age]
+        [
+            share * thinned.count * remaining_alternation(parameters, axis, thinned.loop),
+            s * thinned.age,
+        ]
     )
 
 

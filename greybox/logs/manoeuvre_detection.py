@@ -90,15 +90,15 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     height = max(drift, 8.0 * noise)
     rests = _rests(time, values, height)
     manoeuvres = []
-    before = 0
+    last_rest = 0
     for k, rest in enumerate(rests[1:], start=1):
         # A short rest at another level is part of the manoeuvre.
-        returned = abs(rest.begins - rests[before].ends) <= 2 * drift
+        returned = abs(rest.begins - rests[last_rest].ends) <= 2 * drift
         # Twice the longest of these pulses: another level that lasts is a new rest.
         lasting = time[rest.last] - time[rest.first] > 6.0
         if returned or lasting or rest is rests[-1]:
-            manoeuvres.append(_between(time, values, rests[before], rest, drift, height))
-            before = k
+            manoeuvres.append(_between(time, values, rests[last_rest], rest, drift, height))
+            last_rest = k
 
     return [segment for segment in manoeuvres if segment]
 

@@ -73,8 +73,8 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
         used = slopes.any(axis=1)
         rate, changes = slopes[used], outputs[:, used]
         factor = np.einsum("cs,kcs->k", rate, changes) / max(float(np.sum(rate**2)), 1e-300)
-        rest = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
-        alike = np.all(rest <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
+        difference = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
+        alike = np.all(difference <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
         factors[:, i] = np.where(alike, np.round(factor, 12), 0.0)
     return factors
 

@@ -71,8 +71,10 @@ def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[i
         # In 1500 random systems with kinematic states, other orders helped twice.
         for order in (natural, natural[::-1]):
             values = [value for row in eliminated(entries, s, order) for value in row]
-            found = np.reshape(np.broadcast_arrays(samples[:, :1, 0] * s, *values)[1:], size.shape)
-            error = np.abs(found - exact) / size
+            responses = np.reshape(
+                np.broadcast_arrays(samples[:, :1, 0] * s, *values)[1:], size.shape
+            )
+            error = np.abs(responses - exact) / size
             is_comparable = np.isfinite(size) & (size > 0)
             errors[order] = np.max(
                 np.nan_to_num(error, nan=1e300), where=is_comparable, initial=0.0

@@ -205,8 +205,8 @@ def _functions(model: StateSpace, *arguments: Any) -> tuple[ca.Function, ...]:
     # Infinite harmonics would pass, since any equation is small relative to them.
     is_motion = ca.logic_and(error < 1e-8, ca.norm_inf(unknown) < math.inf)
     finish = ca.Function("finish", [unknown, settings], [rows[-2:], is_motion])
-    both = ca.densify(ca.horzcat(rows, slopes)[[*chosen, -2, -1], :])
-    linear = ca.Function("linear", [unknown, settings], [both])
+    equations_and_slopes = ca.densify(ca.horzcat(rows, slopes)[[*chosen, -2, -1], :])
+    linear = ca.Function("linear", [unknown, settings], [equations_and_slopes])
     return finish, linear, _guess(newton, careful, finish, switches=switches)
 
 

@@ -121,12 +121,12 @@ class ImplicitIntegrator(Integrator):
         is_short = 1 - ca.logic_or(residual > 1e-6, is_coarse)
         end, by_given, by_change, *equations, _, _, _ = solved(change, values)
         slopes = by_given - by_change @ ca.solve(equations[1], equations[0])
-        taken = ca.Function("taken", [v, change], [end, slopes])
+        whole_step = ca.Function("taken", [v, change], [end, slopes])
 
         # Halves of a step: the second begins with the inputs in the middle.
         first = ca.vertcat(v[:-1], span / 2)
         second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
-        step = ca.Function("step", [v], taken.call([v, solution]))
+        step = ca.Function("step", [v], whole_step.call([v, solution]))
         # Half a step with a jump is halved again, so that only steps near the jump are short.
         # With 6 halvings until Newton's method converges, a fit of Robertson's kinetics is lost;
         # with 21 it takes five times as long.
@@ -135,7 +135,7 @@ class ImplicitIntegrator(Integrator):
             end, by_second = step(ca.vertcat(middle, second))
             by_both = ca.vertcat(by_first @ ca.jacobian(first, v), ca.jacobian(second, v))
             halves = ca.Function("halves", [v, change], [end, by_second @ by_both])
-            chosen = ca.Function.if_else("chosen", taken, halves)
+            chosen = ca.Function.if_else("chosen", whole_step, halves)
             step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
         end, slopes = step(v)
         # Derivatives by CasADi would solve every step repeatedly and take four times as long.

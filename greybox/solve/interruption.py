@@ -114,13 +114,13 @@ def building() -> Iterator[None]:
     A user's formulas do not ask for the time. Only the main thread of a process can be interrupted
     in them, and not on Windows.
     """
-    left = _state.search_end - time.time()
+    remaining = _state.search_end - time.time()
     is_main = threading.current_thread() is threading.main_thread()
-    if math.isinf(left) or not is_main or not hasattr(signal, "setitimer"):
+    if math.isinf(remaining) or not is_main or not hasattr(signal, "setitimer"):
         yield
         return
     previous = signal.signal(signal.SIGALRM, _stop_building)
-    signal.setitimer(signal.ITIMER_REAL, max(left, BUILDING))
+    signal.setitimer(signal.ITIMER_REAL, max(remaining, BUILDING))
     try:
         yield
     finally:

@@ -126,10 +126,10 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     ends = () if minima else tuple(outcome.nodes for _, outcome in results.values())
     if screened is not None and not stop_requested():
         # Starts that were only compared are listed too, so that the answer counts them.
-        made = by_name(rows, runs)
+        by_row = by_name(rows, runs)
         runs = Runs.of(
-            replace(made[k], index=k)
-            if k in made
+            replace(by_row[k], index=k)
+            if k in by_row
             else Run(k, start, start, float(cost), SCREENED, converged=False, stage=SCREENED)
             for k, (start, cost) in enumerate(zip(starts, screened.costs, strict=True))
         )

@@ -121,7 +121,7 @@ def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
-def _dropped(omega: Array, gone: BoolArray, why: str) -> str:
-    low, high = omega[gone].min(), omega[gone].max()
+def _dropped(omega: Array, dropped: BoolArray, why: str) -> str:
+    low, high = omega[dropped].min(), omega[dropped].max()
     place = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
-    return f"{gone.sum()} of {counted(omega.size, 'point')}, {why}, at {place}"
+    return f"{dropped.sum()} of {counted(omega.size, 'point')}, {why}, at {place}"

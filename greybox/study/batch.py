@@ -180,7 +180,7 @@ def batch(
             done = {m.name for m in listed if stored[m.name].status == "done"}
             # A notebook stores every update of the bar: two a second suffice. The time left is by
             # the mean of all members: a moving one counts only the time since the last update.
-            shown = bar(
+            progress_bar = bar(
                 is_shown=progress,
                 total=len(listed),
                 initial=len(done),
@@ -189,21 +189,21 @@ def batch(
                 mininterval=0.5,
                 smoothing=0,
             )
-            with listening(), shown:
+            with listening(), progress_bar:
                 try:
                     new = {m: None for m in listed if executor and not stored[m.name].runs}
-                    made = _by_workers([*new], executor)
+                    answers = _by_workers([*new], executor)
                     compiled: set[str] = set()
                     for member in listed:
                         if is_search_over():
                             break
-                        if changes := next(made, []) if member in new else []:
+                        if changes := next(answers, []) if member in new else []:
                             runs.changes += changes
                         else:
                             _fit_member(
-                                member, runs, stored[member.name], compiled, executor, shown
+                                member, runs, stored[member.name], compiled, executor, progress_bar
                             )
-                        shown.update(member.name not in done)
+                        progress_bar.update(member.name not in done)
                         runs.write_due()
                         if runs.trouble:
                             break  # a full disk, which the last attempt names

@@ -428,14 +428,14 @@ def _made(
     rows = ((k, np.array([float(k)])) for k in range(replicates))
     runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
     lock = nullcontext() if folder is None else locked(Path(folder))
-    shown = bar(is_shown=progress is True, total=replicates, unit="replicate")
-    with lock, listening(), shown:
+    progress_bar = bar(is_shown=progress is True, total=replicates, unit="replicate")
+    with lock, listening(), progress_bar:
         try:
             memory = Memory() if runs is None else Memory(runs, value_fingerprint(runner))
             with responding(Response.STOP):
                 for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
                     outcomes.append(outcome)
-                    shown.update()
+                    progress_bar.update()
                     if callable(progress):
                         progress(len(outcomes), replicates)
             return outcomes, take_interrupt()

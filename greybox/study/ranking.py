@@ -90,8 +90,8 @@ def _by_data(results: Iterable[Result]) -> Iterator[tuple[str, list[Result]]]:
         # Data of one name may differ: they are numbered.
         groups: list[list[Result]] = []
         for result in alike:
-            same = (g for g in groups if not data_difference([g[0][2], result[2]], ("", "")))
-            if (group := next(same, None)) is None:
+            matching = (g for g in groups if not data_difference([g[0][2], result[2]], ("", "")))
+            if (group := next(matching, None)) is None:
                 groups.append(group := [])
             group.append(result)
         for number, group in enumerate(groups, 1):

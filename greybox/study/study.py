@@ -316,8 +316,8 @@ def _differences(texts: Sequence[str]) -> list[str]:
     """Return texts without the values, such as ``a = 1``, that all of them have."""
     words = [text.split(", ") for text in texts]
     common = set.intersection(*map(set, words)) if len({*texts}) > 1 else set()
-    kept = [[w for w in row if w not in common or " = " not in w] for row in words]
-    pairs = zip(texts, kept, strict=True)
+    distinct = [[w for w in row if w not in common or " = " not in w] for row in words]
+    pairs = zip(texts, distinct, strict=True)
     return [", ".join(row) or (text and "nothing else") for text, row in pairs]
 
 

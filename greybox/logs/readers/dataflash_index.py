@@ -144,8 +144,8 @@ def _chain(
             is_message[last] = False
             end = int(starts[last])
         # A page of memory: zeros or erased flash at the end of a file are not damage.
-        rest = data[end : end + 4096]
-        if resume < len(data) or (rest.strip(b"\0") and rest.strip(b"\xff")):
+        tail = data[end : end + 4096]
+        if resume < len(data) or (tail.strip(b"\0") and tail.strip(b"\xff")):
             damage.append((end, resume))
         end = resume
 

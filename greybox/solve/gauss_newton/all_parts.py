@@ -62,8 +62,8 @@ class AllParts:
         """
         flags = [t.simulated for t in like.trajectories] if like else [False] * len(self.parts)
         zipped = zip(self.parts, nodes or [None] * len(self.parts), flags, strict=True)
-        each = [part.trajectory(z, n, simulated=flag) for part, n, flag in zipped]
-        return Iterate(z, tuple(sharing(self.parts, each)))
+        trajectories = [part.trajectory(z, n, simulated=flag) for part, n, flag in zipped]
+        return Iterate(z, tuple(sharing(self.parts, trajectories)))
 
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
