@@ -1,4 +1,4 @@
-"""The file that `greybox new` writes: commented, and running as it is, with made-up numbers."""
+"""The commented file that `greybox new` writes; with its made-up numbers, it runs as it is."""
 
 TRANSFER_FUNCTION = '''\
 class {name}(gb.TransferFunction):

@@ -1,6 +1,6 @@
 """Copies of the files of a study in its folder, so that it resumes wherever the folder is moved.
 
-``inputs/``            the files that were read with the study, as they lie to one another.
+``inputs/``            the files that were read with the study, in folders as they were.
 ``inputs/study.json``  the place of the study file in it, and the option ``--starts``.
 
 A study file in Python, and the files with models that it names, read what they like: an audit hook

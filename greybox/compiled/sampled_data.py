@@ -19,8 +19,8 @@ from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
-# Share of a step by which a delay may exceed whole samples and count as these: the steps of a log
-# are known no better.
+# Share of a step by which a delay may exceed a whole number of samples and still count as that
+# number: the steps of a log are not known more precisely.
 WHOLE = 1e-3
 
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest

@@ -110,7 +110,7 @@ class _Share:
     `reach` (p,) has the lengths of the root's columns before the initial states were fitted too.
     `limit` is a factor on both that limits the weight of a part relative to others. `pull` (p,) is
     the mean gradient of the cost at the true values, over the noise. `correction` is the factor on
-    the noise for what the parameters took.
+    the noise for the degrees of freedom that the parameters took.
     """
 
     root: Array

@@ -108,7 +108,7 @@ def measure_matrix(
     return MatrixMeasurement(record, responses, tuple(choices))
 
 
-def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
+def _moving(record: Record, names: Sequence[str]) -> Interval:
     """Return from when to when a signal moves."""
     steps = np.array([np.diff(record[name]) for name in names])
     # Above rounding: a logged zero may be a small number.

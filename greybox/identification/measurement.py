@@ -506,7 +506,7 @@ def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Itera
     if not bands or len(bands) < len(used):
         return
     low, high = min(low for low, _ in bands), max(high for _, high in bands)
-    # 2 %: a sweep that is found in a setpoint has its ends from periods of some samples.
+    # 2 %: the ends of a sweep that is found in a setpoint are known from periods of a few samples.
     beyond = response.omega[(response.omega < 0.98 * low) | (response.omega > 1.02 * high)]
     if beyond.size:
         text = f"{counted(beyond.size, 'point')} beyond the sweep, {low:.3g} to {high:.3g} rad/s."

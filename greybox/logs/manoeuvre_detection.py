@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.data.record import Record, Recording, median_step
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Interval
 from greybox.files.text_table import as_names
 from greybox.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.logs.sine_detection import sines_and_sweeps
@@ -148,9 +148,7 @@ def _between(
     )
 
 
-def _band(
-    time: Array, values: Array, before: _Rest, after: _Rest, kind: str
-) -> tuple[float, float]:
+def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) -> Interval:
     """Return the band, rad/s, in which the input, or the derivative of a step, is strong.
 
     It begins at one period over the manoeuvre and a second of rest on both sides.

@@ -98,7 +98,7 @@ def search_end() -> float:
 
 @contextmanager
 def limited(end: float) -> Iterator[None]:
-    """End searches within at this time of day, s since 1970, or earlier if that is the limit."""
+    """End the searches inside `with` at this time, s since 1970, or at an earlier limit."""
     previous = _state.search_end
     _state.search_end = min(previous, end)
     try:

@@ -226,8 +226,8 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     The distributions have variances (m,) and the same degrees of freedom; the result has the same
     intervals as their average at `LEVELS`. With infinite degrees of freedom, the result is normal
     and has the variance of the average: such variances add over the parts of a problem. With four
-    or more degrees of freedom, the 95 % interval of Student's t is within 2 % of that of its
-    variance.
+    or more degrees of freedom, the 95 % interval of Student's t is within 2 % of that of a normal
+    distribution of the same variance.
     """
     from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
     from scipy.special import stdtr, stdtrit  # noqa: PLC0415

@@ -111,8 +111,8 @@ class AllParts:
     ) -> float:
         """Return half the weighted squares of residuals and gaps of a finite iterate.
 
-        The variances (n,) of the gaps are those of every state. Gaps of a variance of zero, which
-        the next step closes, do not count.
+        The variances (n,) of the gaps are those of every state. Gaps whose variance is zero do
+        not count: the next step closes them.
         """
         total = 0.0
         for part, t, weight, v in self.along(iterate, residual_weights, variances):
