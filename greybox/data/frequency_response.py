@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,7 +12,15 @@ from greybox.data.checked_array import checked_array, finite_array, require, req
 from greybox.data.intersample import HOLD, NO_HOLD
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, all_finite, frozen
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    ComplexArray,
+    IntArray,
+    NamedStrings,
+    all_finite,
+    frozen,
+)
 from greybox.files.text_table import counted, one_line, printable, write_out
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
@@ -103,8 +110,8 @@ class FrequencyResponse:
     name: str = ""
     source: str = field(default="", repr=False)
     stretches: tuple[Stretch, ...] = field(default=(), repr=False)
-    units: Mapping[str, str] = field(default_factory=dict, repr=False)
-    about: Mapping[str, str] = field(default_factory=dict, repr=False)
+    units: NamedStrings = field(default_factory=dict, repr=False)
+    about: NamedStrings = field(default_factory=dict, repr=False)
     common_errors: ComplexArray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ from greybox.data.checked_array import (
 )
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import Array, IntArray, Interval, Strings, Values, frozen
+from greybox.files.arrays import Array, IntArray, Interval, NamedStrings, Strings, Values, frozen
 from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
@@ -83,7 +83,7 @@ class Record:
 
     time: Array
     signals: Mapping[str, Array]
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
     checksum: str = field(default="", repr=False)
@@ -211,9 +211,7 @@ class Record:
             )
         return self.rows(rows)
 
-    def with_signals(
-        self, units: Mapping[str, str] | None = None, **signals: ArrayLike
-    ) -> "Record":
+    def with_signals(self, units: NamedStrings | None = None, **signals: ArrayLike) -> "Record":
         """Return the record with signals added or replaced."""
         # The numbers are no longer those of the file, so the checksum is computed again.
         return replace(
@@ -229,7 +227,7 @@ class Record:
         frame: Frame,
         *,
         time: str | None = None,
-        units: Mapping[str, str] | None = None,
+        units: NamedStrings | None = None,
         **others: Any,
     ) -> Self:
         """Return the columns of a pandas data frame as signals.

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.magnitude_phase import angular_frequency, complex_response
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, NamedStrings
 from greybox.files.heading import heading
 from greybox.files.text_table import alternatives
 
@@ -28,7 +28,7 @@ class Column(NamedTuple):
     unit: str
 
 
-def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
+def columns_by_role(columns: NamedStrings, header: Sequence[str]) -> dict[str, Column]:
     """Return the column of every role, from ``{"frequency": "f:Hz", "magnitude": "mag:dB", ...}``.
 
     Names are those in the header, with or without a unit in brackets. A unit behind a colon

@@ -1,7 +1,7 @@
 """Writes and reads frequency responses as CSV files."""
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from greybox.data.response_columns import (
     columns_by_role,
     written_columns,
 )
-from greybox.files.arrays import by_name
+from greybox.files.arrays import NamedStrings, by_name
 from greybox.files.delimited_text import numbered, read_delimited, write_delimited
 from greybox.files.safe_files import require_file
 
@@ -30,7 +30,7 @@ def read_response(
     output: str = "",
     name: str = "",
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: NamedStrings | None = None,
 ) -> FrequencyResponse:
     """Read a `FrequencyResponse` from a CSV file.
 
@@ -88,7 +88,7 @@ def read_response(
 
 
 def read_responses(
-    path: str | Path, *, columns: Mapping[str, str] | None = None
+    path: str | Path, *, columns: NamedStrings | None = None
 ) -> tuple[FrequencyResponse, ...]:
     """Read all responses of a matrix, in their order in the file.
 
@@ -173,7 +173,7 @@ def require_csv(path: Path) -> None:
         raise ValueError(f"{path} is not the name of a table: give one that ends in .csv.")
 
 
-def common_facts(units: Mapping[str, str], stretches: Iterable[Stretch]) -> dict[str, str]:
+def common_facts(units: NamedStrings, stretches: Iterable[Stretch]) -> dict[str, str]:
     """Return units and stretches of records as facts for a file."""
     texts = (f"{s.checksum} {s.start!r} {s.end!r}" for s in stretches)
     return {
@@ -182,7 +182,7 @@ def common_facts(units: Mapping[str, str], stretches: Iterable[Stretch]) -> dict
     }
 
 
-def described(facts: Mapping[str, str]) -> dict[str, Any]:
+def described(facts: NamedStrings) -> dict[str, Any]:
     """Return input, output, units, remarks and stretches from the facts of a file."""
     units, about, stretches = {}, {}, []
     for key, text in facts.items():

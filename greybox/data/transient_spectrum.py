@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.checked_array import finite_array, require_size
 from greybox.data.frequency_response import Stretch
-from greybox.files.arrays import Array, ComplexArray, Values, frozen
+from greybox.files.arrays import Array, ComplexArray, NamedStrings, Values, frozen
 from greybox.files.text_table import one_line, printable, write_out
 
 
@@ -50,7 +50,7 @@ class TransientSpectrum:
     duration: float
     step: float
     input_change: Values = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
     stretch: Stretch | None = None

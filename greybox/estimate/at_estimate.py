@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array, NamedStrings, Strings
 from greybox.files.text_table import counted
 from greybox.formulation.input_assumptions import Inputs
 from greybox.formulation.restated_parameter import restated
@@ -86,7 +86,7 @@ def propagated(slope: Array, covariance: Array) -> Array:
     return np.where(lost | lost[:, None], np.nan, result)
 
 
-def _own_names(fit: Any, model: Model, part: FittedRecord, outside: Mapping[str, str]) -> Strings:
+def _own_names(fit: Any, model: Model, part: FittedRecord, outside: NamedStrings) -> Strings:
     """Return the free values that belong to one record alone, by their names in the model.
 
     These are biases, unless records share them under one name, and parameters that have another

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, Strings, Values
+from greybox.files.arrays import Array, ComplexArray, NamedStrings, Strings, Values
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.input_assumptions import Inputs, described_inputs
@@ -58,8 +58,8 @@ class FittedPart:
     delay: str
     data: FrequencyResponse | Record | TransientSpectrum
     weight: float
-    rename: Mapping[str, str]
-    tied: Mapping[str, str]
+    rename: NamedStrings
+    tied: NamedStrings
     constraints: Strings
     model: Mapping[str, Any]
     label: str

@@ -32,7 +32,7 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Array, Interval, Strings, Values, by_name, frozen
+from greybox.files.arrays import Array, Interval, NamedStrings, Strings, Values, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -173,7 +173,7 @@ class Fit(Printed):
     seed: int | None
     starts: str
     seconds: float
-    versions: Mapping[str, str]
+    versions: NamedStrings
     models: tuple[Model, ...] | None = field(default=None, repr=False, metadata=NOT_STORED)
     given: tuple[Model | type[Model], ...] = field(default=(), repr=False, metadata=NOT_STORED)
     white: Array | None = field(default=None, repr=False)

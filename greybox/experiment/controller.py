@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.arrays import Strings, Values, by_name
+from greybox.files.arrays import NamedStrings, Strings, Values, by_name
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -69,7 +69,7 @@ class Controller(ABC):
     inputs: Sequence[str] = ()
     setpoints: Sequence[str] = ("reference",)
     outputs: Sequence[str] = ("u",)
-    units: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    units: ClassVar[NamedStrings] = MappingProxyType({})
     parameters: ClassVar[Mapping[str, Parameter]] = MappingProxyType({})
     rate: float = 400.0
 
@@ -92,7 +92,7 @@ class Controller(ABC):
         values: Values | None = None,
         *,
         rate: float | None = None,
-        signals: Mapping[str, str] | None = None,
+        signals: NamedStrings | None = None,
         initial: Values | None = None,
     ) -> None:
         label = type(self).__name__

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, Values, frozen
+from greybox.files.arrays import Array, NamedStrings, Values, frozen
 from greybox.files.text_table import one_line
 
 NOTHING: Values = MappingProxyType({})  # where no noise, limit or start is given
@@ -51,7 +51,7 @@ class Excitation:
 
     time: Array
     signals: Mapping[str, Array]
-    units: Mapping[str, str]
+    units: NamedStrings
     rate: float
     schedule: tuple[Maneuver, ...]
     settings: Mapping[str, Any] = field(default_factory=dict, repr=False)

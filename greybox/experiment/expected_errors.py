@@ -1,12 +1,10 @@
 """The standard errors that a test would give, before it is flown."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, propagate
-from greybox.files.arrays import Array, Strings, Values, by_name, frozen
+from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -36,7 +34,7 @@ class ExpectedErrors:
     standard_error: Values
     information: Array
     undetermined: Strings
-    units: Mapping[str, str]
+    units: NamedStrings
 
     def __str__(self) -> str:
         rows = [

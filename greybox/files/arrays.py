@@ -12,6 +12,7 @@ ComplexArray = NDArray[np.complexfloating]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
 Values = Mapping[str, float]  # by the names of parameters or signals
+NamedStrings = Mapping[str, str]  # by the names of signals, columns or facts
 Interval = tuple[float, float]  # its low and its high end
 Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 

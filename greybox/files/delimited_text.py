@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.files.arrays import Array, Strings, by_name, frozen
+from greybox.files.arrays import Array, NamedStrings, Strings, by_name, frozen
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, is_number
 
@@ -57,7 +57,7 @@ class DelimitedText:
     header: Strings
     lines: Sequence[str]
     line_numbers: Sequence[int]
-    facts: Mapping[str, str]
+    facts: NamedStrings
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield the number of each line and its stripped cells; a line may have too few of them.
@@ -86,7 +86,7 @@ class DelimitedText:
                 f"{self.path} is not a table of numbers ({problem}): save it as plain CSV."
             ) from None
 
-    def numbers(self, places: Mapping[str, int], texts: Mapping[str, str]) -> dict[str, Array]:
+    def numbers(self, places: Mapping[str, int], texts: NamedStrings) -> dict[str, Array]:
         """Return columns of numbers, (n,) arrays, by name from their places, from 0.
 
         Rows in which only the first of these columns has a value are left out, and rows without
@@ -187,7 +187,7 @@ def numbered(text: DelimitedText) -> DelimitedText:
 
 
 def write_delimited(
-    path: Path, facts: Mapping[str, str], columns: Mapping[str, Iterable[object]]
+    path: Path, facts: NamedStrings, columns: Mapping[str, Iterable[object]]
 ) -> None:
     """Write facts as comments ``# key: value``, then columns of numbers, for `read_delimited`."""
     text = io.StringIO()

@@ -1,9 +1,9 @@
 """An earlier fit whose values a problem uses as constants; its covariance widens the errors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array, NamedStrings, Values
 
 
 @runtime_checkable
@@ -26,7 +26,7 @@ class HeldEstimate(Protocol):
 
 
 def shared_parameters(
-    held: HeldEstimate, outside: Mapping[str, str], what: str
+    held: HeldEstimate, outside: NamedStrings, what: str
 ) -> dict[str, HeldEstimate]:
     """Return the estimate by the name of every parameter that it has under its outside name.
 

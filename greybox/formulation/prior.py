@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Strings, frozen
+from greybox.files.arrays import Array, NamedStrings, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
@@ -68,7 +68,7 @@ def normal_priors(
     declared: Mapping[str, Parameter],
     tied: Mapping[str, Any],
     prior: Any,
-    outside: Mapping[str, str],
+    outside: NamedStrings,
 ) -> list[NormalPrior]:
     """Return the priors of free parameters: those of `prior`, else those of the model.
 

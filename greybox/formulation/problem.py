@@ -15,7 +15,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Interval, Values, frozen
+from greybox.files.arrays import Interval, NamedStrings, Values, frozen
 from greybox.files.text_table import as_names, one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
@@ -173,7 +173,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     constraints: Sequence[ParameterFormula] = ()
     delay: str = "exact"
     at: Values = field(default_factory=dict)
-    rename: Mapping[str, str] = field(default_factory=dict)
+    rename: NamedStrings = field(default_factory=dict)
     weight: float = 1.0
     name: str = ""
     amplitude: Sine = None  # type: ignore[assignment]

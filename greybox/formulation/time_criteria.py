@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Strings, Values, frozen
+from greybox.files.arrays import NamedStrings, Strings, Values, frozen
 from greybox.files.text_table import as_names
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
@@ -273,7 +273,7 @@ class PredictionError(TimeCriterion):
 
     corrected: Sequence[str] = ()
     process_noise: Sequence[str] = ()
-    disturbance: Mapping[str, str] = field(default_factory=dict)
+    disturbance: NamedStrings = field(default_factory=dict)
     rule = "prediction error, one sample ahead"
     condition = "stationary innovations that no past input or output predicts"
     corrects_states = True

@@ -17,7 +17,7 @@ from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import known_unit
-from greybox.files.arrays import Interval, Strings, frozen
+from greybox.files.arrays import Interval, NamedStrings, Strings, frozen
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -86,7 +86,7 @@ class Settings:
     output: str
     instrument: str = ""
     announced: str = ""
-    fields: Mapping[str, str] = field(default_factory=dict)
+    fields: NamedStrings = field(default_factory=dict)
     setpoint: str = ""
     axis: str = ""
     tests: str = ""
@@ -208,7 +208,7 @@ class Measurement:
     settings: Settings
     tests: tuple[Segment, ...]
     used: tuple[Segment, ...]
-    signals: Mapping[str, str]
+    signals: NamedStrings
     record: Record
     response: FrequencyResponse | None
     quality: Quality
@@ -530,7 +530,7 @@ def _about(
     recording: Recording,
     record: Record,
     response: FrequencyResponse,
-    signals: Mapping[str, str],
+    signals: NamedStrings,
     used: Sequence[Segment],
     settings: Settings,
 ) -> dict[str, str]:
@@ -560,7 +560,7 @@ def _about(
     return {key: text for key, text in about.items() if text}
 
 
-def _kind(signals: Mapping[str, str], used: Sequence[Segment], settings: Settings) -> str:
+def _kind(signals: NamedStrings, used: Sequence[Segment], settings: Settings) -> str:
     if used and used[0].kind == "sine":
         return "single sines"
     way = "periodic" if settings.period else "spectral"
@@ -584,7 +584,7 @@ def _excitation(used: Sequence[Segment]) -> str:
     return f"{counted(len(used), used[0].kind)}{axis}{size}, {band}, {times}"
 
 
-def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:
+def _conversions(recording: Recording, signals: NamedStrings) -> list[str]:
     """Return which signals were converted to SI, and from which unit."""
     changed = []
     for name, signal in signals.items():
@@ -602,7 +602,7 @@ def _choices(
     settings: Settings,
     used: Sequence[Segment],
     controller: str,
-    signals: Mapping[str, str],
+    signals: NamedStrings,
     response: FrequencyResponse | None,
 ) -> Strings:
     loop = "open loop, as stated" if settings.open_loop else loop_text(controller)

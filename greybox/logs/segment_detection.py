@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array, IntArray, Strings, Values
+from greybox.files.arrays import Array, IntArray, NamedStrings, Strings, Values
 from greybox.files.text_table import as_names
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
@@ -42,7 +42,7 @@ STICK_TRAVEL = {"": 1000.0, "RCIN": 1000.0, "manual_control_setpoint": 2.0}
 def find_segments(
     data: Recording | Record,
     message: str = "",
-    fields: Mapping[str, str] | None = None,
+    fields: NamedStrings | None = None,
     setpoint: str | Sequence[str] = (),
 ) -> tuple[Segment, ...]:
     """Return the excited segments of a flight, in order of time.
@@ -151,7 +151,7 @@ def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, st
 
 
 def _announced(
-    data: Recording | Record, message: str, fields: Mapping[str, str] | None
+    data: Recording | Record, message: str, fields: NamedStrings | None
 ) -> list[Segment]:
     record = data[message] if isinstance(data, Recording) else data
     chosen = dict(fields) if fields else {k: v for k, v in ANNOUNCED.items() if v in record.signals}

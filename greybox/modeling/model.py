@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from greybox.files.arrays import Interval, Strings, Values
+from greybox.files.arrays import Interval, NamedStrings, Strings, Values
 from greybox.files.text_table import alternatives
 from greybox.modeling.parameter import Parameter
 
@@ -109,7 +109,7 @@ class Model(ABC):
     """
 
     parameters: Mapping[str, Parameter] = MappingProxyType({})
-    units: Mapping[str, str] = MappingProxyType({})
+    units: NamedStrings = MappingProxyType({})
     derived: ClassVar[Mapping[str, ParameterFormula]] = MappingProxyType({})
     arguments: tuple[tuple[Any, ...], dict[str, Any]]
 

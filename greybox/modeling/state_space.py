@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.files.arrays import Strings
+from greybox.files.arrays import NamedStrings, Strings
 from greybox.modeling.model import Model, require_known, require_signal_names
 
 
@@ -45,7 +45,7 @@ class StateSpace(Model):
     states: Sequence[str] = ()
     inputs: Sequence[str] = ("u",)
     outputs: Sequence[str] = ("y",)
-    delays: Mapping[str, str] = MappingProxyType({})
+    delays: NamedStrings = MappingProxyType({})
 
     trim: Callable[[Any, Any], Mapping[str, Any]] | None = None
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, Strings, Values, by_name, frozen
+from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -77,12 +77,12 @@ class EquationErrorEstimate:
     estimate: Values
     equations: tuple[UsedEquation, ...]
     left_out: Strings
-    missing: Mapping[str, str]
+    missing: NamedStrings
     at_bound: Strings
     states: Strings
     parameters: Mapping[str, Parameter]
     warnings: Strings
-    inputs: Mapping[str, str]
+    inputs: NamedStrings
 
     def __repr__(self) -> str:
         return one_line(self, self.name, f"estimates of {', '.join(self.estimate) or 'nothing'}")

@@ -1,13 +1,13 @@
 """Records cut into uniformly sampled stretches without gaps, for transforms."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array, NamedStrings, Values
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
@@ -22,7 +22,7 @@ class UniformStretch(NamedTuple):
     step: float
     source: str
     origin: Stretch
-    units: Mapping[str, str]
+    units: NamedStrings
     hold: Values
 
 

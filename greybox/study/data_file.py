@@ -10,7 +10,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.files.arrays import Strings
+from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
@@ -26,7 +26,7 @@ def read_data(
     model: Model,
     input: str = "",
     output: str = "",
-    columns: Mapping[str, str] | None = None,
+    columns: NamedStrings | None = None,
     rate: float | None = None,
     prepare: Mapping[str, Any] | None = None,
 ) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record:
@@ -91,7 +91,7 @@ def _header(path: Path) -> Strings | None:
     return None if b"\0" in head else read_delimited(path, head).header
 
 
-def _is_response(path: Path, columns: Mapping[str, str]) -> bool:
+def _is_response(path: Path, columns: NamedStrings) -> bool:
     if columns:
         return bool({"frequency", "magnitude"} & columns.keys())
     names = _header(path)

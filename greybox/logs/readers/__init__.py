@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Strings
+from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import printable
 from greybox.logs.named_columns import in_si
@@ -99,7 +99,7 @@ FORMATS = (
 def read(
     path: str | Path,
     messages: Collection[str] | None = None,
-    columns: Mapping[str, str] | None = None,
+    columns: NamedStrings | None = None,
     rate: float | None = None,
 ) -> Recording:
     """Read a flight log or a table of measured signals, whatever its format.

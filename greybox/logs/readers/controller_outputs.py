@@ -12,12 +12,12 @@ among its parameters.
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import median_step
-from greybox.files.arrays import Values
+from greybox.files.arrays import NamedStrings, Values
 from greybox.logs.readers.messages import Messages
 
 # Message and fields. For fields in neither table, it is unknown.
@@ -88,7 +88,7 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
     return holds | dict.fromkeys(_among(OUTPUTS, group), period)
 
 
-def _among(table: Mapping[str, str], group: Messages) -> list[str]:
+def _among(table: NamedStrings, group: Messages) -> list[str]:
     """Return the columns that a table of fields by message has."""
     # All instances of a message, IMU[0] and IMU[1], have the same fields.
     message = group.name.partition("[")[0]

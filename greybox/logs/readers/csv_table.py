@@ -1,7 +1,7 @@
 """Tables of measured signals as text: a header line, a time column, and numeric columns."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.record import Recording
 from greybox.data.time_column import TIMES, seconds
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, NamedStrings
 from greybox.files.delimited_text import (
     MISSING,
     DelimitedText,
@@ -31,7 +31,7 @@ from greybox.logs.readers.table_columns import time_column
 def read(
     path: Path,
     messages: Collection[str] | None = None,
-    stated: Mapping[str, str] | None = None,
+    stated: NamedStrings | None = None,
     rate: float | None = None,
 ) -> Recording:
     """Read a table with a header line into one record named after the file.

@@ -1,13 +1,13 @@
 """Units of a DataFlash log: UNIT and MULT name them by a letter, and FMTU uses the letters."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from pymavlink.DFReader import MULT_TO_PREFIX
 
-from greybox.files.arrays import Strings
+from greybox.files.arrays import NamedStrings, Strings
 from greybox.logs.readers.ardupilot_metadata import column, unit
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.messages import Messages
@@ -30,7 +30,7 @@ USUAL = {
 class Units(NamedTuple):
     """Unit of every column of one type, and the column of instances, if any."""
 
-    columns: Mapping[str, str]
+    columns: NamedStrings
     instance: str
 
 

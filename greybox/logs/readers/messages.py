@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import GAP, Record
-from greybox.files.arrays import Array, IntArray, Strings, Values, frozen
+from greybox.files.arrays import Array, IntArray, NamedStrings, Strings, Values, frozen
 from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
 
@@ -41,7 +41,7 @@ class Messages:
     time: Array | None
     columns: Mapping[str, Array]
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: NamedStrings = field(default_factory=dict)
     instance: str = ""
     hold: Values = field(default_factory=dict)
 

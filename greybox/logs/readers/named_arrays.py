@@ -3,12 +3,12 @@
 The same records are made of the topics of PX4 logs and of tables of text.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array, NamedStrings, Values
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
@@ -38,7 +38,7 @@ class Contents(NamedTuple):
 def read(
     path: Path,
     messages: Collection[str] | None = None,
-    stated: Mapping[str, str] | None = None,
+    stated: NamedStrings | None = None,
     rate: float | None = None,
 ) -> Recording:
     """Read every group or struct that has a time into a record.
@@ -124,7 +124,7 @@ def recording(
     contents: Contents,
     messages: Collection[str] | None = None,
     parameters: Values | None = None,
-    stated: Mapping[str, str] | None = None,
+    stated: NamedStrings | None = None,
     rate: float | None = None,
     *,
     rows_allowed: bool = False,

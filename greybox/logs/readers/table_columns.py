@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.time_column import seconds, tick, times_in_seconds
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array, NamedStrings, Strings
 from greybox.files.text_table import some
 from greybox.logs.readers.messages import Messages
 
@@ -18,7 +18,7 @@ WIDEST = 64
 
 
 def table(
-    name: str, columns: Mapping[str, Array], units: Mapping[str, str], rate: float | None = None
+    name: str, columns: Mapping[str, Array], units: NamedStrings, rate: float | None = None
 ) -> tuple[Messages, Strings]:
     """Make messages of columns that share a time, and findings on those that were left out.
 
@@ -74,7 +74,7 @@ def table(
     )
 
 
-def time_column(columns: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> str:
+def time_column(columns: Mapping[str, NDArray[Any]], units: NamedStrings) -> str:
     """Return the name of the time: a vector of this name, or a first one that is a clock."""
     vectors = [key for key, values in columns.items() if values.ndim == 1 and values.size]
     timer = next((key for key in vectors if seconds(key, units.get(key, ""))), "")
