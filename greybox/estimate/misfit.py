@@ -195,11 +195,11 @@ class Misfit(Printed):
                 f"at one end: otherwise, {left} what drove the test{noise}"
             )
         if self.explains:
+            terms = f"none of {self.tried} missing terms"
             # From residuals of half the standard deviation of an output on.
-            size = f" ({percent(self.left)} % of the variance)" * (self.left > 0.25)
-            return (
-                f"explains the data: the residuals{size} follow none of {self.tried} missing terms"
-            )
+            if self.left > 0.25:
+                return f"may explain the data: {left} {terms}"
+            return f"explains the data: the residuals follow {terms}"
         common = self.p_common < self.level
         return (
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"
