@@ -196,10 +196,12 @@ class Misfit(Printed):
             )
         if self.explains:
             terms = f"none of {self.tried} missing terms"
-            # From residuals of half the standard deviation of an output on.
-            if self.left > 0.25:
+            # Residuals of half the standard deviation of an output, or more. White ones are noise;
+            # those that their past predicts may also be a motion that the model lacks.
+            if self.left * self.drift > 0.25:
                 return f"may explain the data: {left} {terms}"
-            return f"explains the data: the residuals follow {terms}"
+            size = f" ({percent(self.left)} % of the variance)" * (self.left > 0.25)
+            return f"explains the data: the residuals{size} follow {terms}"
         common = self.p_common < self.level
         return (
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"
