@@ -111,7 +111,7 @@ class DelimitedText:
             if any(cells[1:]) and texts.items() <= named.items():
                 rows.append((number, cells))
 
-        # All cells decide together: 1,234 alone may be either.
+        # All cells are read together, since 1,234 alone may be either.
         comma = has_decimal_comma(self.path, rows)
         values = []
         for number, cells in rows:

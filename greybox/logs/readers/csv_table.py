@@ -39,11 +39,10 @@ def read(
 
     The cells are separated by semicolons, tabs, commas or blanks; the numbers may have decimal
     commas, see `greybox.files.delimited_text`. Units are in the header, ``pitch [deg]`` or
-    ``pitch (deg)``, or in a line of their own below it. So is the course of a signal between its
+    ``pitch (deg)``, or in a line of their own below it. So is how a signal varies between its
     samples, if it is known: ``u [1 held]`` for the output of a controller, which holds it, and
-    ``pitch [deg sampled]`` for samples of what is continuous.
-    Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as ``nan``, are
-    missing samples.
+    ``pitch [deg sampled]`` for samples of a continuous signal. Lines that start with ``#`` or ``%``
+    are comments; empty cells, and words such as ``nan``, are missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
     in ``time_s``, ``time_ms``), or TimeUS, TimeMS as the tools of ArduPilot write it; for times
@@ -96,8 +95,9 @@ def read(
     if unread and not (is_timed or rate):
         unit = f" [{unread.unit}]" if unread.unit else ""
         raise ValueError(
-            f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known "
-            "unit: give it in seconds as 'time [s]', or another name if it is no time."
+            f"{path} has the column '{unread.name}{unit}', which is not a time in numbers with a "
+            "known unit: give it in seconds as 'time [s]', or give it another name if it is not a "
+            "time."
         )
 
     variables = [
