@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import NOT_STORED, Record
@@ -554,7 +555,7 @@ class Fit(Printed):
         response, slope = response_and_slope(
             model,
             values,
-            np.atleast_1d(np.asarray(omega, dtype=float)),
+            finite_numbers("omega", omega),
             fitted.sine,
             fitted.data.omega,
             **fitted.signals,

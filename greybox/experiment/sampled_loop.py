@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import finite_numbers
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Strings, Values, frozen
 from greybox.modeling.held_inputs import held_response
@@ -122,7 +123,7 @@ class SampledLoop:
         names = self.signals
         require_known((added_to, *signals), names, "signal", "the loop")
 
-        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        omega = finite_numbers("omega", omega)
         plant = self.plant_response(omega) if plant is None else plant
         control = self.controller.response(np.exp(1j * omega * self.period))
         k = len(self.sensors)

@@ -198,3 +198,11 @@ def test_times_in_any_unit_of_time(saved, header):
     recording = saved(f"{header},x\n{rows}\n")
     np.testing.assert_allclose(recording["flight"].time, 2 * np.arange(9), atol=1e-5)
     assert recording.findings == ()
+
+
+@pytest.mark.parametrize("end", ["", "Z"])
+def test_dates_are_times(saved, end):
+    rows = (f"2026-05-01T10:59:59.{k:02d}{end},{k}" for k in range(95, 100))
+    recording = saved("\n".join(["timestamp,u", *rows, f"2026-05-01 11:00:00{end},100"]))
+    np.testing.assert_allclose(recording["flight"].time, 0.01 * np.arange(6), atol=1e-6)
+    assert recording["flight"]["u"].tolist() == list(range(95, 101))
