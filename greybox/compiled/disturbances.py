@@ -59,10 +59,6 @@ class DisturbedRecord:
         row = np.eye(len(self._slopes_of_formulas))[self.part.states + place]
         return self._by_formulas(row[:, None], values)
 
-    def by_scale(self, place: int, values: Array) -> Effect:
-        """Return the effect of the scale of an output that grows by values (c, samples)."""
-        return self.by_output(place, values * self.outputs[place])
-
     def by_parameter(self, place: int, values: Array) -> Effect:
         """Return the effect of an active parameter that changes by values (c, samples)."""
         change = self.part.segments.columns(values)[:, None]
