@@ -33,6 +33,7 @@ class DisturbedRecord:
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
         self.residuals = part.residuals(trajectory)
+        self.step = part.data.stretches[0].step
         self.weight = part.residual_weight(trajectory)
         # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)

@@ -405,8 +405,8 @@ def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested]
     The unit term is what fits best.
     """
     tested = []
-    # With more knots than a tenth of the numbers, noise of single outputs would be fitted.
-    most = max((len(group.residuals) - sum(part.lost for part in group.parts)) // 10, 2)
+    # More knots would fit the noise of short records, which lines and initial states leave.
+    most = max(len(group.white_residuals) // 15, 2)
     for key, knots in functions.items():
         # Where a part has no such place, its residuals follow nothing there.
         signals = [

@@ -10,7 +10,7 @@ import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -209,8 +209,8 @@ TEXTS = {
 TIMES = (0.001, 0.3, 1.0, 3.0)
 # Of saturations, dead zones and backlash, over the largest input.
 LEVELS = (0.2, 0.4, 0.7)
-# Of rate limits, over the mean speed of an input: steps are hardly followed with less, and a sine is
-# everywhere slower than 1.6 times the mean. At 0.7 times a limit, backlash explains more.
+# Of rate limits, over the mean speed of an input: with less, steps are hardly followed, and a sine
+# is nowhere faster than 1.6 times the mean. At 0.7 times a limit, backlash explains more.
 RATES = np.geomspace(0.5, 2.5, 6)
 # Share of half a step by which a delay that is due to a hold may differ from it. Its size is that
 # of first order: 3 to 9 % too large with square waves, steps and sweeps, and half as much again
@@ -341,14 +341,17 @@ def terms_of_record(
         yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
         for power in (2, 3):
             yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
-        jump = _jump(y, record.residuals[k] * record.present[k])
-        yield Term("sensor scale", jump, by_output, b=b, tries=len(y))
+        # From each sample on, the errors along the output and its squares: a jump of its scale is
+        # where the errors show it best.
+        along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
+        later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
+        yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
         if len(part.outputs) > 1:
             for row, T in _delays(record, y):
                 yield Term("sensor", row, by_output, b=b, scale=T)
         for u, a in inputs:
             # A controller responds at once: the noise of a sample is in the input at the same time.
-            past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
+            past = record.by_stretch(_delayed, u, record.step)
             yield Term("direct", past, by_output, a, b)
 
     # As an impulse that lasts half of the first step.
@@ -383,17 +386,22 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
 
 
 def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator[Term]:
-    part = record.part
+    part, log = record.part, record.part.model.record
     samples, ones = np.linspace(-0.5, 0.5, part.samples), np.ones(part.samples)
     # Among several records, one may need different values.
     changes = [("change", samples, ""), ("own", ones, part.name)]
     changes += [("change", 1.0 * (samples > share), "") for share in JUMPS]
     # A signal that the model does not use, such as an airspeed, may order the flights, or act.
-    unused = _unused(record)
-    changes += [("schedule", row, b) for b, row in unused.items()]
-    for i, (a, row) in itertools.product(dynamic_equations(part), unused.items()):
-        place, b = partial(record.by_state, i), part.system.states[i]
-        yield Term("equation", row, place, a, b, code=f"u.{a}, an input")
+    motion = np.vstack([record.states, record.inputs]).T
+    for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
+        # Noise of a sample may be that of the output: what the signal does, it does later.
+        past = record.by_stretch(_delayed, *part.data.at_samples(log[b]), record.step)
+        # Another sensor of the motion shows gusts, too, and would look like their cause.
+        if np.var(beside(past[:, None], motion)) > np.var(past) / 2:
+            changes.append(("schedule", past, b))
+            for i in dynamic_equations(part):
+                a, place = part.system.states[i], partial(record.by_state, i)
+                yield Term("equation", past, place, b, a, code=f"u.{b}, an input")
     gains = {f"K_{state}_{output}" for state, output in part.gains}
     for place, k in enumerate(part.model.active):
         # Gains correct what the model misses: they are not what it misses.
@@ -408,23 +416,6 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
             yield Term("fixed", ones, by_constant, part.model.outside_names[k])
 
 
-def _unused(record: DisturbedRecord) -> dict[str, Array]:
-    """Return the logged signals (samples,) that the model does not have, late by a sample.
-
-    Those of which states and inputs explain half are left out: another sensor of the motion shows
-    gusts, too, and would look like their cause. Noise of a sample may be that of the output.
-    """
-    part, log = record.part, record.part.model.record
-    motion = np.vstack([record.states, record.inputs, np.ones(part.samples)]).T
-    names = sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs})
-    return {
-        name: record.by_stretch(_delayed, row, part.data.stretches[0].step)
-        for name in names
-        for row in part.data.at_samples(log[name])
-        if np.var(beside(row[:, None], motion)) > np.var(row) / 2
-    }
-
-
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
     """Yield what delays of a signal change, and their sizes."""
     for T in np.std(row) / (np.std(record.by_stretch(_backward, row)) + 1e-300) * np.array(TIMES):
@@ -432,7 +423,7 @@ def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
-    step = record.part.data.stretches[0].step
+    step = record.step
     model = record.part.model
     is_unstated = model.criterion.inputs == "record" and a not in model.record.hold
     half_step = step / 2 if is_unstated else np.inf
@@ -476,14 +467,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     by_input, name = partial(record.by_input, 0), record.part.system.inputs[0]
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        # A stretch may have one sample.
-        rate = record.by_stretch(
-            _backward
-            if record.is_predicted
-            else lambda row, step: np.gradient(np.append(row, row[-1]), step)[:-1],
-            y,
-        )
-        for signal, row in ((b, y), (f"{b}'", rate)):
+        for signal, row in ((b, y), (f"{b}'", record.by_stretch(_backward, y))):
             yield Term("feedback function", row, by_input, signal, name, knots=KNOTS)
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)
@@ -498,28 +482,23 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
 
     prefixes = {**dict.fromkeys(x, "x."), **dict.fromkeys(u, "u."), "sign": "gb."}
 
-    # Equations of a small model have the same neighbors, and so the same functions of them.
-    @cache
-    def shapes_of(names: frozenset[str]) -> dict[str, tuple[Array, Formula]]:
-        near = [name for name in (*x, *u) if name in names]
-        formulas = {name: _formula(lambda a: a, name) for name in (*x, *u)}
-        for a, b in itertools.combinations(near, 2):
-            if a in x:
-                formulas[f"{a} * {b}"] = _formula(operator.mul, a, b)
-        for name in near:
-            forms = _forms(name, x[name]) if name in x else {}
-            formulas |= {text: _formula(form, name) for text, form in forms.items()}
-        return {
-            text: (np.zeros(record.part.samples) + formula(*signals), formula)
-            for text, formula in (formulas | {**candidates}).items()
-        }
+    # Functions by their code, with the signals that an equation must have for them.
+    formulas = {name: (set[str](), _formula(lambda a: a, name)) for name in (*x, *u)}
+    for a, b in itertools.combinations((*x, *u), 2):
+        if a in x:
+            formulas[f"{a} * {b}"] = ({a, b}, _formula(operator.mul, a, b))
+    for name, row in x.items():
+        for text, form in _forms(name, row).items():
+            formulas.setdefault(text, ({name}, _formula(form, name)))
+    formulas |= {text: (set(), formula) for text, formula in candidates.items()}
 
     for i, (names, present) in dynamic_equations(record.part).items():
         b, by_state = system.states[i], partial(record.by_state, i)
         factors = zip(record.part.outputs, record.measured_derivatives[:, i].tolist(), strict=True)
         outputs = {name: factor for name, factor in factors if factor}
-        for a, (row, formula) in shapes_of(names).items():
-            if a not in present:
+        for a, (needed, formula) in formulas.items():
+            if needed <= names and a not in present:
+                row = np.zeros(record.part.samples) + formula(*signals)
                 code = re.sub(r"\w+", lambda word: prefixes.get(word[0], "") + word[0], a)
                 yield Term(
                     "equation", row, by_state, a, b, added=formula, code=code, outputs=outputs
@@ -579,12 +558,6 @@ def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[s
         )
         for i in dynamic or own
     }
-
-
-def _jump(y: Array, e: Array) -> Array:
-    """Return an output (n,) from the sample on where its errors show a jump of its scale best."""
-    along, squares = np.cumsum((y * [e, y])[:, ::-1], axis=1)[:, ::-1]
-    return y * (np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300)))
 
 
 def _backward(piece: Array, step: float) -> Array:
