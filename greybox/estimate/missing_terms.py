@@ -392,7 +392,7 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
     changes = [("change", samples, ""), ("own", ones, part.name)]
     changes += [("change", 1.0 * (samples > share), "") for share in JUMPS]
     # A signal that the model does not use, such as an airspeed, may order the flights, or act.
-    motion = np.vstack([record.states, record.inputs]).T
+    motion = np.vstack([record.states, record.inputs, ones]).T
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
         # Noise of a sample may be that of the output: what the signal does, it does later.
         past = record.by_stretch(_delayed, *part.data.at_samples(log[b]), record.step)
@@ -467,7 +467,14 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     by_input, name = partial(record.by_input, 0), record.part.system.inputs[0]
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        for signal, row in ((b, y), (f"{b}'", record.by_stretch(_backward, y))):
+        # A stretch may have one sample.
+        rate = record.by_stretch(
+            _backward
+            if record.is_predicted
+            else lambda row, step: np.gradient(np.append(row, row[-1]), step)[:-1],
+            y,
+        )
+        for signal, row in ((b, y), (f"{b}'", rate)):
             yield Term("feedback function", row, by_input, signal, name, knots=KNOTS)
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)
