@@ -96,7 +96,7 @@ def kept(folder, listed):
     stored = {member.name: member for member in read_members(folder)}
     for member in listed:
         if member.name in stored and stored[member.name].runs:
-            runs = StoredRuns(folder, member.name).known(fingerprint(member.problem, member.by))
+            runs = StoredRuns(folder, member.name).stored(fingerprint(member.problem, member.by))
             count += len(list(runs.values()))
         if member.name in stored and stored[member.name].answer:
             assert stored[member.name].fit is not None

@@ -31,7 +31,7 @@ from greybox.estimate.draws import Draws as Draws, draws as draws
 from greybox.estimate.fit import fit as fit
 from greybox.estimate.misfit_test import misfit as misfit
 from greybox.estimate.profile import profile as profile
-from greybox.estimate.profiles import Profiles as Profiles
+from greybox.estimate.profile_result import Profiles as Profiles
 from greybox.estimate.result import Fit as Fit
 from greybox.estimate.storage import load as load, save as save
 from greybox.estimate.structural_identifiability import (

@@ -186,7 +186,7 @@ def copter(parameters, axis, rate):
 
 
 def plane(parameters, axis, rate, scaler=1.0):
-    """Return the same of Plane, with its speed scaler."""
+    """Return the same for Plane, with its speed scaler."""
     if axis not in PLANE:
         raise ValueError(f"the controller of {axis} is not modeled for a plane: roll or pitch is.")
     name, servo = PLANE[axis]

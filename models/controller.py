@@ -85,7 +85,7 @@ class AttitudeController(gb.Controller):
 
 
 class ControlUnit(gb.Controller):
-    """The control in the unit of a logged signal, which is the input of the plant."""
+    """The control in the unit of the logged signal that is the input of the plant."""
 
     inputs, setpoints, outputs = (), ("control",), ("u",)
     unit = gb.Parameter(1.0, bounds=(1e-6, 1e6), unit="1", about="what is logged of a control of 1")

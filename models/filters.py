@@ -94,7 +94,7 @@ class Notch(gb.TransferFunction):
     $$F(s) = \frac{s^2 + 10^{-A/20} \frac{\omega_0}{Q} s + \omega_0^2}{s^2 + \frac{\omega_0}{Q} s +
     \omega_0^2}$$
 
-    Its numbers are constants, not parameters: several notches in series have several.
+    Its numbers are constants, not parameters: several notches in series have different ones.
 
     Source: NotchFilter.cpp of ArduPilot, after R. Bristow-Johnson, Cookbook formulae for audio
     equalizer filters.

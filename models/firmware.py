@@ -324,7 +324,7 @@ PREFIXES = {
 }
 
 
-# How the names of the parameters begin that are gains, by the class of the controller.
+# How the names of gains among the parameters begin, by the class of the controller.
 BEGINNINGS = {
     _quadplane: lambda axis: {
         "AngleController": f"Q_A_ANG_{ardupilot.COPTER[axis]}_",
@@ -476,7 +476,7 @@ def _logged_signals(fit):
 
 
 def _control_unit(recording, axis, control):
-    """Return what is logged of a control of 1 in a control of the axis."""
+    """Return the logged value of a control of 1, for a control of the axis."""
     controls = AXES[axis].controls
     if control and control not in controls:
         logged = [name for name in controls if name.partition(".")[0] in recording]
@@ -571,12 +571,12 @@ def disagreements(model, measured):
 
     One sentence says so if the loop of the model is unstable, although it flew.
 
-    Apart are values whose difference exceeds 1.5 times half the lengths of their 95 % intervals in
-    quadrature, 3 standard errors: several margins are compared.
+    Values contradict each other if they differ by more than 1.5 times the half lengths of their 95
+    % intervals in quadrature, 3 standard errors: several margins are compared.
     """
     if not model.is_stable:
         what = "the model, the gains or the log are wrong"
-        return (f"The loop flew, but that of the model is unstable: {what}.",)
+        return (f"The vehicle flew, but the loop with the model is unstable: {what}.",)
     sentences = []
     for answer in measured:
         for name in ("phase margin", "gain margin", "delay margin", "crossover"):

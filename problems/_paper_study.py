@@ -3,7 +3,7 @@
 ``greybox batch paper --out DIR`` fits them all from 200 starts, by three criteria, with the exact
 and a Padé delay, and ``python -m greybox.problems._paper_study DIR`` also prints the estimates
 beside those of the paper. Structures of a rate, (2.5) to (2.12) and (4.34), are fitted to the
-response of the angle times s. Rotor and delay are fixed at (4.22), but for the rotor's own table
+response of the angle times s. Rotor and delay are fixed at (4.22), except for the rotor's own table
 and for (2.13), which has no delay.
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, Tables 3.1, 4.2 and
@@ -51,7 +51,7 @@ RATES = {
 }
 YAW_RATES = {"(2.8)": YawRateLag, "(2.10)": YawRateLead, "(4.34)": YawRate}
 
-# What the paper has published, by the structure and table that it is the estimate of.
+# The published estimates, by structure and table.
 PUBLISHED = {
     "roll (2.13)": roll_hover_ls.published,
     "pitch (2.13)": pitch_hover_ls.published,

@@ -30,7 +30,7 @@ BAND = 2 * np.pi * np.array([20.0, 1150.0])  # rad/s
 FOLDER = Path(__file__).parent / "data"
 
 # Peaks of the response at 300 mV. Shapes: linear least squares at these frequencies and a damping
-# of 0.012, and of every mode the part of rank one, in µm/V.
+# of 0.012, and the rank-one part of every mode, in µm/V.
 MODES = (
     Mode(2 * np.pi * 636.0, (-0.16, -0.01, -0.42), (1.0, 0.85, -0.59)),
     Mode(2 * np.pi * 805.8, (-0.49, 1.5, -0.79), (1.0, -0.55, -0.58)),

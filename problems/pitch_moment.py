@@ -71,8 +71,8 @@ def flights(angles=ANGLES, starts=None):
 
     A noise-free response of the chosen structure is added to the tables, and each rival fitted to
     all three: by how many variances of the errors its sum of squares is the larger, which is the
-    expected difference of AIC. From 10 on the rival has no support (Burnham and Anderson (2002),
-    section 2.6).
+    expected difference of AIC. From 10 upward the rival has no support (Burnham and Anderson
+    (2002), section 2.6).
     """
     by = {"criterion": gb.SquaredRelativeError()}
     chosen = gb.fit(problem().with_(**by), starts, progress=False)

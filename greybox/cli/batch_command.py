@@ -97,7 +97,7 @@ def _checked(folder: Path) -> Answer:
     require_file(folder / DATABASE)
     with locked(folder):
         if not is_study(folder):  # a damaged database was set aside
-            return ({"error": f"no member is whole; {RESUME.format(folder)}."},)
+            return ({"error": f"no member is complete; {RESUME.format(folder)}."},)
         return _answer(read_study(folder))
 
 

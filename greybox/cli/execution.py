@@ -44,7 +44,7 @@ def _answer(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
             # Texts and warnings name the arguments that would choose otherwise.
             text = "" if options.quiet else as_options("\n".join(lines), options)
             return result, text, USABLE
-        except SystemExit:  # argparse has done its work before: only a user's file calls it here
+        except SystemExit:  # argparse has finished by now: only a user's file calls it here
             return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
         except Exception as error:
             # Libraries turn Ctrl-C into errors of their own.
@@ -79,7 +79,7 @@ def _explain(error: Exception) -> tuple[str, int]:
             return f"{place}{error.msg}.", BAD_INPUT
         return f"{place}{type(error).__name__}: {sentence}", BAD_INPUT
 
-    # The library raises these for what a user gave; anything else is a defect of greybox.
+    # The library raises these for bad input; anything else is a defect of greybox.
     if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
         return sentence, BAD_INPUT
     sentence = f"internal error, {type(error).__name__}: {sentence}"

@@ -12,7 +12,7 @@ from greybox.cli.problem_options import PROBLEM_OPTIONS
 from greybox.cli.saved_fits import require_fit_file
 from greybox.cli.workers import stated_executor
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.fit import SolverChoice, fit_keeping
+from greybox.estimate.fit import SolverChoice, fit_with_storage
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
@@ -27,8 +27,8 @@ from greybox.solve.interruption import (
     responding,
     take_interrupt,
 )
-from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED, SEARCHES
+from greybox.solve.run_storage import RunStorageError
 from greybox.study.stated_problem import stated_problem
 from greybox.study.store import StoredRuns, folder_beside, runs_beside
 
@@ -94,7 +94,7 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
             settings[name] = getattr(options, name)
     by = SolverChoice(settings.pop("method", None), options.search)
     return partial(
-        fit_keeping, problem=problem, by=by, profiles=not options.no_profiles, **settings
+        fit_with_storage, problem=problem, by=by, profiles=not options.no_profiles, **settings
     )
 
 
@@ -108,13 +108,13 @@ def _fitted(
         if stopped.fit is None:
             raise
         return stopped.fit, True
-    except KeptRunsError as error:
+    except RunStorageError as error:
         if stored is None or not options.force:
             raise UsageError(
                 f"{folder_beside(options.out)} has the runs of another, unfinished fit: repeat its "
                 "command, or give --force to start over."
             ) from error
-        # Whoever allows a fit to be overwritten with --force also allows its runs to be lost.
+        # A user who allows a fit to be overwritten with --force also allows its runs to be lost.
         stored.remove()
         return _fitted(make, stored, options)
 

@@ -31,7 +31,6 @@ subject MODEL|RESULT
 STRUCTURE = ("model", "data", "identifiable", "groups", "combinations")
 DATA = (
     "names",
-    "error",
     "insensitivity",
     "beyond",
     "at_bound",
@@ -55,5 +54,7 @@ def run(options: argparse.Namespace) -> Answer:
         )
 
     fit = saved_fit(Path(options.subject), options)
-    answer = {"problem": fit.name, **attributes(fit.identifiability, *DATA)}
-    return answer, f"{fit.name}\n\n{fit.identifiability}"
+    table = fit.identifiability
+    # `error` is what an object has where a command failed.
+    answer = {"problem": fit.name, "relative_error": table.error, **attributes(table, *DATA)}
+    return answer, f"{fit.name}\n\n{table}"

@@ -1,4 +1,4 @@
-"""The command `greybox identify`: from logs to a fitted model in one go."""
+"""The command `greybox identify`: from logs to a fitted model in one step."""
 
 import argparse
 import shlex

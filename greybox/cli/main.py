@@ -36,7 +36,7 @@ GROUPS = {
         "compare": "compare saved fits, or the fits of a study",
         "predict": "predict another log with a saved fit, window by window",
         "simulate": "drive a saved model with the inputs of a log",
-        "identifiability": "which parameters a model, or a fit, can determine",
+        "identifiability": "show which parameters a model or a fit can determine",
         "profile": "compute intervals that need not be symmetric",
         "bootstrap": "compute errors and intervals from resampled data",
     },
@@ -45,7 +45,7 @@ GROUPS = {
         "report": "write a page about results that can be shared",
         "export": "write a fit as a table, JSON or C source",
         "margins": "compute stability margins of a fit in the loop of a controller",
-        "tune": "compute which gains of a controller are safe, and the best",
+        "tune": "compute safe gains of a controller, and the best of them",
     },
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
@@ -160,7 +160,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace | str:
     """Return the options, or the text of --help or --version."""
-    # The first word that is not an option is the command, wherever --json stands.
+    # The first word that is not an option is the command, wherever --json is.
     first = [word for word in arguments if not word.startswith("-")][:1]
     help_or_version = io.StringIO()
     try:

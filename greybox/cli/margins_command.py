@@ -37,7 +37,7 @@ results RESULT...
 {CONTROLLER_OPTIONS}
 --log LOG
     a log, whose controllers are checked; margins are also measured from it (without --controller:
-    the log of the fit, if it lies beside RESULT)
+    the log of the fit, if it is in the folder of RESULT)
 --axis AXIS
     roll, pitch or yaw of the log (default: that of the control of the fit, or pitch)
 --broken-at SIGNAL...
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def refuse_controllers(options: argparse.Namespace) -> None:
-    """Refuse options that state a controller beside a log, which has the one that flew."""
+    """Refuse options that state a controller together with a log, which has the one that flew."""
     for name in ("controller", "set", "rate"):
         if getattr(options, name):
             raise UsageError(

@@ -63,7 +63,7 @@ def stated_band(words: list[str]) -> tuple[float, float] | None:
     """Return the band in rad/s from ``1 80``, ``0.2 12 Hz`` or ``0.2Hz 12Hz``."""
     if not words:
         return None
-    # People write the unit with a space, without one, or behind both numbers.
+    # People write the unit with a space, without one, or after both numbers.
     text = " ".join(words)
     in_hz = text.lower().endswith("hz")
     plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()

@@ -9,7 +9,7 @@ from greybox.cli.output import Answer, require_writable
 from greybox.cli.starting_files import problem_file
 from greybox.files.safe_files import write_text
 
-# A file of one of these names would hide the package that it, or its user, imports.
+# A file with one of these names would hide the package that it, or its user, imports.
 PACKAGES = frozenset(
     "casadi control greybox h5py matplotlib models numpy pandas problems scipy".split()
 )

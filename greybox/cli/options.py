@@ -58,7 +58,7 @@ class UsageError(Exception):
     """A mistake on the command line, in one sentence."""
 
 
-# Help has the meaning beside most options, and examples as they are written.
+# Help has the meaning next to most options, and examples as they are written.
 HelpFormatter = partial(argparse.RawDescriptionHelpFormatter, max_help_position=26)
 
 
@@ -145,7 +145,7 @@ def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
         except ValueError:
             raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
 
-        # The last word would win in silence: more likely it is a slip.
+        # argparse would silently take the last word, but a repeated name is more likely a slip.
         if name in result:
             raise UsageError(f"{flag} names {name} twice: {result[name]} and {value}.")
         result[name] = value
@@ -168,8 +168,8 @@ def option_words(values: Mapping[str, str | Mapping[str, str]]) -> list[str]:
 
 def as_options(text: str, options: argparse.Namespace) -> str:
     """Return a text with arguments as options: ``settle=-1`` becomes ``--settle -1``."""
-    # The library speaks of arguments. Only names of this command's options are translated: x=3 in a
-    # formula stays as it is.
+    # The library's messages name arguments. Only names of this command's options are translated:
+    # x=3 in a formula stays as it is.
     text = text.replace("fixed={", "fix={")
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
@@ -237,4 +237,4 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "DELAY:BANDWIDTH": _corner,
     "NAME=VALUE+-SIGMA": _uncertain,
 }
-"""Types of values by the words that stand for them; other words are text."""
+"""Types of values by the words in the help; other words are text."""

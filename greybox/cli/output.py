@@ -28,7 +28,7 @@ def write_answer(result: dict[str, Any], text: str, as_json: bool, status: int =
     By default the status follows from the error.
     """
     error = result.get("error")
-    if isinstance(error, str):  # `identifiability` has standard errors of this name
+    if error:
         status = status or (INTERRUPTED if error.startswith("interrupted") else FAILED)
         write(printable(f"greybox: {error}", keep="\n"), sys.stderr)
 
@@ -42,15 +42,15 @@ def write_answer(result: dict[str, Any], text: str, as_json: bool, status: int =
     return FAILED if trouble and status == USABLE else status
 
 
-def attributes(thing: Any, *names: str) -> dict[str, Any]:
+def attributes(value: Any, *names: str) -> dict[str, Any]:
     """Return some attributes by name."""
-    return {name: getattr(thing, name) for name in names}
+    return {name: getattr(value, name) for name in names}
 
 
 def require_writable(
     path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = ""
 ) -> None:
-    """Check that a file can be written and has one of these endings; None is no file.
+    """Check that a file can be written and has one of these endings; None means no file.
 
     Raises
     ------

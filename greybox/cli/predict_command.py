@@ -65,8 +65,8 @@ def flown_record(fit: Fit, options: argparse.Namespace) -> Record:
 
 def _signals_of(fit: Fit) -> dict[str, str]:
     """Return the signals of the log from which a fit was made; those of a record have its names."""
-    # A fit to a record was made with signals of the model's names: another log of the same kind has
-    # them too.
+    # The signals of a fit to a record have the model's names; another log of the same kind has them
+    # too.
     if fit.records:
         return {name: name for name in fit.records[0].data.signals}
     # `greybox response` notes in the file which signals of the log it has used.

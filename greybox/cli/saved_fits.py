@@ -55,7 +55,7 @@ def held_out_records(options: argparse.Namespace, first: Fit | Study) -> list[An
 
 
 def flight_log(fit: Fit, path: Path, options: argparse.Namespace) -> Recording | None:
-    """Return the log whose controllers flew: the stated one, or that of the fit, beside its file.
+    """Return the log whose controllers flew: the stated one, or that of the fit, in its folder.
 
     Return None if a controller is stated, or if the fit has no log there.
 
@@ -65,7 +65,7 @@ def flight_log(fit: Fit, path: Path, options: argparse.Namespace) -> Recording |
         If the log beside the fit is not the one of the fit.
     """
     about = getattr(fit.parts[0].data, "about", {})
-    # Only its name: a file of a stranger does not choose the folder.
+    # Only its name: a file from a stranger must not choose the folder.
     beside = path.parent / Path(about.get("log", "")).name
     if options.log or options.controller or not beside.is_file():
         return read(options.log) if options.log else None

@@ -1,4 +1,4 @@
-"""The file that `greybox new` writes: commented, and running as it is, with made-up numbers."""
+"""The commented file that `greybox new` writes; with its made-up numbers, it runs as it is."""
 
 TRANSFER_FUNCTION = '''\
 class {name}(gb.TransferFunction):
@@ -24,7 +24,7 @@ class {name}(gb.TransferFunction):
     derived = {{"bandwidth": lambda p: 1 / p.T}}
 
     def response(self, s, p):
-        # As on paper: + - * / ** and gb.exp, gb.sqrt ... One formula serves numbers, CasADi and
+        # As on paper: + - * / ** and gb.exp, gb.sqrt ... One formula works for numbers, CasADi and
         # rational functions.
         return p.K * gb.exp(-s * p.T_delay) / (s * (s + p.a) * (p.T * s + 1))
 '''
@@ -55,7 +55,7 @@ class {name}(gb.StateSpace):
 '''
 
 BEGIN = '''\
-"""What is fitted to what; this line is what `greybox fit` names.
+"""Which model is fitted to which data; `greybox fit` prints this line.
 
     greybox fit {file}
     greybox fit {file} --out {stem}.h5 --plot {stem}.png
@@ -98,7 +98,7 @@ def problem():
     )
 
 
-settings = {{"starts": 50, "seed": 0}}  # of the search; --starts and --seed go before them
+settings = {{"starts": 50, "seed": 0}}  # of the search; --starts and --seed override them
 '''
 
 RECORD = '''
@@ -130,7 +130,7 @@ def problem():
     )
 
 
-settings = {{"starts": 5, "seed": 0}}  # of the search; --starts and --seed go before them
+settings = {{"starts": 5, "seed": 0}}  # of the search; --starts and --seed override them
 '''
 
 

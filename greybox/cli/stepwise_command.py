@@ -18,7 +18,7 @@ OPTIONS = f"""
 --candidates NAME[=VALUE]...
     parameters that may be left out, with the value without their term, by default 0 (required)
 --starts N
-    number of starts of every structure, beside the previous estimate (default: 4)
+    number of starts of every structure, besides the previous estimate (default: 4)
 --out FILE
     save the fit of the chosen structure to this HDF5 file
 --force

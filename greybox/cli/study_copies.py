@@ -1,10 +1,10 @@
 """Copies of the files of a study in its folder, so that it resumes wherever the folder is moved.
 
-``inputs/``            the files that were read with the study, as they lie to one another.
+``inputs/``            the files that were read with the study, in folders as they were.
 ``inputs/study.json``  the place of the study file in it, and the option ``--starts``.
 
 A study file in Python, and the files with models that it names, read what they like: an audit hook
-of Python sees each file that is opened, and those beside and below the study file are copied. Those
+of Python sees each file that is opened, and those in the folder of the study file are copied. Those
 elsewhere (``../flights``) are copied if greybox read them as data or as a model.
 """
 
@@ -33,7 +33,7 @@ def note_opened_files() -> None:
 
 @cache
 def _listen() -> None:
-    # An audit hook stays until the process ends: a second one would note everything again.
+    # An audit hook cannot be removed: a second one would note everything again.
     sys.addaudithook(_note)
 
 

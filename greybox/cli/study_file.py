@@ -14,7 +14,7 @@ from greybox.study.grid import members_of
 
 def find_study(text: str) -> Path:
     """Return the study file of an included name, or the path that `text` is."""
-    # A file of the user goes before an included study of the same name.
+    # A file of the user takes precedence over an included study of the same name.
     path = Path(text)
     if text == "paper" and not path.is_file():
         return Path(str(importlib.import_module("greybox.problems._paper_study").__file__))
@@ -68,13 +68,13 @@ def _stated_in_toml(path: Path) -> list[Member]:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path} is not read: {str(error).rstrip('.')}.") from None
+        raise UsageError(f"{path} cannot be read: {str(error).rstrip('.')}.") from None
 
     entries = content.pop("member", [{}])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise UsageError(f"member in {path} is {entries!r:.60}: write [[member]] on its own line.")
     try:
-        # What a member states stands first in its name.
+        # The member's own settings come first in its name.
         return [
             member
             for entry in entries

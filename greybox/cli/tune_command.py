@@ -28,7 +28,7 @@ fits RESULT...
 {CONTROLLER_OPTIONS}
 --log LOG
     a log of the controllers; the gains then have the names of its firmware (without --controller:
-    the log of the fit, if it lies beside RESULT)
+    the log of the fit, if it is in the folder of RESULT)
 --axis AXIS
     roll, pitch or yaw of the log (default: that of the control of the fit, or pitch)
 --gains NAME[=LOW:HIGH]...

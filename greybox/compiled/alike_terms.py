@@ -27,7 +27,7 @@ DATA = 2  # the input with the data
 
 
 class SecondOrder:
-    """A scalar function with gradient and Hessian by its first input, for many columns.
+    """A scalar function of many columns, with gradient and Hessian in its first input.
 
     Its third input are data: terms of one form read them at different places.
     """
@@ -45,7 +45,7 @@ class SecondOrder:
         self._remainder, sizes = None, [value.numel() for value in inputs]
         if not (groups and remainder.is_zero()):
             self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
-        # One call for few searches: to arrange their terms takes as long as to evaluate them.
+        # One call for few searches: arranging their terms takes as long as evaluating them.
         self._narrow = Columns(_summed(sizes, self._groups, self._remainder))
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:

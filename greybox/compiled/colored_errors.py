@@ -15,8 +15,8 @@ from greybox.files.arrays import Array
 from greybox.statistics.residual_spectrum import colored_information
 
 # Least number of correlation times in the longest stretch: below it, the spectrum is not known well
-# enough. About ten are needed; the correlation time found in so short a record is too short by a
-# fifth in the mean.
+# enough. About ten are needed; the correlation time estimated from so short a record is a fifth too
+# short on average.
 FEWEST_TIMES = 12.0
 
 # Correlation times per degree of freedom, at least. The spectrum of an exponential correlation has
@@ -61,9 +61,9 @@ def colored_errors(
     shocks : function
         Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
     """
-    # If the noise of outputs is almost dependent, as predicted from measured accelerations, a small
-    # error of the spectrum of each would be a large one of the combination without noise. So their
-    # spectra are those of uncorrelated combinations, if no sample lacks some of the outputs.
+    # If the noise of outputs is almost dependent, as in predictions from measured accelerations, a
+    # small error in the spectrum of each would be a large one in the combination without noise. So
+    # their spectra are those of uncorrelated combinations, if no sample lacks some of the outputs.
     mixing = np.eye(len(weight))
     is_whole = all(np.all(np.all(e, axis=0) | ~np.any(e, axis=0)) for e in residuals)
     if is_whole and np.any(weight != np.diag(np.diag(weight))):
@@ -79,7 +79,7 @@ def colored_errors(
     effect = colored_information(weighted, directions, residuals, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
-    # What the parameters absorb of these residuals, and of white ones of the same variance.
+    # The share of these residuals that the parameters absorb, and of white ones of equal variance.
     paid = effect.taken_of_white
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
     factor = max(effect.taken / max(paid * squares, 1e-300), 1.0)

@@ -29,7 +29,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 AnyProblem = Problem | Sum[Problem]
 PartKind = TypeVar("PartKind", bound=Part)
-# Of a problem without frequency responses.
+# The attributes of a problem without frequency responses.
 NOTHING = Columns(ca.Function("nothing", [], []))
 
 
@@ -140,7 +140,7 @@ class CompiledProblem(Portable):
     def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
         """Return the data (g,) for other constants (c,) and other measured responses."""
         pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
-        return np.concatenate([constants, *(part.numbers_of(each) for part, each in pairs)])
+        return np.concatenate([constants, *(part.numbers_of(response) for part, response in pairs)])
 
     def judged(self, x: Array) -> tuple[Array, Array]:
         """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""

@@ -17,7 +17,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray, all_finite, of_diagonal
 
-# Curvature, relative to that of the outputs, that keeps states in place which no output shows.
+# Curvature, relative to that of the outputs, that holds states which no output shows.
 RIDGE = 1e-10
 
 
@@ -42,7 +42,8 @@ def condense(
         node_damping = damping * _node_curvature(b, variance, data)
         node_hessian = node_hessian + node_damping[:, :, None] * np.eye(segments.n)
 
-    # The right-hand sides: the gradient of the residuals, and its derivatives by the parameters.
+    # The right-hand sides: the gradient of the residuals, and its derivatives with respect to the
+    # parameters.
     stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
     continuity = -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2)
     x, multiplier = solve_continuity(
@@ -173,8 +174,9 @@ def solve_continuity(
 def state_sizes(hessian: Array, transition: Array) -> Array:
     """Return the change (n,) of each state that changes the outputs by one, at once or later.
 
-    By what is shown within a segment alone, sizes in a chain of 40 masses spread over 26 decades:
-    no digit of its nodes is right. A state that changes no output has size 1.
+    If only the outputs within a segment counted, the sizes in a chain of 40 masses would spread
+    over 26 decades, and no digit of its nodes would be right. A state that changes no output has
+    size 1.
 
     Parameters
     ----------

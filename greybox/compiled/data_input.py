@@ -85,7 +85,10 @@ class DataInput:
         """Return constants and data at symbols (g,) of the input."""
         constants, *pieces = ca.vertsplit(symbols, self._ends)
         columns = zip(self._data, self.are_open, pieces, strict=True)
-        data = [_with_symbols(each, piece) if is_open else each for each, is_open, piece in columns]
+        data = [
+            _with_symbols(response, piece) if is_open else response
+            for response, is_open, piece in columns
+        ]
         return ca.vertsplit(constants), data
 
 

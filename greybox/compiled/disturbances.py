@@ -110,7 +110,8 @@ class DisturbedRecord:
         later = np.concatenate([derivatives[..., 1:], derivatives[..., -1:]], axis=2)
         later = derivatives if self.is_predicted or is_held else later
         mean = segments.columns((derivatives + later) / 2)
-        # Most terms add to one state: of 20 states the others take a quarter of the test's time.
+        # Most terms add to a single state: with 20 states, multiplying the zeros of the others
+        # would take a quarter of the test's time.
         moved = mean.any(axis=(0, 2))
         change = np.einsum("jac,vjc->vac", self._slopes[0][:n][moved], mean[:, moved])
         return self._placed.data[-1] / 2 * (mean + change), segments.columns(-outputs)
@@ -130,7 +131,7 @@ class DisturbedRecord:
     def _followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
         part, n = self.part, self.part.states
         A, C = ([slope[:n]] for slope in self._slopes)
-        # Residuals are measured less simulated outputs: they follow what is taken off as outputs
+        # Residuals are measured less simulated outputs: they follow what is subtracted as outputs
         # follow what is added.
         for place, group in groupby(changes, itemgetter(0)):
             following, residuals = place(-np.array([values for _, values in group]))

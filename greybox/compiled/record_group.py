@@ -78,7 +78,7 @@ class RecordGroup(SegmentedPart):
         function, index = self._located
         q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
         n, active = self.states, len(self.model.active)
-        # One placement serves all records: nothing needs an axis of records.
+        # One placement is used for all records: nothing needs an axis of records.
         if not index.any():
             data = self.data_at(delay.ravel())
             return Placed(q.ravel(), slope, data, initial.ravel(), initial_slope)

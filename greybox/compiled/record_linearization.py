@@ -51,7 +51,7 @@ def without_known_states(
         b.cross_hessian[k] += b.node_hessian[k] @ follow
         b.parameter_sensitivity[k] += b.transition[k] @ follow
 
-        # The ridge of the elimination keeps states in place that nothing moves.
+        # The ridge of the elimination holds states that nothing moves.
         b.node_hessian[k, is_known, :] = 0
         b.node_hessian[k, :, is_known] = 0
         b.cross_hessian[k, is_known] = 0

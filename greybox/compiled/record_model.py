@@ -36,7 +36,7 @@ class RecordModel(Portable):
     system : Dynamics
         Its delays include those of interpolated inputs.
     between : tuple of Intersample
-        How each input runs between its samples.
+        How each input varies between its samples.
     parameters, outside_names : tuple of str
         The declared parameters, by the model's names and the problem's; then the gains that follow
         from process noise.
@@ -52,7 +52,7 @@ class RecordModel(Portable):
     has_time : bool
         Whether the record's samples follow one another in time.
     is_prior : bool
-        Whether the record stands for a-priori knowledge, and not for data.
+        Whether the record represents a-priori knowledge, not data.
     locate : casadi.Function
         (z) -> values of the declared parameters, derivatives of the active ones by z, delays, and
         what `initial` returns for these values.
@@ -212,8 +212,8 @@ def _shared_functions(
     if system.undelayed:
         # In addition to the rest at the first inputs, which differs between stretches.
         bias = [-local[f"{i}_bias"] if i in criterion.biases else 0 for i in system.inputs]
-        rest = system.delay_rest(ca.vertcat(*bias))
-        states[len(system.undelayed.states) :] = ca.vertsplit(rest)
+        steady = system.delay_rest(ca.vertcat(*bias))
+        states[len(system.undelayed.states) :] = ca.vertsplit(steady)
 
     known = ca.Function("known", [symbol], [ca.vertcat(ca.SX(0, 1), *states)])
     return system, known, InitialStates(system, outputs), {}

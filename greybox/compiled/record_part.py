@@ -26,7 +26,7 @@ from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
-from greybox.statistics.bounded_errors import bounded
+from greybox.statistics.huber import bounded
 
 
 class RecordPart(SegmentedPart):
@@ -215,15 +215,15 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     weighted, score = slopes.weighted, slopes.triangle.T @ slopes.triangle
     unseen, known = slopes.by_covariance, part.covariance.known
     if known is not None and not model.is_prior:
-        # The residuals show whether the given noise is right, unless they are so few that the
+        # The residuals show whether the given noise is right, unless there are so few that the
         # parameters may fit them exactly.
         counts = part.covariance.counts
-        shown = np.diag(trajectory.products) / np.maximum(counts, 1)
+        variances = np.diag(trajectory.products) / np.maximum(counts, 1)
         given = np.maximum(1 - (counts / 8) ** 2, 0.0)
-        variance = shown + given * (np.square(known) - shown)
+        variance = variances + given * (np.square(known) - variances)
         squares = np.array([J @ J.T for J in weighted])
         score = np.tensordot(variance, squares, 1)
-        unseen = unseen + np.tensordot(np.maximum(variance - shown, 0.0), squares, 1)
+        unseen = unseen + np.tensordot(np.maximum(variance - variances, 0.0), squares, 1)
 
     initial = part.unknown_initial_states
     # Fitted initial states make residuals smaller than errors, and the covariance too small.

@@ -58,7 +58,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     initial_directions = _initial_directions(part, linearization)
     curvature = of_diagonal(linearization.node_hessian)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
-    del linearization, curvature  # of a long record, a tenth of what fits into memory
+    del linearization, curvature  # for a long record, a tenth of the memory
     known = part.known_states
     by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)
 
@@ -73,8 +73,8 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         nodes = by_nodes[batch].transpose(1, 2, 0).copy()
         by_states = np.einsum("lknc,npc->lkpc", J[:, :, :n], nodes)
         by_parameters = placed.slope.T @ J[:, :, n:]
-        for each in (by_states, by_parameters):
-            squares += np.einsum("lkpc,lkpc->p", each, each)
+        for columns in (by_states, by_parameters):
+            squares += np.einsum("lkpc,lkpc->p", columns, columns)
         root = by_states + by_parameters
         rows = np.moveaxis(root, 2, 0).reshape(p, -1)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the

@@ -31,7 +31,7 @@ def require_independent(outputs: Strings, measured: Array) -> None:
     """
     complete = measured[:, np.isfinite(measured).all(axis=0)]
     moving = np.flatnonzero(complete.std(axis=1) > 0)
-    # So few samples always are dependent.
+    # So few samples are always linearly dependent.
     if complete.shape[1] <= len(outputs) or moving.size < 2:
         return
     values, directions = np.linalg.eigh(np.corrcoef(complete[moving]))

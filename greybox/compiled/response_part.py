@@ -142,8 +142,8 @@ class ResponsePart(Part):
         """Return the response at all values x (k,), or its derivatives."""
         functions = self.functions
         if (system := functions.system) is not None:
-            both = self.stored("both", values, lambda: system.responses(values[:, None]))
-            return both[is_slope][0]
+            results = self.stored("both", values, lambda: system.responses(values[:, None]))
+            return results[is_slope][0]
         function = functions.slope if is_slope else functions.response
         return self.stored(
             function.name(),
@@ -153,7 +153,7 @@ class ResponsePart(Part):
 
     def stored(self, name: str, values: Array, compute: Callable[[], Any]) -> Any:
         """Return a result at all values x (k,), computed again only at other values."""
-        # Covariance, outliers and misfit ask at one point.
+        # Covariance, outliers and misfit are evaluated at one point.
         point, _ = self._results.get(name, (None, None))
         if point is None or not np.array_equal(values, point):
             self._results[name] = values.copy(), compute()
@@ -303,9 +303,9 @@ def _own_directions(jacobian: Array) -> Array:
     directions, and its residuals keep these errors.
     """
     _, sizes, turns = np.linalg.svd(jacobian, full_matrices=False)
-    # Information of a part on a direction, over that on its best one, above which it determines it.
-    # A single part has all information on every direction. With 0.5, 20 of 90 white responses of a
-    # helicopter count as correlated, with 0.1 17, with all directions 36.
+    # A part determines a direction on which it has more than this share of the information that it
+    # has on its best one. A single part has all information on every direction. With 0.5, 20 of 90
+    # white responses of a helicopter count as correlated, with 0.1 17, with all directions 36.
     return turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
 
 

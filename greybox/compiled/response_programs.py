@@ -97,8 +97,8 @@ def fits_a_batch(program: ca.Function | None) -> bool:
     """Return whether the derivatives of a program are small enough, as expressions, for a batch.
 
     The program (z, ...) -> cost, constraints needs an explicit cost (an SX function) and no
-    constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
-    most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
+    constraints but bounds. With 50 000 or more instructions, cost, gradient and Hessian take most
+    of IPOPT's time, and with 20 or more unknowns eigenvalues do: a batch gains little then.
     """
     if program is None or not program.is_a("SXFunction") or program.numel_out(1):
         return False
@@ -114,7 +114,7 @@ class ResponseCompiler:
     """The frequency responses of a problem as expressions, and the functions that follow.
 
     `names` are those of all values; `values_at` turns symbols of the solver's variables and of the
-    constants into these values by name, of which `constraint` makes what must be >= 0.
+    constants into these values by name, from which `constraint` computes what must be >= 0.
     """
 
     def __init__(
@@ -132,12 +132,15 @@ class ResponseCompiler:
         self.source = DataInput(constants, self.parts)
 
     def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
-        """Return the parts, and what `CompiledProblem` has of them all."""
+        """Return the parts, and the attributes of `CompiledProblem` for all of them."""
         stated = self.stated()
         functions, programs = _stored.result(stated, self.traced) if stated else self.traced()
         data = self.source.numbers
         columns = zip(self.parts, functions, self.source.are_open, strict=True)
-        parts = {part: ResponsePart(part, each, data, is_open) for part, each, is_open in columns}
+        parts = {
+            part: ResponsePart(part, built_functions, data, is_open)
+            for part, built_functions, is_open in columns
+        }
         zero = [cost_of_zero(_locator(part), part.response) for part in parts]
         zero_costs = np.array(self.weights) * zero
         return parts, {**programs, "data": data, "zero_costs": zero_costs}

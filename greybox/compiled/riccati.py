@@ -78,7 +78,7 @@ class SteadyFilter:
     Attributes
     ----------
     gain, gain_slope : (n, k) and (n, k, q) arrays
-        Gain and its derivatives by the q estimated parameters.
+        Gain and its derivatives with respect to the q estimated parameters.
     covariance, covariance_slope : (k, k) and (k, k, q) arrays
         Covariance of the prediction errors, and its derivatives.
     """

@@ -70,13 +70,13 @@ class SampleStep:
     def folded(self, samples: int) -> ca.Function:
         """Return (x, q, D) -> states (n, samples) after each sample, residuals (k, samples)."""
         if samples not in self.built:
-            one = self.function
-            if one.is_a("SXFunction"):  # without the outputs, and what they alone need
+            step = self.function
+            if step.is_a("SXFunction"):  # without the outputs, and what only they need
                 symbols = self.symbols()
-                one = ca.Function("one", symbols, list(self.function(*symbols)[:2]), {"cse": True})
+                step = ca.Function("one", symbols, list(self.function(*symbols)[:2]), {"cse": True})
             x, q, _ = self.function.mx_in()
             D = ca.MX.sym("D", self.width, samples)
-            states, residuals, *_ = one.mapaccum("fold", samples)(x, q, D)
+            states, residuals, *_ = step.mapaccum("fold", samples)(x, q, D)
             self.built[samples] = ca.Function("folded", [x, q, D], [states, residuals])
 
         return self.built[samples]

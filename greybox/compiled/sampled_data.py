@@ -19,8 +19,8 @@ from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
-# Share of a step by which a delay may exceed whole samples and count as these: the steps of a log
-# are known no better.
+# Share of a step by which a delay may exceed a whole number of samples and still count as that
+# number: the steps of a log are not known more precisely.
 WHOLE = 1e-3
 
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest
@@ -30,7 +30,7 @@ REST = 5
 
 @frozen
 class Stretch:
-    """Samples without a gap, in the mean `step` s apart.
+    """Samples without a gap, on average `step` s apart.
 
     Inputs (m, n); outputs (k, n), NaN where missing.
 
@@ -181,10 +181,10 @@ class SampledData:
         return self.padded(whole), self.padded(around)
 
 
-def joined(each: Sequence[SampledData]) -> SampledData:
+def joined(records: Sequence[SampledData]) -> SampledData:
     """Return the stretches of several records, one record after the other."""
-    stretches = tuple(stretch for data in each for stretch in data.stretches)
-    return SampledData(stretches, each[0].segment_length)
+    stretches = tuple(stretch for data in records for stretch in data.stretches)
+    return SampledData(stretches, records[0].segment_length)
 
 
 def sampled_data(
@@ -220,7 +220,7 @@ def sampled_data(
     stretches = gapless(
         record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
     )
-    # A system at rest with a constant input shows its noise alone, which any parameters explain.
+    # A system at rest with a constant input shows only its noise, which any parameters explain.
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
     if constant and not static:
         # Where an experiment has a few samples, they look like noise even if the states move.
@@ -336,9 +336,10 @@ def _stretch(
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER and np.any(leads > 0):
         raise ValueError(
-            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps), which a "
-            "delay needs: prepare the record with rate=..., which resamples it; put a few "
-            "irregular samples on a fine uniform time base, with NaN where nothing was measured."
+            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps), and a delay "
+            "needs uniform sampling: prepare the record with rate=..., which resamples it; put a "
+            "few irregular samples on a fine uniform time base, with NaN where nothing was "
+            "measured."
         )
 
     times = time if off > JITTER else None

@@ -139,12 +139,12 @@ class SegmentedPart(Part):
     @cached_property
     def delays_at_rest(self) -> Array:
         """Return the states (s, n) of delays that rest at the first input of a stretch, else 0."""
-        rest = np.zeros((self.segments.count, self.states))
+        states = np.zeros((self.segments.count, self.states))
         if self.system.undelayed:
             first = np.array([stretch.inputs[:, 0] for stretch in self.data.stretches])
             delays = self.system.delay_rest(first.T).full().T
-            rest[self.data.begins_stretch, self.driven :] = delays
-        return rest
+            states[self.data.begins_stretch, self.driven :] = delays
+        return states
 
     # --- trajectories
 
@@ -235,7 +235,7 @@ class SegmentedPart(Part):
         placed: Placed = trajectory.detail
         b = self.segments.linearize(placed.along(trajectory.states), weight)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
-            # With other weights than the filter's own, the merit does not contain its covariance.
+            # With weights other than the filter's own, the merit does not contain its covariance.
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
 

@@ -69,9 +69,9 @@ class Linearization:
 class Segments:
     """So many segments of one length, each simulated from its own state.
 
-    Derivatives are by that state and by the parameters that `active` names. Segments of several
-    records follow one another; `records` (s,) is the record of each. The parameters `own` differ
-    between these records, and q is then (p, s), for every segment, instead of (p,).
+    Derivatives are with respect to that state and the parameters that `active` names. Segments of
+    several records follow one another; `records` (s,) is the record of each. The parameters `own`
+    differ between these records, and q is then (p, s), for every segment, instead of (p,).
     """
 
     def __init__(
@@ -359,8 +359,8 @@ class Segments:
 
         Returns those of ends (n, v, count) and rows (length, k, v, count).
 
-        A (v, n, columns) and C (v, k, columns) are the derivatives by the state at a sample and the
-        parameters; CasADi stacks them column by column.
+        A (v, n, columns) and C (v, k, columns) are the derivatives with respect to the state at a
+        sample and the parameters; CasADi stacks them column by column.
         """
         n, k, length = self.n, self.k, self.length
         rows = C.reshape(-1, k, length, count)
@@ -394,7 +394,7 @@ class Segments:
 
 def _product(slopes: Array, S: Array) -> Array:
     """Return the products (a, v, c) of slopes (n, a, c) with sensitivities (n, v, c)."""
-    # From twelve states on, products of matrices take less time than sums over segments.
+    # With twelve states or more, products of matrices take less time than sums over segments.
     if len(slopes) <= 12:
         return np.einsum("jac,jvc->avc", slopes, S)
     matrices = np.ascontiguousarray(slopes.T)

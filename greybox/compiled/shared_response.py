@@ -1,7 +1,7 @@
 """Many responses of one state space: one solve of (jωI - A)⁻¹ a frequency serves them all.
 
 With S = [[A, B], [C, D]], X = (jωI - A)⁻¹ B and Y = C (jωI - A)⁻¹ the responses are G = C X + D,
-and their derivatives by a parameter
+and their derivatives with respect to a parameter are
 
     dG = [Y, I] dS [X; I],
 

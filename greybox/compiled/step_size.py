@@ -1,6 +1,6 @@
 """Substeps of a sample and samples of a segment.
 
-The rule for substeps is that of `greybox.modeling.step_size`. Here it is asked with the model along
+The rule for substeps is that of `greybox.modeling.step_size`. Here it is applied to the model along
 the measured data, at the declared parameters and at others drawn from the start boxes, where the
 search will go. Whether that many substeps are accurate enough is judged at the minimum
 (`greybox.solve.discretization_error`).

@@ -1,8 +1,9 @@
 """Derivatives of a sample with many operations, substep by substep.
 
 One function of all substeps repeats every operation of the model for every substep and every
-direction. A substep has a Jacobian as sparse as the model, for one function serves all substeps and
-columns; products with block-diagonal sparse matrices carry the derivatives from one to the next.
+direction. A substep has a Jacobian as sparse as the model, for one function evaluates all substeps
+and columns; products with block-diagonal sparse matrices carry the derivatives from one to the
+next.
 """
 
 from collections.abc import Sequence
@@ -80,7 +81,7 @@ class SubstepDerivatives:
 def _with_slopes(
     value: ca.SX, x: ca.SX, parameters: ca.SX
 ) -> tuple[tuple[ca.SX, ca.SX, ca.SX], ca.Sparsity]:
-    """Return the value, its derivatives by x, row by row without zeros, and by the parameters.
+    """Return the value and its derivatives: by x, row by row without zeros, and by the parameters.
 
     The pattern is that of the transposed derivatives by x.
     """

@@ -56,7 +56,7 @@ class Along:
     Attributes
     ----------
     slopes, delay_slopes : (n + k, n + m, q) and (m, q) arrays
-        Derivatives of [A, B; C, D] and of the delays by the parameters.
+        Derivatives of [A, B; C, D] and of the delays with respect to the parameters.
     signals : (n + m, lines) complex array
         States with the end term, then delayed inputs.
     inverse : (lines, n, n) complex array
@@ -375,7 +375,7 @@ class TransientPart(Part):
         weighted *= math.sqrt(self.numbers / numbers)
         remaining = beside(np.eye(weighted.size), mean.reshape(-1, len(values))).diagonal()
         shape = len(self.outputs), 2, len(self.data)
-        # Of an error of which the fit leaves less than a tenth, rounding would remain.
+        # Where the fit leaves less than a tenth of an error, only rounding would remain.
         errors = (weighted.ravel() / np.maximum(remaining, 0.1)).reshape(shape)
         lines = np.arange(len(self.data))
         # The size of the errors is averaged with weights that fall to zero over 4 lines on either
@@ -417,7 +417,8 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
         ca.SX.sym("T", times.numel()),
     )
     if gusts:
-        # Each drives its equation, or the only one all states: their transform T is the same.
+        # Each error drives its own equation, or a single one drives all states: the transform T is
+        # the same.
         rates += g
     equations = ca.vertcat(rates, -g / time, h)
     matrix = dense_jacobian(equations, ca.vertcat(x, g, u))

@@ -18,8 +18,8 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 
 CHUNK = 4096  # columns at once: as many as fit into the cache
-# Columns from which on registers are faster than CasADi: for a function of any size that is
-# evaluated hundreds of times, and for one with a large number of operations.
+# Numbers of columns above which registers are faster than CasADi: for a function of any size that
+# is evaluated hundreds of times, and for one with a large number of operations.
 FEWEST, LARGE_FEWEST, LARGE = 129, 513, 20_000
 
 

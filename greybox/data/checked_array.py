@@ -62,6 +62,11 @@ def finite_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
     return array
 
 
+def finite_numbers(name: str, values: ArrayLike) -> Array:
+    """Return one number, or several, as a `finite_array`."""
+    return finite_array(name, np.atleast_1d(values))
+
+
 def require(name: str, values: NDArray, sound: BoolArray, cure: str) -> None:
     """Raise ValueError with the first of the values (n,) that is not `sound`."""
     if not sound.all():

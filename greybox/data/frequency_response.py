@@ -183,11 +183,11 @@ class FrequencyResponse:
     def with_independent_errors(self) -> "FrequencyResponse":
         """State that the errors of different frequencies are independent by the design of the test.
 
-        They are if each frequency was flown by itself, as sines one after another are. Otherwise
-        a fit asks its residuals, and few points can hardly answer: intervals then allow for a
-        correlation. Residuals that are still alike at neighboring frequencies show that the
-        model is incomplete. In a file, the comment ``# errors along frequency: independent``
-        states the same.
+        They are independent if each frequency was flown by itself, as sines are that follow one
+        another. Otherwise a fit tests its residuals, and few points can hardly show it: intervals
+        then allow for a correlation. Residuals that are still alike at neighboring frequencies show
+        that the model is incomplete. In a file, the comment ``# errors along frequency:
+        independent`` states the same.
         """
         return replace(self, about={**self.about, ERRORS: INDEPENDENT})
 
@@ -272,8 +272,8 @@ class FrequencyResponse:
         """Return the response to the continuous input, as a fit compares it with a model.
 
         Estimates of `greybox.spectral` are those of the samples of the input. If its values are
-        held, which `about` then says, they contain that of the hold: half of the time for which a
-        value lasts as a delay.
+        held, which `about` then says, they contain the response of the hold: a delay of half the
+        time for which a value lasts.
         """
         if HOLD not in self.about:
             return self

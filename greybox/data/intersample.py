@@ -43,7 +43,7 @@ class Intersample:
 
 
 def intersample(hold: float, step: float) -> Intersample:
-    """Return how a signal runs between samples `step` s apart if its values lasted `hold` s."""
+    """Return how a signal varies between samples `step` s apart if its values lasted `hold` s."""
     # A log has every value of the controller, or every second, third ...: apart from the jitter of
     # time stamps, a value lasts for a whole step or at most half of one.
     return Intersample(True) if hold > 0.75 * step else Intersample(False, hold / 2)
@@ -55,7 +55,7 @@ def hold_of_response(
     """Return for how long values of the input of a response lasted, for `FrequencyResponse.about`.
 
     `sampled` are `Record.hold` and the step of what it was measured from. Nothing where the records
-    do not say, or not the same. An output that is held as well, such as the control in a response
+    do not state it, or disagree. An output that is held as well, such as the control in a response
     to the setpoint, is as late as the input.
     """
     lasted = set()

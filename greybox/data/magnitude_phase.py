@@ -53,7 +53,7 @@ def complex_response(
         raise ValueError(
             f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'."
         )
-    # Decibels without their unit are the usual mistake, and mostly negative.
+    # Decibels without their unit are the usual mistake, and decibels are usually negative.
     cure = "if these are decibels, give magnitude_unit='dB'"
     require("magnitude", size, ~(size < 0), cure)
 

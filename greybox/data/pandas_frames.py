@@ -77,7 +77,7 @@ def times_of(frame: Frame, time: str | None) -> tuple[Array, str, Strings]:
     names = list(map(str, frame.columns))
     if time is not None and time not in names:
         raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(names)}.")
-    # Whole numbers count the rows, as after a selection; they are no times.
+    # Whole numbers count the rows, as after a selection; they are not times.
     index = frame.index
     is_time = index.dtype.kind in "mMf" or seconds(*heading(str(index.name)))
     column = time or next((name for name in names if seconds(*heading(name))), "")

@@ -158,7 +158,7 @@ class Record:
 
     @property
     def is_irregular(self) -> bool:
-        """Whether samples lie neither one step apart nor, after gaps, several: one in ten is off.
+        """Whether more than a tenth of the samples lie off a uniform grid of steps.
 
         Such a record has no gaps.
         """

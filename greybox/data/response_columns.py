@@ -46,7 +46,7 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
                 f"cannot have {role!r}, which is not a column of a frequency response; name "
                 f"{alternatives(role, ROLES)}"
             )
-    # One complete pair: magnitude with beta would be a response of its own making.
+    # One complete pair: magnitude with beta would not be a response.
     pairs = [pair for pair in (RECTANGULAR, POLAR) if set(pair) & set(columns)]
     if "frequency" not in columns or len(pairs) != 1 or not set(pairs[0]) <= set(columns):
         raise ValueError(

@@ -93,7 +93,7 @@ def read_responses(
     """Read all responses of a matrix, in their order in the file.
 
     The table is one of `write_responses`. Or each row is a point of the response that its cells
-    under ``output`` and ``input`` name, beside the columns that `read_response` takes.
+    under ``output`` and ``input`` name, in addition to the columns that `read_response` takes.
 
     Raises
     ------

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Interval, Strings
 from greybox.files.text_table import number, one_line, text_table
 
 KINDS = ("sine", "sweep", "multisine", "noise", "step", "manoeuvre")
@@ -44,7 +44,7 @@ class Segment:
     kind: str = "sine"
     axis: str = ""
     omega: float = math.nan
-    band: tuple[float, float] = (math.nan, math.nan)
+    band: Interval = (math.nan, math.nan)
     amplitude: float = math.nan
     offset: float = math.nan
     unit: str = ""

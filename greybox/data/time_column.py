@@ -40,7 +40,7 @@ def seconds(name: str, unit: str = "") -> float | None:
     name = name.lower()
     if name in COUNTERS:
         return COUNTERS[name]
-    # A unit in the name goes before one in brackets.
+    # A unit in the name takes precedence over one in brackets.
     suffix = SUFFIX.match(name)
     if suffix and suffix[1] in TIMES:
         return tick(suffix[2])

@@ -198,7 +198,7 @@ def to_si(unit: str) -> Conversion:
     powers = Counter[str]()
     for name, power in _powers(text[leading.end() :] if leading else text).items():
         if name.lower() in POUNDS:
-            raise ValueError(f"{name} may be a pound of mass or of force, write lbm or lbf")
+            raise ValueError(f"{name} may be a pound of mass or of force: write lbm or lbf")
         # A remark can state the assumption about one unit, not about a part of a product.
         named = None if name in DOUBTFUL else _named(name)
         if named is None:
@@ -250,7 +250,8 @@ def _powers(text: str) -> dict[str, int]:
     """Return the names in a product with their exponents; empty if the text is not a product."""
     plain = text.translate(str.maketrans(SUPERSCRIPTS, PLAIN))
     powers = Counter[str]()
-    # Signs of the exponents: -1 behind a slash. A slash before parentheses holds for all in them.
+    # Signs of the exponents: -1 behind a slash. A slash before parentheses applies to all units in
+    # them.
     side = 1
     group = 0
     at = 0

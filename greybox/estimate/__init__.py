@@ -18,13 +18,14 @@ Begin with `fit`.
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
 | `misfit` | whether the model explains the data, and what it may lack |
-| `misfit_assessment` | the test that says so |
-| `misfit_regression` | what it regresses the residuals of a record or a response on |
-| `misfit_test` | the same of a fit that is at hand, with terms of your own |
-| `missing_terms` | the terms that are tried for that |
+| `misfit_assessment` | the test for that |
+| `misfit_regression` | the regressors of that test, for a record or a response |
+| `misfit_test` | the same test for a given fit, with terms of your own |
+| `missing_terms` | the terms that it tries |
 | `repeated_inputs` | what repeats in the residuals with the inputs |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
-| `profile`, `profiles` | likelihood profiles, by minima with a quantity held; and their values |
+| `profile` | likelihood profiles, by minima with a quantity held, and where they end |
+| `profile_result` | the profiles as values |
 | `diagnostics` | the folder of warnings |
 | `verdict`, `summary` | the answer in a few sentences, and as plain values for JSON |
 | `storage`, `stored_values` | fits in HDF5 files, and how their fields are stored |

@@ -53,7 +53,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
 
     # With process noise the gains are not parameters: they follow from the variances of the noise.
     if record is not None and record.gain is not None and record.gain_slope is not None:
-        # Gains come last in `names`; the fit has their derivatives by its estimates.
+        # Gains come last in `names`; the fit has their derivatives with respect to its estimates.
         count = len(names) - len(gains)
         values = np.concatenate([values[:count], record.gain])
         slope = np.vstack([np.eye(count, len(estimated)), record.gain_slope])

@@ -45,8 +45,8 @@ class Accuracy:
         Covariance of the free parameters, then the constants, in the directions that the data
         determine. Constants have the covariance of the earlier fit that they come from, or zero.
     blind : (k, b) array
-        Directions, in multiples of `size`, about which the data say nothing: invisible ones, and
-        parameters at a bound.
+        Directions, in multiples of `size`, on which the data contain no information: invisible
+        ones, and parameters at a bound.
     size : (k,) array
         The change of each value that the data notice.
     dof : float
@@ -110,7 +110,7 @@ class _Share:
     `reach` (p,) has the lengths of the root's columns before the initial states were fitted too.
     `limit` is a factor on both that limits the weight of a part relative to others. `pull` (p,) is
     the mean gradient of the cost at the true values, over the noise. `correction` is the factor on
-    the noise for what the parameters took.
+    the noise for the degrees of freedom that the parameters took.
     """
 
     root: Array
@@ -123,7 +123,7 @@ class _Share:
 
 @frozen
 class PartAccuracy:
-    """The information of a part, its noise larger for the parameters that the noise pays for.
+    """The information of a part, with its noise enlarged for its share of the parameters.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ def assess(
     """
     p, k = len(nlp.free), len(nlp.names)
     parts = informations(nlp, x, trajectories)
-    # A part alone pays for all parameters: its errors are then computed once.
+    # A single part loses the degrees of freedom of all parameters: its errors are computed once.
     paid = p if len(parts) == 1 else 0
     shares = [_share(part, p, paid) for part in parts]
     jacobian = np.vstack([share.limit * share.root[:, :p] for share in shares])
@@ -190,8 +190,8 @@ def assess(
     unit = np.nan_to_num(jacobian * size)
     bounded = np.flatnonzero(np.isin(nlp.free, at_bound))
 
-    # A parameter at a bound counts as known, unless the data see nothing of it: then the bound held
-    # it only by chance.
+    # A parameter at a bound counts as known, unless the data contain nothing about it: then the
+    # bound held it only by chance.
     seen, invisible = determined_directions(unit, active * size, bounded)
     idle = [k for k in bounded if not (unit[:, k].any() or active[:, k].any())]
     combinations = invisible_groups(
@@ -271,9 +271,9 @@ def _with_covariance(
         numbers = sum(part.numbers for part in parts)
         independent = (covariance + change)[:p, :p], math.inf if known_noise else numbers
 
-    # The bias is the least-squares answer to what noise adds to the residuals in the mean.
+    # The bias is the least-squares response to what noise adds to the residuals on average.
     bias = np.eye(k, p) @ inverse @ sum(part.share.pull for part in parts)
-    # What depends on a constant without a standard error has none either.
+    # A quantity that depends on a constant without a standard error has no standard error either.
     unknown = np.isnan(sum((np.diag(covariance) for covariance, _ in earlier), np.zeros(k)))
     lost = slope[:, unknown] / accuracy.size[:, None]
     lost = lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)
@@ -313,7 +313,7 @@ def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
 def known_directions(
     nlp: CompiledProblem, accuracy: Accuracy, values: Array, slopes: Array
 ) -> KnownDirections | None:
-    """Return what the data determine of values (m,), by their derivatives (m, k) by all values.
+    """Return what the data determine of values (m,) with derivatives (m, k) in all values.
 
     None without a covariance. A parameter at its bound counts as known, as in all errors of a fit.
     """
@@ -388,7 +388,7 @@ def degrees(accuracy: Accuracy, gradient: Array) -> Array:
 def propagate(accuracy: Accuracy, gradient: Array) -> Array:
     """Return the standard errors (m,) of quantities from their gradients (m, k) by all values.
 
-    NaN for a quantity that depends on a direction about which the data say nothing.
+    NaN for a quantity that depends on a direction on which the data contain no information.
     """
     known = KnownDirections(accuracy.covariance, accuracy.blind, accuracy.size, accuracy.size)
     return known.errors(gradient)

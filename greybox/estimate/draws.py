@@ -20,7 +20,7 @@ from greybox.files.text_table import alternatives, counted, number, one_line, so
 from greybox.modeling.model import Names
 from greybox.solve.gauss_newton.driver import GaussNewton
 
-# Times a step: for a lag with an error of half its value, the upper error is that much larger.
+# Factor on a step: for a lag with an error of half its value, the upper error is that much larger.
 LONGEST = 4.0
 
 
@@ -220,8 +220,8 @@ def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> A
 
     def ratio(steps: Array, predicted: Array) -> Array:
         """Return how many times as fast the root of the cost rises as predicted."""
-        # A model without a response there is as unlikely as can be. Of a record, where no predictor
-        # is stable, nothing is known but the standard error.
+        # A model without a response there is as unlikely as can be. For a record, where no
+        # predictor is stable, only the standard error is known.
         rise = np.nan_to_num((costs(steps) - lowest) / predicted, nan=1.0 if has_records else 1e6)
         return np.sqrt(np.maximum(rise, 0))
 

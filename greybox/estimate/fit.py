@@ -58,11 +58,11 @@ from greybox.solve.interruption import (
     stop_requested,
     take_interrupt,
 )
-from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, multistart, solver_for
-from greybox.solve.robust_errors import with_robust_errors
+from greybox.solve.robust_fit import with_robust_errors
+from greybox.solve.run_storage import RunStorage
 from greybox.solve.runs import SEARCH_OVER
 
 _version = cache(version)  # reading it takes 2 ms
@@ -155,7 +155,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     """
     by = SolverChoice(method, search, solver_options)
     with limited(end_after(seconds)):
-        return fit_keeping(
+        return fit_with_storage(
             None,
             problem,
             starts,
@@ -233,8 +233,8 @@ def _interruptible() -> Iterator[None]:
 @_interruptible()
 @one_blas_thread()
 @traced_once()
-def fit_keeping(
-    kept: KeptRuns | None,
+def fit_with_storage(
+    storage: RunStorage | None,
     problem: AnyProblem,
     starts: AnyStarts | None = None,
     seed: int | None = None,
@@ -265,7 +265,7 @@ def fit_keeping(
             points,
             movable=not isinstance(rule, Listed),
             executor=executor,
-            kept=kept,
+            storage=storage,
             promising=solver.promising if starts is None else (),
             beside=profiles,
         )
@@ -314,12 +314,12 @@ def _with_progress(
     # A bar would be in the way of a function that reports progress in another form.
     if callable(progress) or not progress:
         return run(progress=progress or None)
-    with bar(total=count, unit="start") as shown:
+    with bar(total=count, unit="start") as progress_bar:
 
         def report(done: int, count: int) -> None:
-            # Shown from the first start on if it takes longer than half a second.
-            shown.delay = min(DELAY, done / 2)
-            shown.update(done - shown.n)
+            # Shown as soon as the first start takes longer than half a second.
+            progress_bar.delay = min(DELAY, done / 2)
+            progress_bar.update(done - progress_bar.n)
 
         return run(progress=report)
 
@@ -415,7 +415,7 @@ def assemble(
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
     together = determined_together(answer) if accuracy.combinations else ()
-    # What a wrong model leaves is no error that a weight could account for.
+    # No weight could account for the misfit of a wrong model.
     explains = misfit is None or misfit.explains
     return replace(
         answer,

@@ -171,8 +171,8 @@ class FittedRecord(FittedPart):
     method : str
         Transcription and integrator, with their automatic choices.
     inputs : "record", "linear" or "held"
-        How the inputs ran between their samples: as the record says (`Record.hold`), or all in one
-        way.
+        How the inputs varied between their samples: as the record says (`Record.hold`), or all in
+        one way.
     biases : tuple of str
         Signals whose constant error was estimated, as the parameter ``<name>_bias``.
     gains : tuple of (state, output)
@@ -181,8 +181,8 @@ class FittedRecord(FittedPart):
         States whose process noise ``w_<state>`` was estimated, with the noise ``v_<output>`` of the
         sensors; the gains follow from both.
     gain, gain_slope : (gains,) and (gains, m) arrays, or None
-        Gains that follow from process noise, and their derivatives by the parameters of the model
-        and those `added`.
+        Gains that follow from process noise, and their derivatives with respect to the parameters
+        of the model and those `added`.
     nuisances : int
         Number of initial states, variances and covariances of the noise that were estimated too.
     is_static : bool
@@ -228,7 +228,7 @@ class FittedRecord(FittedPart):
 
     @property
     def between(self) -> dict[str, str]:
-        """How every input ran between its samples, in words; empty for a static model."""
+        """How every input varied between its samples, in words; empty for a static model."""
         if self.is_static:
             return {}
         return described_inputs(self.inputs, self.input_names, self.data)
@@ -294,7 +294,7 @@ class FittedSpectrum(FittedPart):
 
     def fit_percent(self, output: str) -> float:
         """Return 100 (1 - |residual| / |measured|) over the band."""
-        # Not less the mean as in time: a band above zero frequency has none.
+        # The mean is not subtracted, unlike in time: a band above zero frequency contains none.
         size = np.linalg.norm(self.data.outputs[output])
         return float(100 * (1 - np.linalg.norm(self.residual(output)) / size)) if size else math.nan
 

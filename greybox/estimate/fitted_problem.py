@@ -9,7 +9,7 @@ from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
-from greybox.solve.robust_errors import with_pseudo_values
+from greybox.solve.robust_fit import with_pseudo_values
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
 ALL = (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)

@@ -27,7 +27,7 @@ class KnownDirections:
     covariance : (p, p) array
         Covariance of the estimate within the directions that the data determine, without NaN.
     unseen : (p, b) array
-        Directions, in multiples of `size`, about which the data say nothing.
+        Directions, in multiples of `size`, on which the data contain no information.
     size : (p,) array
         The change of each parameter that the data notice.
     at : (p,) array
@@ -66,7 +66,7 @@ class KnownDirections:
         scaled = self.covariance / np.outer(self.size, self.size)
         values, vectors = np.linalg.eigh(scaled)
         lost = np.linalg.matrix_rank(self.unseen) if self.unseen.size else 0
-        # Directions without information have the smallest eigenvalues: zero but for rounding.
+        # Directions without information have the smallest eigenvalues: zero except for rounding.
         seen = vectors[:, lost:]
         return (seen / np.maximum(values[lost:], 1e-300)) @ seen.T
 

@@ -30,8 +30,8 @@ class Cause:
     value, error : float
         The factor on the term that a fit would estimate, to first order, and its standard error.
     share : float
-        Share of the misfit that it explains, to first order, as far as earlier samples do not
-        predict it. Where the misfit of records is far above the noise, the share of all of it
+        Share of the misfit that it explains, to first order, excluding the share that earlier
+        samples predict. Where the misfit of records is far above the noise, the share of all of it
         counts if that is larger.
     p_value : float
         Probability of such a share if the model explains the data, times the number of terms that
@@ -70,7 +70,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Shape:
-    """How the term that explains most depends on a signal, beside what the parameters explain.
+    """How the term that explains most depends on a signal, apart from what the parameters explain.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Misfit(Printed):
     drift : float
         Share of the squares of the residuals of records that earlier samples predict.
     is_unstable : bool
-        Whether the model is unstable, so that the inputs of a record answer to its errors.
+        Whether the model is unstable, so that the inputs of a record respond to its errors.
     shape : Shape or None
         The shape of the best term of records, where it is significant.
     level : float
@@ -178,8 +178,8 @@ class Misfit(Printed):
         """Whether the model explains the data, in a few words."""
         if self.is_exact:
             return (
-                "reproduces the data but for rounding and integration errors, as of a simulation "
-                "without noise, so that standard errors mean little"
+                "reproduces the data except for rounding and integration errors, as in a "
+                "simulation without noise, so standard errors mean little"
             )
         left = f"{percent(self.left)} % of their variance is left and follows"
         noise = f"; noise alone would leave about {percent(self.noise)} %"
@@ -195,11 +195,13 @@ class Misfit(Printed):
                 f"at one end: otherwise, {left} what drove the test{noise}"
             )
         if self.explains:
-            # From residuals of half the standard deviation of an output on.
+            terms = f"none of {self.tried} missing terms"
+            # Residuals of half the standard deviation of an output, or more. White ones are noise;
+            # those that their past predicts may also be a motion that the model lacks.
+            if self.left * self.drift > 0.25:
+                return f"may explain the data: {left} {terms}"
             size = f" ({percent(self.left)} % of the variance)" * (self.left > 0.25)
-            return (
-                f"explains the data: the residuals{size} follow none of {self.tried} missing terms"
-            )
+            return f"explains the data: the residuals{size} follow {terms}"
         common = self.p_common < self.level
         return (
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"

@@ -166,7 +166,7 @@ def assessed_misfit(
         return None
 
     # What explains most comes first, among what is significant, and what has no known form last.
-    # The best stands for equal texts.
+    # Of terms with equal texts, the best is reported.
     best = dict[str, Cause]()
     for misfit in misfits:
         for cause in misfit.causes:
@@ -321,7 +321,8 @@ def _shares(
     ]
     left, least = max(of_outputs, key=lambda pair: (pair[0] >= EXACT, pair[0] - pair[1]))
     if left > LARGE * least:
-        # Residuals without noise are whitened by what the misfit is like: slow parts count little.
+        # Residuals without noise are whitened by the spectrum of the misfit: slow parts count
+        # little.
         alone = score_tests(residuals[:, 0], group.fitted, columns)[0] / len(residuals)
         shares = np.maximum(shares, alone)
     return shares, left, least
@@ -329,7 +330,7 @@ def _shares(
 
 def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
     """Return the shape of the best term over the signal that explains most of the residuals."""
-    # A wrong value has no shape; the next best term shows what it stands for.
+    # A wrong value has no shape; the next best term shows what it imitates.
     drawn = [
         (test, cause)
         for test, cause in tests
@@ -395,7 +396,7 @@ def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Teste
                 tried[key[0]] += 1
                 if key[0] not in best or test[0] > best[key[0]].decrease:
                     best[key[0]] = Tested(key, columns[:, [k]], *test)
-    # The best twelve are tested beside the color of the errors.
+    # The best twelve are tested together with the color of the errors.
     return tried, sorted(best.values(), key=lambda test: -round(test.decrease, 9))[:12]
 
 
@@ -420,10 +421,11 @@ def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested]
             tested.append((p_value, key, columns @ directions))
     if not tested:
         return [], np.array([])
-    # Only the best two are tested beside the color of the errors, which takes most of the time.
+    # Only the best two are tested together with the color of the errors, which takes most of the
+    # time.
     best = sorted(tested, key=itemgetter(0))[:2]
     _, best_keys, effects = zip(*best, strict=True)
-    # A test of several numbers stands for as many terms.
+    # A test of several numbers counts as that many terms.
     count = sum(columns.shape[1] for *_, columns in tested)
     p_values = count * group.chances(np.hstack(effects), [each.shape[1] for each in effects])
     is_missing = p_values < FALSE_ALARMS
@@ -458,14 +460,14 @@ def _p_of_responses(
         if OF_RESPONSES < tests[k] * p_values[k] < 1:
             again = _refitted(parts, determined, test.key)
             [p_value] = p_values_of_fits(fits, correlated_fits([again]))
-            # A fit of q numbers stands for as many terms.
+            # A fit of q numbers counts as q terms.
             q = again[1].shape[1] - determined.shape[1]
             p_values[k] = min(p_values[k], p_value / q)
     return p_values, p_common
 
 
 def _refitted(parts: Sequence[Regression], determined: Array, key: Any = None) -> Block:
-    """Return residuals, columns and lengths of responses that are fitted again, beside a term.
+    """Return residuals, columns and lengths of responses that are fitted again, with a term.
 
     The levels of the term are fitted, too: a mode has its own frequency and damping.
     """

@@ -150,11 +150,11 @@ def _offsets(
     """Yield the constants that residuals follow, judged by their slow errors.
 
     These look like a constant, too, but then pieces of the record differ as much. A constant that
-    one piece alone determines, as one before a step does, cannot be told from them. A random walk
-    from zero has an offset of p < 0.001 in one of 2000 simulated records, and each of `count`
-    records may have one. The first of the columns (N, 1 + c) has the residuals, and the others the
-    effects of the terms. Both lose what the parameters take: a gain that makes up for a constant
-    leaves residuals unlike one.
+    one piece alone determines, such as one before a step, cannot be distinguished from them. A
+    random walk from zero has an offset of p < 0.001 in one of 2000 simulated records, and each of
+    `count` records may have one. The first of the columns (N, 1 + c) has the residuals, and the
+    others the effects of the terms. Both lose what the parameters take: a gain that makes up for a
+    constant leaves residuals unlike one.
     """
     tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
     columns = beside(columns, fitted)
@@ -205,11 +205,11 @@ def regression_of_response(
     """Return the regression of a response at all `values`; of the free ones some are fitted."""
     free, places = moves.size, np.flatnonzero(moves)
     response, criterion, data = part.response(values), part.criterion, part.data
-    # Of a response of zero, all is misfit.
+    # Where the modeled response is zero, all of the measured one is misfit.
     size = criterion.error_size(response if response.any() else data.response, data)
     if criterion.known_noise and data.dof is not None:
-        # Over an estimated variance an error is Student's t, whose tails would look like a term.
-        # Its weight is that of the likelihood, about the scale of all residuals.
+        # Divided by an estimated deviation, an error follows Student's t, whose tails would look
+        # like a term. Its weight is that of the likelihood, about the scale of all residuals.
         scale = data.dof * criterion.noise_ratio(response, data) + TINY
         size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
     used = size > 0

@@ -31,8 +31,8 @@ def misfit(
     Returns
     -------
     Misfit or None
-        None where that cannot be told, as for rows without a time. `Fit.misfit` is the same without
-        candidates.
+        None where that cannot be decided, as for rows without a time. `Fit.misfit` is the same
+        without candidates.
 
     Raises
     ------

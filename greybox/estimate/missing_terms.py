@@ -404,7 +404,7 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
                 yield Term("equation", past, place, b, a, code=f"u.{b}, an input")
     gains = {f"K_{state}_{output}" for state, output in part.gains}
     for place, k in enumerate(part.model.active):
-        # Gains correct what the model misses: they are not what it misses.
+        # Gains correct for what the model lacks: a gain is not itself a missing term.
         if part.model.parameters[k] in gains:
             continue
         name, by_parameter = part.model.outside_names[k], partial(record.by_parameter, place)
@@ -438,7 +438,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 
     for row, T in _delays(record, u):
         yield term("timing", row, scale=T)
-        # Of a shorter lag, a sample would show a rounding error.
+        # A shorter lag would change a sample by a rounding error only.
         if step < 9 * T:
             decay = np.exp(-step / T)  # of a lag; the input itself is taken off
             lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])

@@ -18,7 +18,8 @@ from greybox.statistics.metrics import rms
 
 MANY = 10  # records up to which each one has a line
 # Points that hardly show a correlation of 0.8 between neighbors: of 12, intervals contain the truth
-# in 87 to 94 % of fits; of 24, as often as they say (benchmarks/results/neighbor_coverage.txt).
+# in 87 to 94 % of fits; those of 24 points, as often as they state
+# (benchmarks/results/neighbor_coverage.txt).
 FEW = 16
 
 Table = tuple[list[str], list[list[str]], tuple[int, ...]]
@@ -133,7 +134,7 @@ def parameter_table(fit: Any) -> Table:
         ]
         return ["parameter", "value", *header[3:]], rows, (0, 2, 4, 5)
 
-    # Biases and noise that every one of a hundred records has would fill pages.
+    # The biases and noise of a hundred records would fill pages.
     rows = [
         [q.name, *with_error(q.value, q.standard_error), q.unit, *_bounds_and_note(q), q.about]
         for q in fit.quantities
@@ -240,7 +241,7 @@ def _prior_texts(fit: Any) -> list[str]:
 
 def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
     """Say how the inputs ran between their samples, one line for all that ran alike."""
-    # Most inputs of a flight run alike, so that one line suffices.
+    # Most inputs of a flight are sampled alike, so one line suffices.
     alike: dict[str, dict[str, None]] = {}
     for part in records:
         for name, way in part.between.items():

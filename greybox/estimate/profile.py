@@ -22,7 +22,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, assess, informations
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.profiles import End, ProfileOf, Profiles
+from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
@@ -53,7 +53,7 @@ def profile(
 ) -> Profiles:
     """Profile the likelihood along parameters and derived quantities of a fit.
 
-    The criterion decides which likelihood its cost stands for:
+    The criterion determines the likelihood that its cost represents:
 
     - `RelativeError` (4.26), `SquaredRelativeError`, `RelativeLikelihood`: errors isotropic in the
       complex plane and of one relative size, which is estimated; Student's t.
@@ -219,7 +219,8 @@ class HeldMinima:
     ----------
     nlp : CompiledProblem
     best : Point
-        The minimum. Records are solved again: it may be slightly lower than that of the fit.
+        The minimum. Records are solved again, so it may be slightly lower than the minimum of the
+        fit.
     x : (p,) array
         The parameters there.
     accuracy : Accuracy
@@ -247,7 +248,7 @@ class HeldMinima:
         outcome = self._solver.near(x)
         if not outcome.converged:
             raise NoProfileError(
-                f"the minimum of {nlp.problem.name!r} is not found again from the estimate: "
+                f"the minimum of {nlp.problem.name!r} was not reached again from the estimate: "
                 f"{outcome.status}."
             )
         profile = self._solver.profile(outcome.estimate, outcome.nodes)
@@ -295,7 +296,9 @@ class HeldMinima:
                 bounds=(lower[:, None], upper[:, None]),
             )
             pairs = zip(ends.z.T, ends.at_minimum, strict=True)
-            minima = [self._response_minimum(z) if found else Point(z) for z, found in pairs]
+            minima = [
+                self._response_minimum(z) if at_minimum else Point(z) for z, at_minimum in pairs
+            ]
         return min(minima, key=lambda minimum: minimum.cost)
 
     def _solved(self, solver: GaussNewton, start: Point) -> Point:
@@ -430,7 +433,7 @@ class _Search:
         """Return the lowest minimum from these starts with the quantity at a value."""
         return replace(self.minima.lowest(self.held, starts, value), value=value)
 
-    def side(self, direction: int, limit: float) -> tuple[list[Point], End]:
+    def walk(self, direction: int, limit: float) -> tuple[list[Point], End]:
         """Walk from the estimate until |r| crosses a limit; the points, and how the walk ended."""
         points = [self.best]
         step = self.first
@@ -544,7 +547,7 @@ def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[P
     size = float(np.abs([line.value, *(slope / slope_of_x)]).max())
     error = line.standard_error
     first = STEP * limit * error if error > 0 else 0.02 * size
-    # The bound that the estimate has reached, but for rounding, does not shorten the first step.
+    # A bound that the estimate has reached, to within rounding, does not shorten the first step.
     bounds = () if line.at_bound else line.bounds
     return _Search(
         minima=minima,
@@ -566,8 +569,8 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
     lowest, highest = -limit - bias, limit - bias
     # With a bias beyond the limit one end lies on the other side of the estimate: that walk still
     # takes a step, which shows the curve.
-    down, low_end = search.side(-1, max(-lowest, STEP * limit))
-    up, high_end = search.side(1, max(highest, STEP * limit))
+    down, low_end = search.walk(-1, max(-lowest, STEP * limit))
+    up, high_end = search.walk(1, max(highest, STEP * limit))
     points = [*down[::-1], *up[1:]]
     roots = np.array([search.root(point) for point in points])
     inside = np.flatnonzero((roots >= lowest) & (roots <= highest))

@@ -33,8 +33,9 @@ def quantities(
 ) -> tuple[tuple[Quantity, ...], Array, Array]:
     """Return all quantities at x (k,), then the covariance and slopes (m, k) of the parameters.
 
-    Parameters are free, fixed or tied; slopes are derivatives by all values x. The errors of tied
-    and derived quantities are of first order. NaN where the data do not determine a quantity.
+    Parameters are free, fixed or tied; slopes are derivatives with respect to all values x. The
+    errors of tied and derived quantities are of first order. NaN where the data do not determine a
+    quantity.
     """
     follow = formulas(nlp.problem)
     values, slopes = x[:, None], np.eye(len(x))
@@ -84,7 +85,7 @@ def quantity_function(nlp: CompiledProblem, names: Sequence[str]) -> ca.Function
 def formulas(problem: AnyProblem) -> list[Formula]:
     """Return the tied parameters of a problem, then its derived quantities.
 
-    A derived quantity has the name of its part besides where that renames or ties.
+    The name of a derived quantity includes that of its part where the part renames or ties.
     """
     formulas_by_name: dict[str, Formula] = {}
     for part in problem.parts:

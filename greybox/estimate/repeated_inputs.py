@@ -35,12 +35,12 @@ def repeated_residuals(
         stretches = zip(*map(data.unpadded, (record.inputs, record.residuals)), strict=True)
         for u, e in stretches:
             n = _period(u)
-            before = np.hstack([0 * e[:, :n], e[:, : e.shape[1] - n]])
+            previous = np.hstack([0 * e[:, :n], e[:, : e.shape[1] - n]])
             for names, inputs, residuals in earlier:
                 if names == outputs and inputs.shape == u.shape and _are_same(inputs, u):
-                    before = residuals
-            rows.append(before)
-            # Shorter ones are many in records with gaps, and say nothing.
+                    previous = residuals
+            rows.append(previous)
+            # Records with gaps have many shorter ones, which show nothing.
             if u.shape[1] > ORDER:
                 earlier.append((outputs, u, e))
         values = data.padded(rows, 0.0)

@@ -21,8 +21,8 @@ from greybox.modeling.sine import Sine
 class ResponseBand:
     """A fitted frequency response with its errors, which follow from those of the parameters.
 
-    It holds the response of the true system at each single frequency at this level, if the model
-    structure is right; the noise of the measured points is not in it.
+    It contains the response of the true system at any single frequency with this probability, if
+    the model structure is right; the noise of the measured points is not in it.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ def response_and_slope(
     measured: Array,
     **signals: Any,
 ) -> tuple[FrequencyResponse, ComplexArray]:
-    """Return the response at `omega` (n,) rad/s and its derivatives (n, k) by the parameters.
+    """Return the response at `omega` (n,) rad/s and its derivatives (n, k) in the parameters.
 
     The arguments are those of `greybox.modeling.periodic_motions.response_of_test`.
     """

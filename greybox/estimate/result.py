@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import NOT_STORED, Record
@@ -23,7 +24,7 @@ from greybox.estimate.identifiability import (
 )
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import details, text
-from greybox.estimate.profiles import Profiles
+from greybox.estimate.profile_result import Profiles
 from greybox.estimate.response_band import (
     ResponseBand,
     band_of,
@@ -138,7 +139,8 @@ class Fit(Printed):
         the data. The other parameters are estimated too, and errors are taken as independent. NaN
         for a parameter without a standard error; empty without a prior.
     misfit : Misfit or None
-        Whether the model explains the data, and what it may lack; None where that cannot be told.
+        Whether the model explains the data, and what it may lack; None where that cannot be
+        decided.
     warnings, notes : tuple of str
         Reasons to doubt the estimate; and remarks.
     seed, starts, seconds, versions
@@ -398,7 +400,7 @@ class Fit(Printed):
             By default the one that was fitted; for a loaded fit, a model of greybox or one given
             to `load`.
         inputs : "record", "linear" or "held", optional
-            How inputs run between samples; by default as in the fit.
+            How inputs vary between samples; by default as in the fit.
         part : int, optional
             By default the part of `record`, else the first record, preferably with this model.
         record : Record, optional
@@ -505,7 +507,7 @@ class Fit(Printed):
         Raises
         ------
         ValueError, LookupError
-            If the part is no frequency response, its model has no rational form, or a loaded fit
+            If the part is not a frequency response, its model has no rational form, or a loaded fit
             does not know the model.
         """
         fitted, model, values = self._response_part(part, None)
@@ -553,7 +555,7 @@ class Fit(Printed):
         response, slope = response_and_slope(
             model,
             values,
-            np.atleast_1d(np.asarray(omega, dtype=float)),
+            finite_numbers("omega", omega),
             fitted.sine,
             fitted.data.omega,
             **fitted.signals,

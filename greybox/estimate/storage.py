@@ -208,7 +208,7 @@ def _require_consistent_part(part: AnyFittedPart) -> None:
     else:
         known = {*part.data.signals} & {*part.simulated.signals}
         is_same_time = np.array_equal(part.data.time, part.simulated.time)
-        require(is_same_time, "the simulated record has other times than its data")
+        require(is_same_time, "the simulated record and its data have different times")
         sizes["g"] = len(part.gains)
         _require_shapes(part, {"gain": "g", "gain_slope": "g*"}, sizes)
         require(all(a.ndim == 1 for a in part.initial.values()), "an initial state is not a list")

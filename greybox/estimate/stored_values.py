@@ -91,7 +91,7 @@ def _container(value: Any, kind: Any) -> Any:
 
 def _alike(kinds: tuple[Any, ...], value: Any) -> Any:
     """Return the kind among several that a stored value has."""
-    # A class name in a file of a stranger could be anything: the names of the fields decide.
+    # A class name in a file from a stranger could be anything: the names of the fields decide.
     is_array = isinstance(value, dict) and {*value} == {"shape", "numbers"}
     for kind in kinds:
         if dataclasses.is_dataclass(kind):

@@ -97,10 +97,10 @@ class StructuralIdentifiability:
                 yield f"  {listed(members)} cannot be separated: fix {cure} of them."
 
         lost = len(self.names) - len(self.identifiable)
-        more = lost - sum(group.directions for group in self.groups) - len(self.combinations)
+        missing = lost - sum(group.directions for group in self.groups) - len(self.combinations)
         formulas = [*self.combinations]
-        if more > 0:
-            formulas.append(f"{counted(more, 'combination')} (neither product nor sum)")
+        if missing > 0:
+            formulas.append(f"{counted(missing, 'combination')} (neither product nor sum)")
         if formulas:
             yield f"  Determined in combination: {listed(formulas)}."
         if self.identifiable:
@@ -202,7 +202,7 @@ def structural_identifiability(
 
 @frozen
 class _Sensitivity:
-    """How what is measured follows the free parameters at one point.
+    """How the measurements depend on the free parameters at one point.
 
     Attributes
     ----------

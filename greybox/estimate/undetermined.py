@@ -51,7 +51,7 @@ def invisible_groups(
     groups = []
 
     while remaining:
-        # Every parameter that takes part has no error, however small its part is.
+        # No parameter that takes part has an error, however small its part is.
         group = {max(remaining, key=lambda k: (projector[k, k], -k))}
         while linked_too := {k for k in remaining - group if linked[k, list(group)].any()}:
             group |= linked_too

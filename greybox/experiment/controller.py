@@ -189,7 +189,7 @@ def connected(
     controllers: list[Controller] = []
     if controller is not None:
         controllers += controller if isinstance(controller, Sequence) else [controller]
-    inputs, taken = system.inputs, {*system.outputs, *system.states}
+    inputs, driven_by_plant = system.inputs, {*system.outputs, *system.states}
     driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):
@@ -213,7 +213,7 @@ def connected(
             )
 
         # A signal of two sources would be overwritten without notice.
-        twice = provides & driven | (provides | commanded) & taken
+        twice = provides & driven | (provides | commanded) & driven_by_plant
         if twice:
             raise ValueError(
                 f"two signals are called {min(twice)!r}: rename that of {label}, "

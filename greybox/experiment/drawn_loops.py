@@ -31,8 +31,8 @@ def drawn_loops(
 ) -> SampledLoop:
     """Return the loops of the estimate, of draws from its distribution, and of plants near it.
 
-    The last ones differ from the estimate in directions about which the data say nothing. A model
-    has one loop.
+    The last ones differ from the estimate in directions on which the data contain no information. A
+    model has one loop.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def drawn_loops(
 def _plants(fit: Fit, names: Sequence[str]) -> Array:
     """Return values (plants, parameters): the estimate, draws from its distribution, others.
 
-    The others differ from the estimate in directions about which the data say nothing.
+    The others differ from the estimate in directions on which the data contain no information.
     """
     known = fit.known_directions(fit.names)
     limits = np.array([fit.by_name[name].bounds for name in fit.names]).T

@@ -75,7 +75,7 @@ def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     Raises
     ------
     ValueError
-        If a name is no parameter of the problem.
+        If a name is not a parameter of the problem.
     """
     require_known(values, problem.parameters, "parameter", problem.name)
     nlp = compile_problem(problem)

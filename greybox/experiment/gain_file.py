@@ -26,7 +26,7 @@ def write_gains(gains: Values, path: str | Path) -> None:
     Raises
     ------
     ValueError
-        For a gain between 0 and 1 in a file for Betaflight, which would become another one.
+        For a gain between 0 and 1 in a file for Betaflight, which would be rounded to another one.
     """
     path = Path(path)
     if path.suffix == ".params":

@@ -19,7 +19,7 @@ STEPS = 2**14  # most points of a step response: 70 MB for all draws
 
 
 class Located(NamedTuple):
-    """A quantity of every plant, and the frequency at which it arises, both (plants,).
+    """A quantity of every plant, and the frequency at which it occurs, both (plants,).
 
     The value is infinite where it does not exist, NaN where it is not defined.
     """
@@ -98,10 +98,10 @@ class Crossings:
         count = np.bincount(self.plant, minlength=self.plants)
         if count[0] < 2:
             return {}
-        same = count == count[0]
+        complete = count == count[0]
         table = np.full((2, self.plants, count[0]), math.nan)
         for row, numbers in zip(table, (values, self.omega), strict=True):
-            row[same] = numbers[same[self.plant]].reshape(-1, count[0])
+            row[complete] = numbers[complete[self.plant]].reshape(-1, count[0])
         return {f"{name} {k + 1}": Located(*table[:, :, k]) for k in range(count[0])}
 
 
@@ -127,7 +127,7 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
     """Return `numbers` of the first plant, with their frequencies accurate to rounding.
 
-    The places at which quantities arise get points of their own, which are ever closer.
+    Points are added, closer and closer, around the frequencies at which quantities occur.
     """
     alone, coarse = loop.first, loop_frequencies(loop)
     width = math.log(coarse[1] / coarse[0])
@@ -171,7 +171,7 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
         "delay margin": unity.smallest(lag / unity.omega),
         "modulus margin": Located(least, closest),
     }
-    # An unstable loop has used its margins up.
+    # An unstable loop has no margin left.
     answer = {n: Located(np.where(is_stable, m.value, 0.0), m.omega) for n, m in margins.items()}
 
     # A loop whose sensitivity at rest is above -3 dB rejects nothing.
@@ -200,9 +200,9 @@ def closed_loop_numbers(
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
-    The options `attitude` are for the criteria of ADS-33: `integrals` is how often the response is
-    integrated to an angle (None if it is neither an angle nor a rate), and `boundary` has phase
-    delays and bandwidths (2, n).
+    The options `attitude` are for the criteria of ADS-33: `integrals` is how often the response
+    must be integrated to give an angle (None if it is neither an angle nor a rate), and `boundary`
+    has phase delays and bandwidths (2, n).
     """
     return {
         **_response_numbers(loop, omega, setpoint, response, **attitude),
@@ -219,8 +219,8 @@ def _response_numbers(
     integrals: int | None,
     boundary: Array,
 ) -> Numbers:
-    rest = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
-    gain = loop.gains(setpoint, [response], omega)[..., 0] / rest
+    final = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
+    gain = loop.gains(setpoint, [response], omega)[..., 0] / final
     size, phase = np.abs(gain), np.unwrap(np.angle(gain), axis=1)
     answer = {
         "bandwidth": crossings(size - math.sqrt(0.5), omega).last,
@@ -328,7 +328,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Arr
             columns.append(across @ columns[-1])
         steps = np.concatenate(rows, axis=1) @ np.concatenate(columns, axis=2)
         steps = steps.swapaxes(1, 2)
-    rest = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
+    final = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)
     # Both begin at zero, before the step.
-    return np.r_[0.0, time], np.pad(steps.reshape(len(M), -1) / rest[:, None], ((0, 0), (1, 0)))
+    return np.r_[0.0, time], np.pad(steps.reshape(len(M), -1) / final[:, None], ((0, 0), (1, 0)))

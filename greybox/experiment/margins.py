@@ -226,8 +226,8 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     """Return margins and closed-loop numbers of a plant with sampled controllers, with intervals.
 
     The loop is that of `virtual_flight`: the controllers run at their rate, the control is held
-    until the next sample, and the delay of the plant is exact. The first group of numbers is of the
-    loop broken at one signal with every other loop closed:
+    until the next sample, and the delay of the plant is exact. The first group of numbers describes
+    the loop broken at one signal, with every other loop closed:
 
     - *phase margin*: the smallest phase, lag or lead, that makes the loop unstable, in degrees;
     - *gain margin* and *gain reduction margin*: the smallest factors above and below one that do;
@@ -240,7 +240,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     - *phase margin 1*, *gain margin 1* ...: at every crossing, if there are several, from the
       lowest frequency up; gain margins within 40 dB, negative for a reduction.
 
-    The second group is of the response to a setpoint, over its value at rest:
+    The second group describes the response to a setpoint, over its value at rest:
 
     - *bandwidth*: the highest frequency at which it is within 3 dB; *-180 deg frequency*;
     - *ADS-33 gain*, *phase bandwidth* and *phase delay* of the attitude, if the unit of the
@@ -297,7 +297,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
 
     Notes
     -----
-    A controller is linearized about its initial state: limits that are not reached play no part.
+    A controller is linearized about its initial state: limits that are not reached have no effect.
     The delay of a model that was fitted to a measured frequency response contains the hold of the
     control, half a sample, unless the record stated this hold; it is not counted again.
 
@@ -324,7 +324,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
             )
         return measured_margins(plant, level=level)
     if controller is None:
-        raise TypeError("a plant has margins in a loop: give its controller.")
+        raise TypeError("a plant has margins only in a loop: give its controller.")
     require_level(level)
     loop = drawn_loops(plant, controller, values, at=at, part=part)
     fit, model = (plant, plant.model_of(part)) if isinstance(plant, Fit) else (None, plant)

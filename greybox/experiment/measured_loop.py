@@ -25,7 +25,7 @@ def broken_loop(sensitivity: FrequencyResponse) -> FrequencyResponse:
     Raises
     ------
     ValueError
-        If S differs from 1 by no more than its errors, in the mean: the loop was open, or the test
+        If S differs from 1 by no more than its errors on average: the loop was open, or the test
         too weak.
     """
     S, variance = sensitivity.response, sensitivity.variance

@@ -183,7 +183,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         For larger and for smaller gains.
     delay : float, s
         An additional delay, for effects that were not identified, with which the requirements must
-        hold, too.
+        be met, too.
     level : float
     broken_at : str
         Where the loop is broken, as for `greybox.margins`.
@@ -251,7 +251,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
 
 def _divided(name: str, ends: Interval | None, today: float, count: int) -> Array:
     if ends is None and not today > 0:
-        raise ValueError(f"{name} is {today:g}, which has no range about it: give its range.")
+        raise ValueError(f"{name} is {today:g}, which suggests no range: give its range.")
     low, high = ends or (today / TRIED, today * TRIED)
     if not -math.inf < low < high < math.inf:
         raise ValueError(f"the range of {name} must be increasing: got {low:g} to {high:g}.")

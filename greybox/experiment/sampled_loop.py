@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import finite_numbers
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Strings, Values, frozen
 from greybox.modeling.held_inputs import held_response
@@ -95,10 +96,10 @@ class SampledLoop:
         """Return the gains (plants, n, sensors, inputs) of the plants at `omega` (n,) rad/s."""
         z = np.exp(1j * omega * self.period)
         delay = z[:, None, None] ** -self.whole[:, None, None, :]
-        before = delay / z[:, None, None]
+        earlier_delay = delay / z[:, None, None]
         pencil = z[:, None, None] * np.eye(self.A.shape[-1]) - self.A[:, None]
-        driven = self.late[:, None] * delay + self.early[:, None] * before
-        plant = self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * before
+        driven = self.late[:, None] * delay + self.early[:, None] * earlier_delay
+        plant = self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * earlier_delay
         return plant.astype(complex)
 
     def gains(
@@ -122,14 +123,14 @@ class SampledLoop:
         names = self.signals
         require_known((added_to, *signals), names, "signal", "the loop")
 
-        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        omega = finite_numbers("omega", omega)
         plant = self.plant_response(omega) if plant is None else plant
         control = self.controller.response(np.exp(1j * omega * self.period))
         k = len(self.sensors)
         feedback, commanded = control[..., :k], control[..., k:]
         rows = [self.controller.commands.index(name) for name in self.inputs]
 
-        # u = feedback y + command and y = plant u + error; one of them is added
+        # u = feedback y + command and y = plant u + error; one of command and error is added
         error = np.zeros((k, 1))
         command = np.zeros((len(omega), len(names) - k, 1))
         if added_to in self.sensors:
@@ -178,7 +179,7 @@ class SampledLoop:
         rows = [commands.index(name) for name in self.inputs]
         plants, n = self.A.shape[:2]
         m = len(self.inputs)
-        length = int(self.whole.max()) + 1  # past controls that some plant still waits for
+        length = int(self.whole.max()) + 1  # past controls that have not yet reached some plant
         size = n + len(F) + m * length
 
         # The last column is the command. The newest past control of an input is its first one.
@@ -356,6 +357,6 @@ def linear_controller(
     total = ca.vertcat(*[signals[name] for name in commands])
     v = ca.vertcat(y, e)
     blocks = [ca.jacobian(f, z) for f in (ca.SX(ca.vertcat(*following)), total) for z in (x, v)]
-    rest = [value for c in controllers for value in c.initial]
-    numbers = ca.Function("controller", [x, v], blocks)(rest, np.zeros(v.numel()))
+    initial = [value for c in controllers for value in c.initial]
+    numbers = ca.Function("controller", [x, v], blocks)(initial, np.zeros(v.numel()))
     return LinearController(commands, *(np.asarray(ca.DM(block)) for block in numbers))

@@ -285,7 +285,7 @@ def _sensitivities(
     signals: tuple[str, str],
     fixed: Values,
 ) -> tuple[CompiledProblem, ComplexArray]:
-    """Return the compiled problem, and the derivatives (n, p) by its free parameters."""
+    """Return the compiled problem, and the derivatives (n, p) in its free parameters."""
     exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
     # The problem is only used for sensitivities, so any variance is suitable.
     data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)

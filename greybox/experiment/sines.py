@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greybox.data.checked_array import finite_numbers
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band, round_up
 from greybox.files.arrays import Array
 
@@ -75,7 +76,7 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
 
 
 def _for_each(frequencies: Array, values: float | Sequence[float], what: str) -> Array:
-    array = np.atleast_1d(np.asarray(values, dtype=float))
+    array = finite_numbers(what, values)
     if array.size not in (1, frequencies.size):
         raise ValueError(
             f"there are {frequencies.size} frequencies but {array.size} {what}: give one for each."

@@ -52,8 +52,8 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     At every sample the controller reads the sensors and sets the control, which is held until the
     next sample and reaches the plant after its delay, exact to any fraction of a sample. The log
     has the sensor values that the controller reads, and the control commanded at that moment.
-    Because the control is held, a response measured from such a log, or from a flown one, shows
-    half a controller period more delay than the plant has; a fit divides the hold out.
+    Because the control is held, a response measured from such a log, or from a flown one, has half
+    a controller period more delay than the plant; a fit divides the hold out.
 
     Between samples the plant is integrated by classical Runge-Kutta steps (RK4), which are halved
     until this changes no state by more than 1e-7 of its largest value in any period; the remaining
@@ -174,7 +174,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
 
 @frozen
 class _Loop:
-    """The plant with its true values, and what is connected to what."""
+    """The plant with its true values, and which signals are connected."""
 
     label: str
     system: Dynamics

@@ -2,9 +2,9 @@
 
 A spreadsheet follows the conventions of its country, often semicolons or tabs between cells and
 commas in numbers.
-The header line decides the separator, all numbers together decide the decimal mark. A table that
-can be read in two ways is refused, and the message names the line: a wrong number would be worse
-than no number.
+The header line decides the separator, or the last line where blanks separate its numbers. All
+numbers together decide the decimal mark. A table that can be read in two ways is refused, and the
+message names the line: a wrong number would be worse than no number.
 """
 
 import csv
@@ -24,6 +24,7 @@ from greybox.files.text_table import counted, is_number
 COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separator
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
 WIDER = "name all columns, or, if its numbers have decimal commas, separate cells by semicolons"
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # first bytes of a text in UTF-16, as of Excel and PowerShell
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
 
 WITH_COMMA = re.compile(r"[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?")
@@ -110,7 +111,7 @@ class DelimitedText:
             if any(cells[1:]) and texts.items() <= named.items():
                 rows.append((number, cells))
 
-        # All cells decide together: 1,234 alone may be either.
+        # All cells are read together, since 1,234 alone may be either.
         comma = has_decimal_comma(self.path, rows)
         values = []
         for number, cells in rows:
@@ -136,10 +137,9 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     ValueError
         If the contents are not text.
     """
-    if b"\0" in raw:
+    if b"\0" in raw and not raw.startswith(UTF_16):
         raise ValueError(
-            f"{path} is not a CSV text file (it contains zero bytes, as UTF-16 does): save it as "
-            "UTF-8."
+            f"{path} is not a CSV text file, since it contains zero bytes: save it as UTF-8."
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     body = [
@@ -149,15 +149,21 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         return DelimitedText(path, ",", (), (), (), {})
 
     header = body[0]
+    matches = [*map(FACT.fullmatch, lines[:header])]
+    _, separator = _split(lines[header])
+    cells = lines[body[-1]].split()
+    if separator not in lines[header] and len(cells) > 1 and are_numbers(cells):
+        # A unit belongs to its name: ``pitch [deg]``.
+        lines[header] = re.sub(r"\s+([\[(])", r"\1", lines[header])
+        lines = ["\t".join(line.split()) for line in lines]
     names, separator = _split(lines[header])
     # `numpy.savetxt` writes the names as a comment.
     if are_numbers(names):
         comment = next((line for line in reversed(lines[:header]) if line.strip()), "")
-        titles, mark = _split(comment.lstrip().lstrip("#%"))
+        titles, mark = _split(comment.strip("#% \t"))
         if len(titles) == len(names) and mark == separator and not are_numbers(titles):
             names = titles
             body = [header, *body]
-    matches = map(FACT.fullmatch, lines[:header])
 
     return DelimitedText(
         path,
@@ -172,11 +178,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
 def numbered(text: DelimitedText) -> DelimitedText:
     """Return a table without a header line with the numbers of its columns as names."""
     # What was taken for the header is the first row.
-    line = text.separator.join(text.header)
-    lines = [line, *text.lines]
-    if len(text.header) == 1 and len(line.split()) > 1:
-        lines = ["\t".join(cells.split()) for cells in lines]
-        text = replace(text, separator="\t")
+    lines = [text.separator.join(text.header), *text.lines]
     cells = lines[0].split(text.separator)
     if not are_numbers(cells):
         return text
@@ -249,9 +251,9 @@ def number_in(cell: str, decimal_comma: bool) -> float:
 
 
 def _decoded(raw: bytes) -> str:
-    """Return the text, from UTF-8 or a Western encoding, with plain minus signs."""
+    """Return the text, from Unicode or a Western encoding, with plain minus signs."""
     # Every text is valid Latin-1: it comes last. `float` does not read typographic minus signs.
-    for encoding in ("utf-8-sig", "cp1252"):
+    for encoding in ("utf-16",) if raw.startswith(UTF_16) else ("utf-8-sig", "cp1252"):
         try:
             return raw.decode(encoding).replace("\u2212", "-")
         except UnicodeDecodeError:

@@ -20,7 +20,7 @@ def _name(file: Path) -> str:
 
 
 def error_place(error: BaseException) -> str:
-    """Return the file and the line of an error, for the beginning of a sentence; else ""."""
+    """Return the file and the line of an error, to begin a sentence with; else ""."""
     file = getattr(error, "filename", None) or "<"
     if isinstance(error, SyntaxError) and not file.startswith(OTHERS):
         return f"{Path(file).name}, line {error.lineno}: "

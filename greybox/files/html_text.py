@@ -1,4 +1,4 @@
-"""How notebooks show what prints itself."""
+"""How notebooks show values that print themselves."""
 
 from html import escape
 
@@ -13,7 +13,7 @@ def preformatted(text: str) -> str:
 
 
 class Printed:
-    """What a notebook shows as the text that it prints, not as one line."""
+    """A value that a notebook shows as its printed text, not as one line."""
 
     def _repr_html_(self) -> str:
         return preformatted(str(self))

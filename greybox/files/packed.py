@@ -20,8 +20,7 @@ def unpacked(value: bytes, like: bytes = b"") -> bytes:
     """
     inflate = zlib.decompressobj(zdict=like)
     try:
-        # What comes from a stranger may expand no further. zlib reaches 1030 where one byte repeats
-        # itself.
+        # Bytes from a stranger may expand no further; zlib reaches 1030 where one byte is repeated.
         whole = inflate.decompress(value, 1000 * len(value))
     except zlib.error as error:
         raise ValueError(str(error)) from None

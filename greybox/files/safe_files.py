@@ -1,4 +1,4 @@
-"""Atomic file writes, and what counts as a file to read."""
+"""Atomic file writes, and checks of files to be read."""
 
 import os
 import secrets

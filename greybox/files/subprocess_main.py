@@ -140,7 +140,7 @@ def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
     if dataset.shape is None:
         return
     fields = dataset.dtype.names
-    # A table is a vector of structs; images and other arrays of more dimensions are no signals.
+    # A table is a vector of structs; images and other arrays of more dimensions are not signals.
     numeric = dataset.dtype.kind in "biuf" or (fields and dataset.ndim == 1)
     if not numeric or not 1 <= dataset.ndim <= 2 or not dataset.size:
         return

@@ -60,7 +60,7 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
         errors.seek(0)
         reason = printable(errors.read().decode("utf-8", "replace").strip())
     if status == REFUSED:
-        raise ValueError(f"{path} is not read: {reason}.")
+        raise ValueError(f"{path} cannot be read: {reason}.")
     if status == TOO_LONG:
         raise ValueError(f"{path} is damaged: reading it takes too long for its size.")
 

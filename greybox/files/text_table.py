@@ -39,17 +39,17 @@ def all_printable(thing: Any) -> Any:
     return thing
 
 
-def write_out(thing: Any, *names: str) -> None:
+def write_out(target: Any, *names: str) -> None:
     """Write out control characters in these attributes of a new object, at any depth."""
     for name in names:
-        vars(thing)[name] = all_printable(getattr(thing, name))
+        vars(target)[name] = all_printable(getattr(target, name))
 
 
 def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
 ) -> str:
     """Align `rows` of text under `header`; columns in `left` are flush left, others right."""
-    # Written out before the widths are taken, since control characters have none.
+    # Control characters are written out first: they have no width.
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
 
@@ -76,10 +76,10 @@ def percent(share: float) -> str:
     return f"{float(number(100 * share, 2)):g}"
 
 
-def counted(count: float, one: str, more: str = "") -> str:
-    """Return "1 record" or "2 records"; `more` is an irregular plural."""
+def counted(count: float, singular: str, plural: str = "") -> str:
+    """Return "1 record" or "2 records"; `plural` is an irregular one."""
     amount = f"{count:g}" if isinstance(count, float) else f"{count}"
-    return f"{amount} {one if count == 1 else more or one + 's'}"
+    return f"{amount} {singular if count == 1 else plural or singular + 's'}"
 
 
 def listed(names: Sequence[str]) -> str:
@@ -170,7 +170,7 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def one_line(thing: object, *facts: str) -> str:
+def one_line(value: object, *facts: str) -> str:
     """Return ``<Class fact, fact>`` for the `repr` of a value, in less than 120 characters."""
-    text = printable(" ".join(f"<{type(thing).__name__} {', '.join(facts)}".split()))
+    text = printable(" ".join(f"<{type(value).__name__} {', '.join(facts)}".split()))
     return f"{text}>" if len(text) < 119 else f"{text[:115]}...>"

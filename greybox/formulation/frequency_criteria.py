@@ -22,7 +22,7 @@ from greybox.modeling.functions import exp, log, sqrt
 
 _DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
 _DEGREES_PER_RADIAN = 180 / math.pi
-_PHASE_WEIGHT = 0.01745  # of squared degrees, beside squared dB
+_PHASE_WEIGHT = 0.01745  # of squared degrees, relative to squared dB
 
 
 class Criterion(AnyCriterion):
@@ -91,7 +91,10 @@ class Criterion(AnyCriterion):
     ) -> tuple[float, Array]:
         """Return `bread` and `meat` (2n,).
 
-        `correction` scales the size of the noise for the number of estimated parameters.
+        With the Jacobian J, the curvature of the cost is B = bread · JᵀJ and the covariance of its
+        gradient is M = Jᵀ diag(meat) J, for errors in proportion to the sizes of the residuals; the
+        estimate has the covariance B⁻¹ M B⁻¹. `correction` scales the size of the noise for the
+        number of estimated parameters.
         """
 
     def score_correlation(self, correlation: Array) -> Array:
@@ -384,7 +387,7 @@ class MaximumLikelihood(Criterion):
     If a variance was itself estimated, with ν degrees of freedom (`FrequencyResponse.dof`), the
     errors over its root have a bivariate Student's t distribution. The cost of a point is then (ν +
     2)/2 · log(1 + 2 r²/ν), with r² as above, and its weight in the standard errors is ν/(ν + 2 r²),
-    so that a variance which is small by chance does not get too much weight. The variance of the
+    so that a variance that is small by chance does not get too much weight. The variance of the
     score of such a point is (ν + 2)/ν times its curvature. Source: Lange, Little and Taylor (1989),
     Robust statistical modeling using the t distribution, JASA 84.
 

@@ -1,4 +1,4 @@
-"""How the inputs of a record run between their samples: held or interpolated.
+"""How the inputs of a record vary between their samples: held or interpolated.
 
 The samples do not show which. The record states it (`Record.hold`), or the user does, or it is an
 assumption, which every result reports with the size of its effect.
@@ -14,7 +14,7 @@ from greybox.files.arrays import Values
 from greybox.files.text_table import number
 
 Inputs = Literal["record", "linear", "held"]
-"""How inputs run between their samples: as the record says, or all of them in one way."""
+"""How inputs vary between their samples: as the record says, or all of them in one way."""
 
 
 def require_inputs(inputs: Any) -> None:
@@ -32,7 +32,7 @@ def between_samples(
     record: Record,
     assumed: Values = MappingProxyType({}),
 ) -> tuple[Intersample, ...]:
-    """Return how each of the named inputs of a record runs between its samples.
+    """Return how each of the named inputs of a record varies between its samples.
 
     If neither `inputs` nor the record states it, `assumed` does (like `Record.hold`); otherwise the
     input is interpolated. Data without a time have nothing between their rows.
@@ -47,7 +47,7 @@ def between_samples(
 
 
 def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> dict[str, str]:
-    """Return how every input runs between its samples, in words, and who states it."""
+    """Return how every input varies between its samples, in words, and who states it."""
     if not record.has_time:
         return {}
     result = {}

@@ -126,9 +126,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         Other names of parameters in the answer. Added problems share parameters with equal names.
     weight : float
         Factor on this problem's cost in a sum; by pair, ``{"p/lat": 2}``, for several responses. A
-        record whose errors stay correlated deserves less than one, beside data whose errors do not:
-        a note of the fit names the value. Costs with other weights than one are no likelihoods, so
-        that comparisons have no AIC.
+        record whose errors stay correlated deserves less than one, next to data whose errors do
+        not: a note of the fit names the value. Costs with weights other than one are not
+        likelihoods, so comparisons have no AIC.
     name : str
         A label; by default that of the data.
     amplitude : ``{signal: amplitude}`` or Sine, optional
@@ -215,7 +215,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         if self.priors and not (self.criterion.is_likelihood or self.has_default_criterion):
             raise ValueError(
                 f"{self.priors[0].names[0]!r} has a prior, and the cost of "
-                f"{type(self.criterion).__name__} is not a likelihood, to which it could be added: "
+                f"{type(self.criterion).__name__} is not a likelihood to which it could be added: "
                 "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
                 "where variances are known."
             )

@@ -2,8 +2,8 @@
 
 If a measurement is P̂ = P (1 + ε), with ε isotropic, normal and of standard deviation σ in each
 component, the error of a model g P depends only on g and ε: e = g / (1 + ε) - 1 relative to the
-measured magnitude, and 1 - (1 + ε) / g relative to the model's. So the factor g to which the
-criterion draws the gain, the mean curvature, and the variance of the gradient depend on σ only.
+measured magnitude, and 1 - (1 + ε) / g relative to the model's. So the factor g toward which the
+criterion biases the gain, the mean curvature, and the variance of the gradient depend on σ only.
 They are means over errors up to a magnitude that one point in 2n exceeds, about the median of the
 largest of n errors: moments of 1 / (1 + ε) over all errors are infinite, since a measurement may be
 zero.

@@ -31,8 +31,8 @@ class EquationError(TimeCriterion):
         at both ends are estimated like those of the states.
 
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 7; the likelihood:
-    Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with plant and noise of
-    one denominator.
+    Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with one denominator for
+    plant and noise.
     """
 
     gusts: bool = False

@@ -135,7 +135,7 @@ class Listed(Starts):
 
 @dataclass(frozen=True)
 class Chained(Starts):
-    """The starts of several rules in turn; `seed` is that of the first rule that has one."""
+    """The starts of several rules in order; `seed` is that of the first rule that has one."""
 
     rules: tuple[Starts, ...]
 

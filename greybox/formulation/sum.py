@@ -137,7 +137,7 @@ class Sum(Addable, Generic[Part]):
 
 
 def _require_data_once(problem: Sum[Any]) -> None:
-    """Refuse a record beside a response or a spectrum that was estimated from a stretch of it.
+    """Refuse a record together with a response or spectrum estimated from a stretch of it.
 
     Their errors are the same, so that adding their likelihoods would count the information twice.
 
@@ -213,7 +213,7 @@ def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def _record_numbers(data: Sequence[Any]) -> list[int]:
-    """Return the number of every record among the different ones, from 1; 0 for other data."""
+    """Return the number of every record among the distinct ones, from 1; 0 for other data."""
     numbers: dict[Any, int] = {}
     return [
         # Two stretches of one log have the same checksum, but not the same times.
@@ -242,7 +242,7 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
         renamed = {}
         for name in part.declared:
             is_named = name in {*part.model.parameters, *part.rename}
-            # Held estimates come last: of 30 parts, to ask for them takes a tenth of compiling.
+            # Held estimates come last: with 30 parts, looking for them takes a tenth of compiling.
             if (
                 is_named
                 or not name.endswith("_bias")

@@ -43,10 +43,10 @@ class TimeCriterion(AnyCriterion):
         deviations in the units of the outputs. Every record has variances of its own; those with
         fewer than 12 samples of an output share one if they have the same model and outputs.
     inputs : "record", "linear" or "held"
-        How inputs run between their samples: as the record says (`Record.hold`; an unknown input is
-        assumed to be linear, which the result states), or all linear, or all held. If a held input
-        reaches an output directly, the cost is discontinuous at integer-sample delays: give several
-        starts.
+        How inputs vary between their samples: as the record says (`Record.hold`; an unknown input
+        is assumed to be linear, which the result states), or all linear, or all held. If a held
+        input reaches an output directly, the cost is discontinuous at integer-sample delays: give
+        several starts.
     biases : sequence of str
         Outputs and inputs with an unknown constant error of measurement: the parameter
         ``<name>_bias`` is the measured minus the true value. In a sum, every record has its own,
@@ -192,10 +192,10 @@ class OutputError(TimeCriterion):
     Parameters
     ----------
     errors : "normal" or "huber"
-        With "huber", errors beyond 1.345 standard deviations count as that, so that outliers of a
+        With "huber", errors beyond 1.345 standard deviations count as 1.345, so that outliers of a
         sensor do not decide the estimate; the standard deviation follows from the median. Standard
-        errors are those of this M-estimator, 5 % of the variance more for normal errors. The cost
-        is that of the record with outliers moved in. Only for records.
+        errors are those of this M-estimator, with 5 % more variance for normal errors. The cost is
+        that of the record with its outliers moved to this bound. Only for records.
 
     Examples
     --------
@@ -259,7 +259,7 @@ class PredictionError(TimeCriterion):
     disturbance : mapping of str to 'colored'
         The states whose derivatives have a gust, a further state ``gust_<state>`` that white noise
         of intensity ``w_gust_<state>`` drives with the time constant ``T_gust_<state>``. An output
-        that has such a derivative in it, such as an acceleration, has the gust in it, too.
+        that contains such a derivative, such as an acceleration, contains the gust, too.
 
     Examples
     --------
@@ -290,7 +290,7 @@ class PredictionError(TimeCriterion):
             )
         if self.driven() and self.noise != "diagonal":
             raise ValueError(
-                "with process_noise or disturbance sensors have the parameters v_<output>: leave "
+                "with process_noise or disturbance, sensors have the parameters v_<output>: leave "
                 f"out noise={self.noise!r}, and give deviations that are known as "
                 "fixed={'v_<output>': ...}."
             )

@@ -17,7 +17,7 @@ COLUMNS = 600  # of a line on the page, two pixels wide; a line then takes about
 
 
 def figure_grid(figures: Sequence[Figure]) -> Element:
-    """Return figures as they stand on the page, beside one another where there is room."""
+    """Return figures for the page, side by side where there is room."""
     is_alone = len(figures) == 1
     return tag("div", [figure_element(figure, is_alone) for figure in figures], class_="figures")
 
@@ -32,19 +32,19 @@ def figure_element(figure: Figure, is_alone: bool = False) -> Element:
     return tag("figure", caption, tag("div", class_="plot", data_figure=data), class_=wide)
 
 
-def _plain(thing: Any) -> Any:
+def _plain(item: Any) -> Any:
     """Return numbers as a list, anything else by the names of its attributes."""
-    if isinstance(thing, np.ndarray):
-        values = np.asarray(thing, dtype=float)
+    if isinstance(item, np.ndarray):
+        values = np.asarray(item, dtype=float)
         finite = values[np.isfinite(values)]
         span = float(np.ptp(finite)) if finite.size else 0.0
         return [_number(value, span) for value in values.tolist()]
-    if isinstance(thing, Series) and thing.kind == "regions":
+    if isinstance(item, Series) and item.kind == "regions":
         # NaN ends an outline. Twelve of its 48 vertices look round, in a quarter of the space.
-        ends = np.isnan(thing.x)
-        kept = ends | (np.cumsum(~ends) % 4 == 0)
-        thing = replace(thing, x=thing.x[kept], y=thing.y[kept])
-    return {name: value for name, value in vars(thing).items() if value is not None}
+        ends = np.isnan(item.x)
+        visible = ends | (np.cumsum(~ends) % 4 == 0)
+        item = replace(item, x=item.x[visible], y=item.y[visible])
+    return {name: value for name, value in vars(item).items() if value is not None}
 
 
 def _number(value: float, span: float) -> float | None:
@@ -52,5 +52,5 @@ def _number(value: float, span: float) -> float | None:
     if not math.isfinite(value):
         return None
     # Five digits of a clock time in seconds would be all alike: far from zero keep more of them.
-    more = math.ceil(math.log10(abs(value) / span)) if 0 < span < abs(value) else 0
-    return float(f"{value:.{DIGITS + more}g}")
+    digits = math.ceil(math.log10(abs(value) / span)) if 0 < span < abs(value) else 0
+    return float(f"{value:.{DIGITS + digits}g}")

@@ -6,7 +6,7 @@ from textwrap import dedent
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from greybox.estimate.profiles import Profiles
+from greybox.estimate.profile_result import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
 from greybox.html_report.elements import tag

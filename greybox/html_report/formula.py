@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 from greybox.html_report.elements import Child, tag
 
-# Backticks, and the arguments of a class, which are no part of its equation.
+# Backticks, and the arguments of a class, which are not part of its equation.
 OMITTED = r"(?s)`|\n\n(Parameters|Raises)\n-.+?(?=\n\n|$)"
 
 

@@ -1,4 +1,4 @@
-"""What was fitted to what, and how: sources, checksums, seed, versions."""
+"""Which model was fitted to which data, and how: sources, checksums, seed, versions."""
 
 import math
 import shlex
@@ -92,7 +92,7 @@ def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
 
 def _restrictions(fit: Fit) -> list[Element]:
     """Return ties, constraints, names and settings, if there are any."""
-    # What a reader needs to repeat the fit, beside data, model and criterion.
+    # What a reader needs to repeat the fit, besides data, model and criterion.
     facts: dict[str, Child] = {}
     for part in fit.parts:
         place = f" of {part.name}" if len(fit.parts) > 1 else ""

@@ -48,7 +48,7 @@ def report(
     title : str
         By default the name of the fit.
     author : str
-        Who answers for the page; it stands below the title, with today's date.
+        Who answers for the page; it is printed below the title, with today's date.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def report(
     default = f"{counted(len(entries), 'result')} side by side"
     if len(entries) == 1:
         default = entries[0].answer.get("problem", entries[0].label)
-    # A file of a stranger may contain any numbers, and warnings about them help nobody.
+    # A file from a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
         studies = [result for result in results if isinstance(result, Study)]
         loops = [margins] if isinstance(margins, Margins) else margins

@@ -99,8 +99,10 @@ def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
     for name in ("input", "output"):
         if not stated.get(name):
             signals = next(iter(recording.values())).signals if len(recording) == 1 else {}
-            there = f"; it has {some([*signals], 12)}" if signals else ""
-            raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL{there}.")
+            signals_text = f"; it has {some([*signals], 12)}" if signals else ""
+            raise ValueError(
+                f"no {name} is known for this log: give {name}=NAME=SIGNAL{signals_text}."
+            )
     return Settings(**stated)
 
 
@@ -132,7 +134,7 @@ def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float
     if not present(recording, [signal]):
         return 0.0
     record, field = recording.locate(signal)
-    # A heading jumps by a whole turn at north, which is no motion.
+    # A heading jumps by a whole turn at north, which is not a motion.
     turn = 2 * np.pi if record.units.get(field) == "rad" else 360
     spreads = [0.0]
     for test in tests:

@@ -62,7 +62,7 @@ class Identification:
 
     @property
     def refusals(self) -> Strings:
-        """Why responses are no basis for a model."""
+        """Why responses are not a basis for a model."""
         return tuple(chain.from_iterable(m.quality.refusals for m in self.measurements))
 
     @property
@@ -150,8 +150,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     # The first log decides the signals of all: two sensors have two responses.
     stated |= {"drop_warned": not all_points, "refined": True}
     settings, choices = choose(recordings[0], **stated)
-    same = {name: getattr(settings, name) for name in ("input", "output", "axis")}
-    used = [settings, *(choose(r, **{**stated, **same})[0] for r in recordings[1:])]
+    common = {name: getattr(settings, name) for name in ("input", "output", "axis")}
+    used = [settings, *(choose(r, **{**stated, **common})[0] for r in recordings[1:])]
     measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
     result = Identification(tuple(recordings), choices, measurements)
     if result.refusals:
@@ -170,7 +170,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
         candidates = [_candidate(s, responses, series, of_parameters, starts, seed) for s in listed]
         selection = select(candidates)
     else:
-        # The structures of the first response serve all, unless a filter is taken out of it.
+        # The structures of the first response are used for all, unless a filter is divided out of
+        # it.
         linear = {} if series else measurements[0].linear
         selection = select_orders(responses, through=series, linear=linear, **of_parameters)
     return replace(result, selection=selection, through=tuple(filters))

@@ -25,7 +25,7 @@ CONTROLLER_MESSAGES = (
 
 
 def loop_text(controller: str) -> str:
-    """Return whether the loop was closed, and by what this shows in the log."""
+    """Return whether the loop was closed, and what in the log shows it."""
     if controller:
         return f"closed loop ({controller} is in the log)"
     return "open loop (the log shows no controller)"
@@ -34,8 +34,8 @@ def loop_text(controller: str) -> str:
 def controller_in(recording: Recording, controls: Sequence[str], measured: Sequence[str]) -> str:
     """Return the signal or message that shows a controller of the axis; empty without one.
 
-    A signal that is `measured` as an output is no setpoint: a column r may be a setpoint or a yaw
-    rate.
+    A signal that is `measured` as an output is not a setpoint: a column r may be a setpoint or a
+    yaw rate.
     """
     axes = [axis_of(control) for control in controls]
     for names in chain.from_iterable([AXES[axis]] if axis else AXES.values() for axis in axes):

@@ -94,21 +94,21 @@ def measure_matrix(
     if band is not None:
         responses = tuple(response.between(*band) for response in responses)
     used = math.floor((len(record) / record.rate) / period + 1e-9)
-    said = [
+    choices = [
         f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: "
         f"{counted(used, 'period')} of {period:g} s, after {settle:g} s of settling."
     ]
     measured = [signals[name] for name in (*u, *y)]
     loop = loop_text(controller_in(recording, measured[: len(u)], measured))
     by = f"the excitations {', '.join(excitations)}" if e else "the inputs themselves"
-    said.append(
+    choices.append(
         f"{loop}: averages over whole periods; the lines of each input are those of {by}, "
         "instrument=... names others."
     )
-    return MatrixMeasurement(record, responses, tuple(said))
+    return MatrixMeasurement(record, responses, tuple(choices))
 
 
-def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
+def _moving(record: Record, names: Sequence[str]) -> Interval:
     """Return from when to when a signal moves."""
     steps = np.array([np.diff(record[name]) for name in names])
     # Above rounding: a logged zero may be a small number.

@@ -107,8 +107,8 @@ class Settings:
             raise ValueError(f"settle={self.settle} must be a number of seconds of at least 0.")
         if self.period is not None and not 0 < self.period < math.inf:
             raise ValueError(
-                f"period={self.period:g} must be a number of seconds above 0: leave it out where "
-                "none is known."
+                f"period={self.period:g} must be a number of seconds above 0: leave it out if it "
+                "is not known."
             )
         if not 2 <= self.points <= 10_000:
             raise ValueError(f"points={self.points} must lie between 2 and 10000.")
@@ -280,7 +280,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
-            # The table of sines shows the errors that the response has, systematic ones included.
+            # The table of sines shows the errors of the response, including the systematic ones.
             detail = points.with_variance(response.variance).table if points else detail
             quality = quality_of(response).with_findings(
                 *_on_points(points),
@@ -352,7 +352,7 @@ def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]
     segments = find_segments(
         recording, settings.announced, dict(settings.fields) or None, settings.setpoint
     )
-    # A column r is a setpoint in one log and the yaw rate in another: an output is no setpoint.
+    # A column r is a setpoint in one log and the yaw rate in another; an output is not a setpoint.
     _, output = settings.names[1]
     measured = {f"setpoint {output}", f"setpoint {output.rpartition('.')[2]}"}
     return tuple(segment for segment in segments if segment.source not in measured)
@@ -402,9 +402,9 @@ def _require_one_axis(used: Sequence[Segment]) -> None:
 def _within_band(sines: Sequence[Segment], band: Interval) -> list[Segment]:
     inside = [segment for segment in sines if band[0] <= segment.omega <= band[1]]
     if not inside:
-        there = ", ".join(f"{segment.omega:.4g}" for segment in sines)
+        listed = ", ".join(f"{segment.omega:.4g}" for segment in sines)
         raise ValueError(
-            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {there} "
+            f"no sine lies in the band from {band[0]:g} to {band[1]:g} rad/s; there are {listed} "
             "rad/s."
         )
     return inside
@@ -424,7 +424,7 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
 
 
 def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> float | None:
-    """Return the stated rate, or that of input and output beside a signal that is injected."""
+    """Return the stated rate, or that of input and output if a signal is injected."""
     if settings.rate is not None or not used or not used[0].source.startswith(INJECTED):
         return settings.rate
     # The injected signal is held, so that its messages may be slower than the others.
@@ -501,12 +501,12 @@ def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
 
 def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Iterator[Finding]:
     """Yield a warning on the points beyond the sweeps, which only their transients excite."""
-    # One test that is no sweep may excite any frequency.
+    # A test that is not a sweep may excite any frequency.
     bands = [segment.band for segment in used if segment.kind == "sweep"]
     if not bands or len(bands) < len(used):
         return
     low, high = min(low for low, _ in bands), max(high for _, high in bands)
-    # 2 %: a sweep that is found in a setpoint has its ends from periods of some samples.
+    # 2 %: the ends of a sweep that is found in a setpoint are known from periods of a few samples.
     beyond = response.omega[(response.omega < 0.98 * low) | (response.omega > 1.02 * high)]
     if beyond.size:
         text = f"{counted(beyond.size, 'point')} beyond the sweep, {low:.3g} to {high:.3g} rad/s."

@@ -31,12 +31,12 @@ from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.levy import coefficients, ratio, reweighted
 from greybox.regression.poles_and_zeros import near_pairs, root_text
 
-POLES = 4  # beside the integrators; more can seldom be distinguished in two decades of frequency
+POLES = 4  # besides the integrators; more can seldom be distinguished in two decades of frequency
 ZEROS = 2
 INTEGRATORS = 2
 
 # Delays from zero to the one that turns the phase by this angle at the highest frequency, rad, are
-# tried first: more than one turn, in steps narrower than a minimum.
+# tried first: more than one turn, in steps narrower than a minimum is wide.
 TURN = 8.0
 DELAYS = 16
 
@@ -173,10 +173,10 @@ def select_orders(
             without = replace(orders, delay=False)
             candidates[-1] = _candidate(responses, without, starts, through, stated)
             undelayed.append(str(without))
-    rest = len(linear) - len(near)
+    rejected = len(linear) - len(near)
     notes = []
-    if rest:
-        notes.append(f"{counted(rest, 'other structure')} had a higher BIC by least squares.")
+    if rejected:
+        notes.append(f"{counted(rejected, 'other structure')} had a higher BIC by least squares.")
     if any(orders.delay for orders in linear):
         longest = TURN / max(responses, key=len).omega.max()
         notes.append(
@@ -217,7 +217,7 @@ def _polynomials(orders: Orders, values: Values) -> tuple[list[float], list[floa
 
 
 def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[dict[str, float]]]:
-    """Return the least weighted squares over the delay; coefficients there and beside it."""
+    """Return the least weighted squares over the delay; coefficients there and next to it."""
     if not orders.delay:
         squares, values = _at_delays(data, orders, np.zeros(1))[0]
         return squares, [values]
@@ -257,7 +257,7 @@ def _at_delays(
     response = data.response * np.exp(1j * data.omega * delays[:, None])
     weight = np.broadcast_to(1 / size, response.shape)
     structure = (orders.n, orders.m, orders.integrators)
-    # The coefficients of Sanathanan and Koerner settle in eight times.
+    # The coefficients of Sanathanan and Koerner converge in eight iterations.
     fractions = zip(*reweighted(data.omega, response, structure, weight, 8), strict=True)
     fits = []
     for fraction, turned, delay in zip(fractions, response, delays, strict=True):

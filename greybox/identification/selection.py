@@ -24,7 +24,7 @@ NO_FIT = (
 LIMITS = ((3.0, 0.05), (1.5, 0.3))
 
 
-# An unstable pole must be paid for by strong evidence (Kass and Raftery 1995): beside a zero, it
+# An unstable pole needs strong evidence (Kass and Raftery 1995): beside a zero, it
 # imitates noise, and few vehicles have one.
 UNSTABLE = "unstable pole"
 
@@ -166,8 +166,8 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     fitted = [c for c in candidates if c.fit.converged]
     if not fitted:
         return Selection(tuple(candidates), None, (math.nan,) * len(candidates), NO_FIT, note)
-    # NaN, where variances are unknown, becomes zero and so no inflation: those costs are
-    # likelihoods that scale themselves.
+    # Where variances are unknown, NaN becomes zero, which means no inflation: the scale of those
+    # likelihoods is estimated.
     inflation = max(1.0, np.nan_to_num(min(c.noise for c in fitted)) ** 2)
     numbers = sum(part.compared_numbers for part in fitted[0].fit.parts)
     bic = [

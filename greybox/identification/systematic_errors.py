@@ -132,9 +132,9 @@ def _thinned(
         return None
     if math.isnan(thinned.count):
         text = (
-            f"{thinned}: noise and steps of the control fold into the band, so that the gain "
-            "depends on which passes these are, often by some percent that the standard errors do "
-            f"not show; to log every pass, {thinned.cure}."
+            f"{thinned}: noise and steps of the control alias into the band, so that the gain "
+            "depends on which passes were logged, often by some percent that the standard errors "
+            f"do not show; to log every pass, {thinned.cure}."
         )
         finding = Finding("logging", "warning", thinned.logged, text)
         return SystematicError("thinned log", np.zeros(len(response)), finding)

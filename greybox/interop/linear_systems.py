@@ -90,7 +90,7 @@ class GivenModel:
 
     def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
         """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""
-        # Without an order the delays stay beside the ODE, and are checked below.
+        # Without an order the delays stay outside the ODE, and are checked below.
         system = dynamics(self.model, pade or None)
         p = np.array(list(self.model.values(self.values).values()), dtype=float)
         delays = system.delay(p).full().ravel().tolist()

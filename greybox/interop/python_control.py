@@ -173,7 +173,7 @@ def _named(name: str) -> dict[str, str]:
 
 def _signal_names(given: Sequence[str], labels: Sequence[str]) -> Strings:
     """Return the given names, else the labels with ``u[0]`` as ``u`` or ``u1``."""
-    # Names of signals become attributes in formulas, x.u1, where brackets cannot stand.
+    # Names of signals become attributes in formulas, x.u1, which cannot contain brackets.
     if given:
         return as_names(given)
 

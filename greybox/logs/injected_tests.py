@@ -66,7 +66,7 @@ def _runs(time: Array, active: BoolArray) -> list[IntArray]:
     samples = np.flatnonzero(active)
     # The phase of a chirp is zero for moments, and the steps of an autotuning cross zero.
     runs = [samples[run] for run in runs_between_gaps(time[samples], 1.0)]
-    # A shorter one is a start that was broken off.
+    # A shorter one is an aborted start.
     return [run for run in runs if run.size > 1 and time[run[-1]] - time[run[0]] > 2.0]
 
 

@@ -80,10 +80,10 @@ def from_text(text: str) -> tuple[KnownFilter, ...]:
     filters = []
     for part in text.split(SERIES.strip()):
         # The text comes from a file: only known names and numbers, never an expression.
-        name, _, rest = part.strip().partition("(")
+        name, _, numbers = part.strip().partition("(")
         try:
-            values = list(map(float, rest.removesuffix(")").split(",")))
-            if not (rest.endswith(")") and all(map(math.isfinite, values))):
+            values = list(map(float, numbers.removesuffix(")").split(",")))
+            if not (numbers.endswith(")") and all(map(math.isfinite, values))):
                 raise ValueError(part)
             filters.append(KINDS[name](*values))
         except (KeyError, ValueError, TypeError):

@@ -1,16 +1,16 @@
 """Logs with only some passes of the control loop, and how much these differ from all passes.
 
 The gyro has a clock of its own: at 1 kHz and 400 passes a second, passes see two and three samples
-in turn. The D term divides the change of the gyro by a constant interval, so that it alternates by
-±20 % behind its filter, and the newest sample is older in one pass than in the next. The logged
-passes, say every second one, then differ in the mean from those that drove the motors, and noise
-hides it.
+in turn. The D term divides the change of the gyro by a constant interval, so it alternates by ±20 %
+after its filter, and the newest sample is older in one pass than in the next. The logged passes,
+say every second one, then differ on average from those that drove the motors, and noise hides the
+difference.
 
 PX4 runs its loop on the samples of the gyro, so that all passes are alike. But noise and steps
-above half the rate of a thinned log are folded into its band, and this too depends on which passes
-were logged: in virtual flights with steps of the setpoint, a 500 Hz loop that was logged at 125 Hz
-had gains that are 1 to 2 % off in the median over the band, at 62 Hz 2 to 4 %. The size is not
-known from the log.
+above half the rate of a thinned log alias into its band, and this too depends on which passes were
+logged: in virtual flights with steps of the setpoint, a 500 Hz loop that was logged at 125 Hz had
+gains that were 1 to 2 % off in the median over the band, at 62 Hz 2 to 4 %. The size is not known
+from the log.
 
 Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for
 what is logged in System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and
@@ -35,21 +35,21 @@ IDENTIFICATION = 8  # bit of SDLOG_PROFILE for every pass of PX4's rate controll
 # Phases to try between gyro and loop, and passes in the mean, a multiple of 2 to 6.
 PHASES, PASSES = 20, 240
 
-# Factor on an error of known size and unknown sign. Logged passes and the others change their roles
-# as the clocks of gyro and loop drift, at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75
-# ms in a test of 25 s: the mean of a square wave of random phase over up to one and a half of its
-# half periods has the mean square 1/2.
+# Factor on an error of known size and unknown sign. Logged passes and the others swap roles as the
+# clocks of gyro and loop drift, at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75 ms in
+# a test of 25 s: the mean of a square wave of random phase over up to one and a half of its half
+# periods has the mean square 1/2.
 DRIFTING = math.sqrt(1 / 2)
 
 
 @dataclass(frozen=True)
 class Thinning:
-    """A log of every `kept`-th pass.
+    """A log of every `stride`-th pass.
 
     Attributes
     ----------
     loop, logged : float, Hz
-    kept : int
+    stride : int
     count : float
         Root mean square of the difference in gyro samples between the logged passes and all, as a
         share of their number; NaN if unknown.
@@ -61,14 +61,14 @@ class Thinning:
 
     loop: float
     logged: float
-    kept: int
+    stride: int
     count: float
     age: float
     cure: str
 
     def __str__(self) -> str:
         rates = f"{self.logged:.4g} of {self.loop:g} Hz"
-        ordinal = {2: "second", 3: "third"}.get(self.kept, f"{self.kept}th")
+        ordinal = {2: "second", 3: "third"}.get(self.stride, f"{self.stride}th")
         return f"every {ordinal} pass of the control loop was logged ({rates})"
 
 
@@ -86,25 +86,25 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     if loop < 1.25 * logged:
         return None
     # The rate of the log jitters, while the loop logs every pass, every second, every third ...
-    kept = round(loop / logged)
+    stride = round(loop / logged)
     if is_px4:
         profile = int(parameters.get("SDLOG_PROFILE", 1))
         cure = f"set SDLOG_PROFILE {profile | IDENTIFICATION} (system identification)"
         if profile & IDENTIFICATION:
             cure = "log to a faster card, or lower IMU_GYRO_RATEMAX"
-        return Thinning(loop, logged, kept, math.nan, math.nan, cure)
+        return Thinning(loop, logged, stride, math.nan, math.nan, cure)
     gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
-    count, age = _differences(gyro / loop, kept)
+    count, age = _differences(gyro / loop, stride)
     mode = next(
         (name for moment, name in reversed(recording.metadata.get("modes", ())) if moment <= start),
         "",
     )
 
-    return Thinning(loop, logged, kept, count, age / gyro, _cure(parameters, mode))
+    return Thinning(loop, logged, stride, count, age / gyro, _cure(parameters, mode))
 
 
 def thinning_error(
-    found: Thinning, recording: Recording, axis: str, response: FrequencyResponse
+    thinned: Thinning, recording: Recording, axis: str, response: FrequencyResponse
 ) -> ComplexArray:
     """Return the relative errors (2, n) of a response from a control to an angle or a rate.
 
@@ -122,11 +122,14 @@ def thinning_error(
         share = share * s * low_pass(2, parameters["INS_GYRO_FILTER"], response.omega)
 
     return DRIFTING * np.array(
-        [share * found.count * remaining_alternation(parameters, axis, found.loop), s * found.age]
+        [
+            share * thinned.count * remaining_alternation(parameters, axis, thinned.loop),
+            s * thinned.age,
+        ]
     )
 
 
-def _differences(per_pass: float, kept: int) -> tuple[float, float]:
+def _differences(per_pass: float, stride: int) -> tuple[float, float]:
     """Return how far logged passes differ from all passes, in gyro samples and in their age."""
     # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass
@@ -134,7 +137,9 @@ def _differences(per_pass: float, kept: int) -> tuple[float, float]:
     counts = np.diff(np.floor(times + 1e-9), axis=1)
     ages = (times - np.floor(times + 1e-9))[:, 1:]
     return tuple(  # type: ignore[return-value]
-        float(np.sqrt(np.mean((values[:, ::kept].mean(axis=1) - values.mean(axis=1)) ** 2)) / scale)
+        float(
+            np.sqrt(np.mean((values[:, ::stride].mean(axis=1) - values.mean(axis=1)) ** 2)) / scale
+        )
         for values, scale in ((counts, per_pass), (ages, 1.0))
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.data.record import Record, Recording, median_step
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Interval
 from greybox.files.text_table import as_names
 from greybox.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.logs.sine_detection import sines_and_sweeps
@@ -84,21 +84,21 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     # Differences of successive samples are free of the manoeuvre, their median of its edges; 1.4826
     # makes a standard deviation of it.
     noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-    # Of the range of a signal, ripple on sticks and drift of the trim are below a hundredth.
+    # Ripple on sticks and drift of the trim are below a hundredth of the range of a signal.
     drift = max(0.02 * float(high - low), 1e-12 * float(np.abs(values).max()))
     # A second of samples does not leave eight standard deviations by chance.
     height = max(drift, 8.0 * noise)
     rests = _rests(time, values, height)
     manoeuvres = []
-    before = 0
+    last_rest = 0
     for k, rest in enumerate(rests[1:], start=1):
         # A short rest at another level is part of the manoeuvre.
-        returned = abs(rest.begins - rests[before].ends) <= 2 * drift
+        returned = abs(rest.begins - rests[last_rest].ends) <= 2 * drift
         # Twice the longest of these pulses: another level that lasts is a new rest.
         lasting = time[rest.last] - time[rest.first] > 6.0
         if returned or lasting or rest is rests[-1]:
-            manoeuvres.append(_between(time, values, rests[before], rest, drift, height))
-            before = k
+            manoeuvres.append(_between(time, values, rests[last_rest], rest, drift, height))
+            last_rest = k
 
     return [segment for segment in manoeuvres if segment]
 
@@ -148,9 +148,7 @@ def _between(
     )
 
 
-def _band(
-    time: Array, values: Array, before: _Rest, after: _Rest, kind: str
-) -> tuple[float, float]:
+def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) -> Interval:
     """Return the band, rad/s, in which the input, or the derivative of a step, is strong.
 
     It begins at one period over the manoeuvre and a second of rest on both sides.

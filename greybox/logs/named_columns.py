@@ -50,7 +50,7 @@ def _agreed(stated: str, written: str) -> str:
     if stated in (unit, written):
         to_si(unit)
         return written
-    # Two names of one unit agree, deg and °.
+    # Two names of one unit agree, such as deg and °.
     if unit and to_si(stated) != to_si(unit):
         raise ValueError(f"its unit is {unit} in the table, not {stated}: leave the unit out")
     to_si(stated)

@@ -287,16 +287,16 @@ def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
 
 
 def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
-    """Return the mean of a held signal over each coming step, which moves nothing in time."""
+    """Return the mean of a held signal over each coming step, without a shift in time."""
     ends = np.append(time[1:], time[-1] + step)
-    # The mean over a step is the difference of the integral, which is linear between the samples.
+    # The mean over a step is a difference of the integral, which is linear between the samples.
     integral = np.append(0.0, np.cumsum(values * (ends - time)))
     bounds = np.append(time[0], ends)
     return (np.interp(grid + step, bounds, integral) - np.interp(grid, bounds, integral)) / step
 
 
 def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
-    """Return how long the values of a signal computed from these last, s, or None."""
+    """Return how long values last, s, in a signal that is computed from these sources, or None."""
     # A signal that is computed from held and continuous ones is neither.
     holds = {source.hold_at(rate) for source in sources}
     return holds.pop() if len(holds) == 1 else None

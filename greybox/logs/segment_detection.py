@@ -138,7 +138,7 @@ def _one_run(data: Recording, start: float, until: float, setting: Values) -> Se
 
 
 def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, str]:
-    """Return when a run stopped: its data end, or a text says so while the data continue."""
+    """Return when a run stopped: where its data end, or where a text says so."""
     # Messages of the excitation are logged only while it runs.
     time = data["SIDD"].time if "SIDD" in data else np.array([until])
     last = float(time[(time >= start) & (time <= until)].max(initial=start))
@@ -245,8 +245,8 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
                 float(np.ptp(record[field][finite])),
                 STICK_TRAVEL.get(stick.rpartition(".")[0], 1.0),
             )
-            # Of a travel of 1000 µs, a stick at rest wanders by 1 to 5, a dead zone has 20 to 30,
-            # and a hand that flies a sine moves the stick more.
+            # In a travel of 1000 µs, a stick at rest wanders by 1 to 5, a dead zone takes 20 to 30,
+            # and a hand that flies a sine moves the stick further.
             if np.ptp(record[field][during]) > 0.05 * travel:
                 return stick
 

@@ -180,7 +180,7 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
 
 
 def _continues(crossings: Array, swings: Array) -> bool:
-    """Return whether the line through the others predicts the last crossing, with a like swing."""
+    """Return whether the line through the others predicts the last crossing; swings are alike."""
     n = crossings.size - 1
     past = crossings[:-1]
     centered = np.arange(n) - (n - 1) / 2
@@ -250,7 +250,7 @@ def _refined_frequency(t: Array, x: Array, omega: float) -> float:
 
 
 def _phase_curvature(t: Array, x: Array, omega: float) -> float:
-    """Return by how much the phase bends off that of one frequency, rad/s²."""
+    """Return how strongly the phase bends away from that of one frequency, rad/s²."""
     c = _factors(t, x, omega, 8)
     return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
 

@@ -21,7 +21,8 @@ POINTS = 8  # at which formulas are compared: at one of them, slopes may be zero
 class ExtendedModel(StateSpace):
     """An ODE with further states and parameters, which add to its derivatives.
 
-    What adds to a derivative adds to the outputs that have it in them, such as accelerations.
+    A term that adds to a derivative also adds to the outputs that contain it, such as
+    accelerations.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
     Parameters
     ----------
     derivatives : (n, m, s) array
-        Slopes of the derivatives by m parameters and inputs, at s points.
+        Slopes of the derivatives with respect to m parameters and inputs, at s points.
     outputs : (k, m, s) array
         Slopes of the outputs, likewise.
     """
@@ -72,8 +73,8 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
         used = slopes.any(axis=1)
         rate, changes = slopes[used], outputs[:, used]
         factor = np.einsum("cs,kcs->k", rate, changes) / max(float(np.sum(rate**2)), 1e-300)
-        rest = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
-        alike = np.all(rest <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
+        difference = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
+        alike = np.all(difference <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
         factors[:, i] = np.where(alike, np.round(factor, 12), 0.0)
     return factors
 

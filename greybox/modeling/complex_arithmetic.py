@@ -49,7 +49,7 @@ class Complex(FunctionOfS):
     def __pow__(self, power: Any) -> "Complex":
         if is_whole(power):
             return whole_power(self, int(power), Complex(1.0, 0.0, self.pade))
-        # Never the Padé approximation: this exponential is no delay.
+        # Never the Padé approximation: this exponential is not a delay.
         return (power * self.log()).exp_exact()
 
     def __abs__(self) -> Any:

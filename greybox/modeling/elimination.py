@@ -71,8 +71,10 @@ def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[i
         # In 1500 random systems with kinematic states, other orders helped twice.
         for order in (natural, natural[::-1]):
             values = [value for row in eliminated(entries, s, order) for value in row]
-            found = np.reshape(np.broadcast_arrays(samples[:, :1, 0] * s, *values)[1:], size.shape)
-            error = np.abs(found - exact) / size
+            responses = np.reshape(
+                np.broadcast_arrays(samples[:, :1, 0] * s, *values)[1:], size.shape
+            )
+            error = np.abs(responses - exact) / size
             is_comparable = np.isfinite(size) & (size > 0)
             errors[order] = np.max(
                 np.nan_to_num(error, nan=1e300), where=is_comparable, initial=0.0
@@ -90,7 +92,7 @@ def solve_pencils(pencil: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     try:
         return np.linalg.solve(pencil, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
-        # One singular matrix fails the whole stack, where one of NaN has a solution of NaN.
+        # One singular matrix fails the whole stack; a matrix of NaN has a solution of NaN.
         is_singular = np.linalg.matrix_rank(pencil) < right.shape[-1]
         regular = np.where(is_singular[..., None, None], np.nan, pencil)
         return np.linalg.solve(regular, right[..., None])[..., 0]

@@ -21,7 +21,7 @@ MEANS: dict[int, Callable[..., ca.SX]] = {
     ca.OP_FMAX: lambda a, b, magnitude: (a + b + magnitude) / 2,
     ca.OP_LT: lambda a, b, sign: (1 - sign) / 2,
     ca.OP_LE: lambda a, b, sign: (1 - sign) / 2,
-    # Conditions are shares of the interval now, no longer 0 or 1.
+    # Conditions are now shares of the interval, no longer 0 or 1.
     ca.OP_NOT: lambda a: 1 - a,
     ca.OP_AND: lambda a, b: a * b,
     ca.OP_OR: lambda a, b: a + b - a * b,

@@ -57,14 +57,14 @@ def is_whole(power: Any) -> bool:
     return isinstance(power, (int, float, np.integer, np.floating)) and float(power).is_integer()
 
 
-def whole_power(base: Any, power: int, one: Any) -> Any:
-    """Raise `base` to a whole power by repeated squaring; `one` is the unit of its arithmetic."""
-    result = one
+def whole_power(base: Any, power: int, unit: Any) -> Any:
+    """Raise `base` to a whole power by repeated squaring; `unit` is the one of its arithmetic."""
+    result = unit
     for bit in bin(abs(power))[2:]:
         result = result * result
         if bit == "1":
             result = result * base
-    return one / result if power < 0 else result
+    return unit / result if power < 0 else result
 
 
 def polynomial_value(coefficients: Sequence[Any], s: Any) -> Any:

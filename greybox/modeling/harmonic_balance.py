@@ -53,7 +53,7 @@ def enough_harmonics(
     """
     if sine.harmonics is not None:
         return sine
-    # Three at least: one harmonic has the folds of a spring at other amplitudes.
+    # Three at least: with one harmonic, the folds of a spring lie at other amplitudes.
     _, harmonics = directly_found(
         model, values, omega, sine, least=HARMONICS[1], most=MOST_IN_FITS, **signals
     )
@@ -114,7 +114,7 @@ class HarmonicBalance:
 
     `guess` finds harmonics from the settings. From both, `finish` gives the response, and whether
     the harmonics are a motion; `linear` gives the equations (u,) and the response (2,), with their
-    derivatives by harmonics and settings in further columns.
+    derivatives with respect to harmonics and settings in further columns.
     """
 
     omega: Array
@@ -205,8 +205,8 @@ def _functions(model: StateSpace, *arguments: Any) -> tuple[ca.Function, ...]:
     # Infinite harmonics would pass, since any equation is small relative to them.
     is_motion = ca.logic_and(error < 1e-8, ca.norm_inf(unknown) < math.inf)
     finish = ca.Function("finish", [unknown, settings], [rows[-2:], is_motion])
-    both = ca.densify(ca.horzcat(rows, slopes)[[*chosen, -2, -1], :])
-    linear = ca.Function("linear", [unknown, settings], [both])
+    equations_and_slopes = ca.densify(ca.horzcat(rows, slopes)[[*chosen, -2, -1], :])
+    linear = ca.Function("linear", [unknown, settings], [equations_and_slopes])
     return finish, linear, _guess(newton, careful, finish, switches=switches)
 
 
@@ -254,7 +254,7 @@ def _equations(
     switches = has_switches(formulas)
     sizes = _rms(series @ by_phase)
     if switches:
-        # At rest an orbit has no speed to compare with, but what drives it has one.
+        # At rest an orbit has no speed to compare with, but its drive has one.
         gains = _gains(derivatives, point, p, *center)
         sizes = width * ca.sqrt(sizes**2 + (gains @ _rms(series) / omega) ** 2)
     every = ca.vertcat(unknown, settings)
@@ -281,7 +281,7 @@ def _equations(
         place = list(model.parameters).index(model.delays[input])
         response *= exp(-Complex(ca.SX(0), omega, pade) * p[place])
 
-    # Per amplitude, so that one tolerance serves sines of any size.
+    # Per amplitude, so that one tolerance suits sines of any size.
     equations = ca.vertcat(ca.vertcat(*balance) / amplitude, *means)
     rows = ca.vertcat(equations, response.re, response.im)
     parts = [rows, *(ca.jacobian(rows, x) for x in (every, symbol))]
@@ -313,7 +313,7 @@ def _all_coefficients(
 
 
 def _gains(derivatives: ca.SX, z: ca.SX, parameters: ca.SX, point: ca.DM, start: ca.DM) -> ca.SX:
-    """Return the sizes of the derivatives by the signals.
+    """Return the sizes of the derivatives with respect to the signals.
 
     Rows of zeros for the inputs follow those of the states.
     A gain that is infinite at the operating point, as that of a square root at zero, counts as 0.
@@ -380,7 +380,7 @@ def _harmonics(
     columns = [ca.MX.ones(points) * column for column in walk(program, samples, ca.MX)]
     values, parts = ca.horzcat(*columns[: formulas.numel()]), columns[formulas.numel() :]
 
-    # The slopes of coefficients by those of the signals, which are few, come first.
+    # The slopes in the coefficients of the signals come first, because these are few.
     count, width = z.numel(), series.size2()
     widths = [width] * count + [1] * (count + p.numel())
     blocks = [[ca.MX(width, each) for each in widths] for _ in range(formulas.numel())]

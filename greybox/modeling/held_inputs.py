@@ -22,8 +22,8 @@ def held_response(
     n, m = B.shape[-2:]
     # A held input is a state without a derivative: one exponential has both results, and A may be
     # singular.
-    both = np.zeros((*A.shape[:-2], n + m, n + m), np.result_type(A, B))
-    both[..., :n, :n] = A
-    both[..., :n, n:] = B
-    result = np.asarray(expm(both * np.asarray(time)[..., None, None]))
+    augmented = np.zeros((*A.shape[:-2], n + m, n + m), np.result_type(A, B))
+    augmented[..., :n, :n] = A
+    augmented[..., :n, n:] = B
+    result = np.asarray(expm(augmented * np.asarray(time)[..., None, None]))
     return result[..., :n, :n], result[..., :n, n:]

@@ -1,7 +1,8 @@
 """Implicit integrators, whose stages solve equations by Newton's method within every step.
 
 A collocation method is an implicit integrator whose stages the solver of the whole problem finds;
-both have the same solution. So these steps evaluate problems that were solved by collocation.
+both have the same solution. So these steps evaluate problems that were solved by collocation. A
+trapezoidal one, written as a user would write it, is in `tests/support/recipes.py`.
 """
 
 from abc import abstractmethod
@@ -43,9 +44,9 @@ class ImplicitIntegrator(Integrator):
         """
 
     def defect(self, x: Any, stages: Any, rate: Any) -> Any:
-        """Return what the slope at the beginning, times h, misses of the model's `rate` (n,).
+        """Return the slope at the beginning, times h, less that of the model, `rate` (n,).
 
-        A filtered share of it estimates the error of a step; zero is no estimate.
+        A filtered share of it estimates the error of a step; zero means no estimate.
         """
         return 0 * x
 
@@ -106,26 +107,26 @@ class ImplicitIntegrator(Integrator):
         values = ca.vertcat(v, unit)
         solution = newton(ca.MX.zeros(unknown.numel()), values)
         end, *_, residual, missed, matrix = solved(solution, values)
-        # Twice filtered, as at the first step of RADAU5: what is much faster than a step does not
-        # count (Hairer and Wanner, IV.8).
+        # Twice filtered, as at the first step of RADAU5: modes much faster than a step do not count
+        # (Hairer and Wanner, IV.8).
         error = ca.solve(matrix, ca.solve(matrix, missed)) / ca.fmax(ca.fabs(end), unit)
         # It ends before a step of 1e-12, where stiff residuals may be a million times larger.
         solution += ca.if_else(residual <= 1e-6, 0, ca.MX.nan(1))
         # Error of a step, in sizes of the states, above which it is halved. The estimate is that of
-        # a scheme of order three: 1e-5 stands for a tolerance of 1e-6 in RADAU5. With 1e-4
+        # a scheme of order three: 1e-5 corresponds to a tolerance of 1e-6 in RADAU5. With 1e-4
         # estimates of nine stiff models are up to 5e-4 standard errors off, with 1e-5 up to 3e-5,
         # in 1.7 times the time.
         is_coarse = ca.norm_1(error) > (1e-5 if self.substeps is None else ca.inf)
-        # Outside the domain of a formula, the residual is NaN and shorter steps are no help.
+        # Outside the domain of a formula, the residual is NaN and shorter steps do not help.
         is_short = 1 - ca.logic_or(residual > 1e-6, is_coarse)
         end, by_given, by_change, *equations, _, _, _ = solved(change, values)
         slopes = by_given - by_change @ ca.solve(equations[1], equations[0])
-        taken = ca.Function("taken", [v, change], [end, slopes])
+        whole_step = ca.Function("taken", [v, change], [end, slopes])
 
         # Halves of a step: the second begins with the inputs in the middle.
         first = ca.vertcat(v[:-1], span / 2)
         second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
-        step = ca.Function("step", [v], taken.call([v, solution]))
+        step = ca.Function("step", [v], whole_step.call([v, solution]))
         # Half a step with a jump is halved again, so that only steps near the jump are short.
         # With 6 halvings until Newton's method converges, a fit of Robertson's kinetics is lost;
         # with 21 it takes five times as long.
@@ -134,7 +135,7 @@ class ImplicitIntegrator(Integrator):
             end, by_second = step(ca.vertcat(middle, second))
             by_both = ca.vertcat(by_first @ ca.jacobian(first, v), ca.jacobian(second, v))
             halves = ca.Function("halves", [v, change], [end, by_second @ by_both])
-            chosen = ca.Function.if_else("chosen", taken, halves)
+            chosen = ca.Function.if_else("chosen", whole_step, halves)
             step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
         end, slopes = step(v)
         # Derivatives by CasADi would solve every step repeatedly and take four times as long.
@@ -147,7 +148,7 @@ class ImplicitIntegrator(Integrator):
 class Radau(ImplicitIntegrator):
     """Radau IIA with `degree` stages, of order 2 · degree - 1, for stiff models.
 
-    It is L-stable: what is much faster than a step has died away at its end. Its stages are the
+    It is L-stable: a mode much faster than a step has died away at its end. Its stages are the
     points of `Collocation`.
 
     Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd ed., IV.5 and IV.8.

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, Values, all_finite
 from greybox.modeling.complex_arithmetic import Complex
@@ -52,7 +53,7 @@ def frequency_response(
     >>> abs(response.response).round(3)
     array([75.156,  0.812])
     """
-    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    omega = finite_numbers("omega", omega)
     input, output = pick_signals(model, input, output)
     pade = delay_order(delay)
     # At a pole the response is infinite, which is refused below with its frequency.

@@ -62,7 +62,7 @@ def require_usable(names: Iterable[str], owner: str, base: type = Names) -> None
 
 
 def require_signal_names(cls: type, *attributes: str) -> None:
-    """Raise ValueError for attributes of a class that are no tuples of different, usable names."""
+    """Raise ValueError for attributes of a class that are not tuples of distinct, usable names."""
     for attribute in attributes:
         names = getattr(cls, attribute)
         if isinstance(names, str) or len(set(names)) != len(names):
@@ -234,7 +234,7 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
         conflict = f"has the unit {a.unit!r} in one part and {b.unit!r} in the other"
     elif a.fixed != b.fixed:
         conflict = "is fixed in one part and free in the other"
-    # Two constants with the same name that differ are two quantities.
+    # Two constants with the same name and different values are two quantities.
     elif a.fixed and a.start != b.start:
         conflict = f"is fixed at {a.start:g} in one part and at {b.start:g} in the other"
     if conflict:

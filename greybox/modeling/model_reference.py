@@ -78,8 +78,8 @@ def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Mode
     kinds = [(model if isinstance(model, type) else type(model), model) for model in given]
     named = [(kind, model) for kind, model in kinds if kind.__qualname__ == qualname]
     # The same file has the module ``__main__`` when it is run.
-    same = [model for kind, model in named if kind.__module__ == module]
-    return next(iter([*same, *(model for _, model in named)]), None)
+    from_module = [model for kind, model in named if kind.__module__ == module]
+    return next(iter([*from_module, *(model for _, model in named)]), None)
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:

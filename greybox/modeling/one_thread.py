@@ -43,7 +43,7 @@ class Stored:
     def result(self, key: Any, build: Callable[[], Result]) -> Result:
         """Return the result of this key, built if it is not stored."""
         # The lock is also held where CasADi frees the oldest result. A thread that has ended leaves
-        # its results to others, since its own storage would be freed without the lock.
+        # its results to others, since freeing its own storage would not take the lock.
         with LOCK:
             results = self._results.setdefault(threading.get_ident(), {})
             result = results.pop(key) if key in results else build()

@@ -80,7 +80,7 @@ def pade_step(x: Any, u: Any, slope: Any, delay: Any, h: Any) -> tuple[Any, Any,
     # x' = A (x - rest · u) / delay; the first state less its rest is what the delay adds to u.
     A = np.eye(order, k=1)
     A[:, 0] -= _monic(order)[1:]
-    rest = ca.DM(pade_steady(1.0, order))
+    steady = ca.DM(pade_steady(1.0, order))
 
     # exp(A h / delay), mode by mode; those of conjugate poles have the same expressions.
     transition = ca.SX.zeros(order, order)
@@ -97,9 +97,10 @@ def pade_step(x: Any, u: Any, slope: Any, delay: Any, h: Any) -> tuple[Any, Any,
 
     # Without a transient, the states follow a ramp at a constant distance.
     lag = delay / h * ca.DM(np.linalg.inv(A))
-    first = rest * u + lag @ rest * slope * h
-    end = first + rest * slope * h + transition @ (x - first)
-    # What the states lack of rest, on average and in slope: moments of the differential equation.
+    first = steady * u + lag @ steady * slope * h
+    end = first + steady * slope * h + transition @ (x - first)
+    # The distance of the states from rest, on average and in slope: moments of the differential
+    # equation.
     behind = lag @ (end - x)
-    rise = 6 * lag @ (x + end - 2 * behind - rest * (2 * u + slope * h))
+    rise = 6 * lag @ (x + end - 2 * behind - steady * (2 * u + slope * h))
     return end, u + behind[0] - rise[0] / 2, slope + rise[0] / h

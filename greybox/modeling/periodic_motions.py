@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, Values
 from greybox.modeling.harmonic_balance import directly_found
@@ -51,7 +52,7 @@ def harmonic_response(
     ValueError
         For an unknown name or a transfer function, or if no periodic motion is found.
     """
-    omega = np.atleast_1d(np.asarray(omega, dtype=float))
+    omega = finite_numbers("omega", omega)
     sine = as_sine(amplitude)
     signals = {"input": input, "output": output, "at": at, "pade": delay_order(delay)}
     response, harmonics = directly_found(model, values, omega, sine, **signals)

@@ -72,7 +72,7 @@ class Dynamics:
 
     @one_thread_at_a_time
     def slopes(self, x: Array, u: Array, p: Array) -> Array:
-        """Return slopes of derivatives and outputs by parameters and inputs, (n + k, ·, samples).
+        """Return slopes of derivatives and outputs for parameters and inputs, (n + k, ·, samples).
 
         All arguments have samples last, or one value for all of them.
         """

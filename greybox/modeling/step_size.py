@@ -3,7 +3,7 @@
 Stable steps lie within the region of the scheme: |λ| h ≤ reach for every pole λ, and |Im λ| h ≤
 wave, so that an oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the
 steps with half their length (Richardson): for a scheme of order q, the error of n substeps falls as
-n^-q, so the difference between n and 2n substeps is the error of n but for a factor 1 - 2^-q, and
+n^-q, so the difference between n and 2n substeps is the error of n times a factor 1 - 2^-q, and
 gives the number that meets a tolerance. Because the model is then run again, the growth per run is
 limited (`substep_growth`).
 

@@ -34,9 +34,10 @@ class Trimmed:
         w is empty.
     function : casadi.Function
         (p, w, ...) -> the result, an SX function or one mapped over frequencies. Its first and
-        second derivatives by p, with w held, are those at the operating point: from a root, one
-        step of Newton's method has the first derivatives of the root, a second step the second
-        ones. They take a fraction of the time of CasADi's derivatives through its root finder.
+        second derivatives with respect to p, with w held, are those at the operating point: from a
+        root, one step of Newton's method has the first derivatives of the root, a second step the
+        second ones. They take a fraction of the time of CasADi's derivatives through its root
+        finder.
     """
 
     root: ca.Function | None

@@ -202,8 +202,8 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
 
     Curves must come before measured responses.
     """
-    # Measured points are not unwrapped along frequency, where one noisy point would turn all that
-    # follow: each is shown within half a turn of its curve.
+    # Measured points are not unwrapped along frequency, because one noisy point would shift all
+    # that follow: each is shown within half a turn of its curve.
     first: dict[Pair, _Phase] = {}
     curves: dict[str | Pair, _Phase] = {}
     degrees = []

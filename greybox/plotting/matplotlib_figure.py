@@ -97,7 +97,7 @@ def draw(
             f"{drawn.size}: give one for each."
         )
     for place, figure in _draw_panels(drawn, figures, hz):
-        # Over rows with names no place is free: the legend stands above them.
+        # Rows with names leave no free place: the legend stands above them.
         look = {"loc": "lower left", "bbox_to_anchor": (0, 1)} if figure.panels[0].ticks else {}
         if legend:
             _draw_legend(place[0], [figure], fontsize=9, **look)
@@ -358,7 +358,8 @@ def color_of(number: int) -> str:
 
 def plain(text: str) -> str:
     """Return text that matplotlib shows as it is."""
-    # Dollar signs begin mathematics, and a label with a leading underscore is left out of a legend.
+    # Dollar signs begin mathematics, and matplotlib leaves a label with a leading underscore out of
+    # a legend.
     return text.lstrip("_").replace("$", r"\$")
 
 

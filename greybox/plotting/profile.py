@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.estimate.profiles import ProfileOf, Profiles
+from greybox.estimate.profile_result import ProfileOf, Profiles
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, band
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import with_unit

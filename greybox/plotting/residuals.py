@@ -1,4 +1,4 @@
-"""The residuals of a fitted record: where they are, and what they are correlated with."""
+"""The residuals of a fitted record: where they are large, and what they are correlated with."""
 
 import math
 from collections.abc import Mapping
@@ -88,7 +88,7 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
                     f"Residuals of {in_greek(output)}{record}",
                     "Lag, samples",
                     [_correlations(output, test)],
-                    caption="Band: 99 % of single correlations if there is none.",
+                    caption="Band: 99 % of the correlations of white residuals, each by itself.",
                     is_whole=True,
                 )
             )
@@ -97,13 +97,13 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
 
 
 def shape_figures(fit: Fit) -> list[Figure]:
-    """Return what the model lacks over the signal that shows it, beside the best term."""
+    """Return what the model lacks, over the signal that shows it, and the best term."""
     shape = fit.misfit and fit.misfit.shape
     if not shape:
         return []
     x, values, errors = np.array([shape.at, shape.values, shape.errors])
     points = Series(
-        "whatever its form", "points", x, values, low=values - 2 * errors, high=values + 2 * errors
+        "of any form", "points", x, values, low=values - 2 * errors, high=values + 2 * errors
     )
     line = Series(shape.text, "line", x, np.array(shape.by_term), 1)
     panel = Panel("What is missing", [rule(), line, points], title=shape.text)
@@ -113,8 +113,8 @@ def shape_figures(fit: Fit) -> list[Figure]:
             f"What the model lacks over {name}",
             name,
             [panel],
-            caption=f"Line: {shape.text}. Points: whatever its form, with two standard errors. "
-            "What the parameters explain is missing in both.",
+            caption=f"Line: {shape.text}. Points: an effect of any form, with two standard errors. "
+            "Both leave out what the parameters explain.",
         )
     ]
 

@@ -28,7 +28,7 @@ def with_unit(label: str, unit: str) -> str:
 
 
 def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
-    """Return the item of this number, counted from 0, or from the end where it is negative.
+    """Return the item with this number, counted from 0, or from the end if it is negative.
 
     Raises
     ------

@@ -38,7 +38,7 @@ Value = tuple[StudyMember, float, float]
 
 
 def trend(study: Study, quantity: str, over: str | Values, ax: Axes | None = None) -> Axes:
-    """Draw a quantity with its standard errors over the operating point, a color a structure.
+    """Draw a quantity with its standard errors over the operating point, in one color a structure.
 
     The lines are weighted by the standard errors. If estimates scatter more than these say, the
     error of the slope is enlarged accordingly; p is the probability of such a slope without a
@@ -80,7 +80,7 @@ def trend_figure(study: Study, quantity: str, over: str | Values) -> Figure:
                 series.append(_line(model, x, y, error, k))
     if not series:
         sets = [*study.groups("data")]
-        raise ValueError(f"over={over!r:.80} has none of the data sets: name {some(sets)}.")
+        raise ValueError(f"over={over!r:.80} names no data set: give values for {some(sets)}.")
     panel = Panel(_label(study, quantity), series)
     return Figure("Trend", _label(study, label), [panel], f"Trend of {quantity}")
 

@@ -142,13 +142,13 @@ def equation_error(
     model : Model
         Its inputs, states and outputs have the names of signals in the record.
     record : Record
-        Uniform but for gaps, with every input; NaN marks missing samples.
+        Uniform except for gaps, with every input; NaN marks missing samples.
     fixed : mapping of name to value
         Parameters held constant.
     free : sequence of str
         Parameters to estimate although the model declares them fixed.
     inputs : "record", "linear" or "held"
-        How inputs run between their samples, as in `OutputError`: by default as the record says.
+        How inputs vary between their samples, as in `OutputError`: by default as the record says.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def equation_error(
 
 
 class _NoOutputs(OutputError):  # noqa: N818  (no exception)
-    """A criterion that compares no outputs: regressions may do with states alone."""
+    """A criterion that compares no outputs: regressions may need only states."""
 
     def compared(self, model: Model, record: Record) -> Strings:
         modeled_outputs(model, record.signals, model.output_names, "record")  # checks the inputs

@@ -102,7 +102,7 @@ def regressions(
 
 
 def _column(entries: Sequence[Any]) -> ca.SX:
-    # Without the last one, no entries would make a DM instead of an SX.
+    # The last entry makes it an SX; without entries, it would be a DM.
     return ca.vertcat(*entries, ca.SX(0, 1))
 
 

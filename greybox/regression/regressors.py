@@ -49,7 +49,7 @@ def regressors(
     p : (number of free parameters,) array
         Their starts: those that enter linearly have no effect here.
     between : mapping of input name to Intersample
-        How the inputs run between samples.
+        How the inputs vary between samples.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def regressors(
 
     base, slopes = (np.asarray(value) for value in equations.rows(x, u, p))
     slopes = slopes.reshape(len(base), time.size, -1)
-    # Of the lowest cutoff of the signals of an equation. With 1, what smoothing took from the
+    # Share of the lowest cutoff of the signals of an equation. With 1, what smoothing took from the
     # signals biases the tilt model by many standard errors; with 0.7 and 0.5, the intervals cover;
     # with 0.35, precision is lost.
     bands = tuple(
@@ -134,7 +134,7 @@ def _filtered(time: Array, columns: Array, band: float, lateness: float) -> Arra
 
 
 def acting(time: Array, values: Array) -> Array:
-    """Return a held input (n,) as the derivative of a smooth curve through the driven state has it.
+    """Return a held input (n,) as it acts on a smooth curve through the driven state.
 
     A state that integrates a held input is a straight line from sample to sample. A smooth curve
     through its samples has the slope S(t - h/2), where S is the smooth curve through the samples of

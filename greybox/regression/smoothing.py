@@ -51,7 +51,7 @@ def smooth(time: Array, values: Array) -> Smoothed:
     Parameters
     ----------
     time : (n,) array, s
-        Uniform but for gaps.
+        Uniform except for gaps.
     values : (n,) array
         NaN marks missing samples.
 
@@ -112,7 +112,7 @@ def reach(cutoff: float) -> float:
 def stretches(time: Array, *signals: Array) -> list[slice]:
     """Return the runs of rows in which no signal is missing and time has no gap."""
     present = np.flatnonzero(np.logical_and.reduce([np.isfinite(values) for values in signals]))
-    # Time is uniform but for gaps.
+    # Time is uniform except for gaps.
     runs = _cut(time, present, 1.5)
     return [slice(int(rows[0]), int(rows[-1]) + 1) for rows in runs if rows.size]
 

@@ -97,7 +97,7 @@ class ModelAtEstimate:
         if self.system.states or self.system.delayed:
             require_time(record, f"the dynamic model {self.label}")
 
-        # Inputs run as in the fit, unless this record says otherwise.
+        # Inputs vary as in the fit, unless this record says otherwise.
         assumed = self.part.data.hold if self.part else {}
         between = between_samples(self.criterion.inputs, self.system.inputs, record, assumed)
         system = self.system.later([assumption.late for assumption in between])

@@ -76,7 +76,7 @@ def with_own_values(
     notes: Strings = ()
     if undetermined:
         notes = (
-            f"{listed(undetermined)}: not determined by {title}, the value of the fit is used.",
+            f"{listed(undetermined)}: not determined by {title}; the value of the fit is used.",
         )
     if not estimate.names:
         return model, {}, notes

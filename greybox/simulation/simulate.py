@@ -53,10 +53,10 @@ def simulate(
     record : Record
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch without a gap
-        Other states begin at zero, which the name of the result of a fit says. By default those of
+        Other states begin at zero; the name of the result says so. By default those of
         the fit where the record is its own, else zero.
     inputs : "record", "linear" or "held", optional
-        How inputs run between samples; by default as in the fit, else as the record says, see
+        How inputs vary between samples; by default as in the fit, else as the record says, see
         `OutputError`.
     integrator : Integrator, optional
         `RungeKutta()`, or `Radau()` for stiff models; by default as the model needs. Unless it has
@@ -105,7 +105,7 @@ def simulate(
     estimated = estimated.driven_by(record)
     outputs = estimated.system.outputs
 
-    # Without states and delays, every sample stands alone.
+    # Without states and delays, samples are independent of one another.
     static = not (estimated.system.states or estimated.system.delayed)
     stretches = gapless(record, estimated.system.inputs, (), shortest=1 if static else 2)
     if not stretches:
@@ -151,7 +151,7 @@ def simulate(
         if (signal := n.removesuffix(ERROR)) in record.units
     }
     remark = f", {_not_known(tuple(unknown), estimated)}" if unknown else ""
-    # Who simulates a fit expects the motion of the record, which hardly ever begins at rest.
+    # A user who simulates a fit expects the motion of the record, which hardly ever begins at rest.
     if estimated.covariance is not None and not fitted_initial:
         zero = [name for name in estimated.system.states if name not in (initial or {})]
         remark += f", from {some(zero)} = 0" if zero else ""
@@ -229,7 +229,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     estimated, record = _model_and_record(model, values, record, inputs, part)
     horizon = default_length([record], SHORTEST) if horizon is None else horizon
 
-    # Within the delay, outputs answer to inputs before the window.
+    # Within the delay, outputs respond to inputs before the window.
     delay = float(np.max(estimated.delays, initial=0.0))
     lead = default_length([record], SHORTEST, delay) if lead is None else lead
     outputs = tuple(name for name in estimated.system.outputs if name in record.signals)

@@ -191,7 +191,7 @@ class Simulator:
         spread = np.array([np.nanstd(windows.record[name]) or 1.0 for name in self._outputs])
 
         def run(step: SampleStep) -> _Run:
-            # States are estimated at given values: no derivatives by these are needed.
+            # States are estimated at given values: no derivatives with respect to these are needed.
             segments = Segments(step, w, lead, np.zeros(0, dtype=int))
             columns = _columns(segments, data, present)
 
@@ -305,7 +305,7 @@ class Simulator:
         """Return the largest change of a state in one sample by halved substeps, over its size."""
         states = result.along.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
-        # At 400 samples of all, since each costs two evaluations of the model.
+        # At 400 of all samples, since each costs two evaluations of the model.
         places = np.linspace(0, usable.size - 1, min(usable.size, 400)).astype(int)
         checked = usable[np.unique(places)].tolist()
         if not checked:

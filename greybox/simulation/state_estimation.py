@@ -18,7 +18,7 @@ import numpy as np
 from greybox.files.arrays import Array, BoolArray, frozen, of_diagonal
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
-# Initial states (w, n) -> outputs' derivatives by them (w, samples, k, n).
+# Initial states (w, n) -> derivatives of the outputs with respect to them (w, samples, k, n).
 Sensitivities = Callable[[Array], Array]
 
 TINY = 1e-300  # instead of a division by zero

@@ -51,7 +51,7 @@ def default_length(records: Sequence[Record], at_least: float, delay: float = 0.
 
     Of a record that is shorter than eight times `at_least`, it is an eighth.
     """
-    # NaN, the step of a single sample, is neither more nor less than the first number.
+    # NaN, the step of a single sample, compares as neither more nor less than the first number.
     slowest = max([0.0, *(record.step for record in records)])
     # A hydraulic drive is recorded for 0.2 s, in which there is no room for a second.
     length = min([at_least, *(len(record) * record.step / 8 for record in records)])

@@ -15,10 +15,10 @@ Begin with `multistart`.
 | `transcribed_program` | records as one sparse program for IPOPT |
 | `ipopt` | IPOPT on one program |
 | `discretization_error` | finer integration steps |
-| `robust_errors` | fits in which large errors are bounded |
+| `robust_fit` | fits in which large errors are bounded |
 | `runs`, `minima` | the results of runs; distinct minima |
 | `other_minima` | minima beside one that all runs reach |
-| `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes here; stored runs |
+| `executors`, `worker_pool`, `run_storage` | runs in other processes; processes here; stored runs |
 | `interruption` | Ctrl-C, and how long a search may take |
 | `blas_threads` | one thread for matrix products |
 | `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |

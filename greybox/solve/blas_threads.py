@@ -1,4 +1,4 @@
-"""Matrix products on one thread: more wait for each other, and gain nothing here.
+"""Matrix products on one thread: several threads wait for each other and gain nothing here.
 
 With two threads, a record of 6000 samples takes twice the processor time on an idle machine, and
 six times beside another program, and is not ready sooner.

@@ -179,7 +179,7 @@ def with_finer_steps(
     """Return the search with its best minima moved to those of `nlp`; None if none converges.
 
     The runs that ended there move with them, so that runs and minima have the same costs. Minima
-    that are no rivals of the best stay.
+    that are not rivals of the best stay.
     """
     limit = search.minima[0].cost + RIVAL_COST
     ends: dict[int, Outcome] = {}
@@ -214,7 +214,7 @@ def with_finer_steps(
 
 
 def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
-    """Return Hessian and gradient of the weighted squares by the unknowns."""
+    """Return Hessian and gradient of the weighted squares with respect to the unknowns."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory)
     return condensed.hessian, condensed.gradient

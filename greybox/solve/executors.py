@@ -31,8 +31,8 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import Stored
 from greybox.solve.blas_threads import one_blas_thread
 from greybox.solve.interruption import interrupt_noted, limited, search_end, stop_requested
-from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
+from greybox.solve.run_storage import Memory
 from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Outcome
 from greybox.solve.worker_pool import ExecutorLostError, WorkerLostError
 
@@ -71,7 +71,7 @@ def run_all(
     ------
     ExecutorLostError
         If the executor has lost its workers.
-    KeptRunsError
+    RunStorageError
         If the stored runs began from other starts.
     """
     memory = memory or Memory()
@@ -93,7 +93,7 @@ def run_all(
 
         if recalled is None and executor is not None:
             # Measured on the first batch: only so much work in a task shows progress in time.
-            # Sixteen tasks or more, so that workers of unlike speed end at about the same time.
+            # Sixteen tasks or more, so that workers of different speed end at about the same time.
             seconds = sum(outcome.seconds for outcome in outcomes)
             size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
             size = min(size, math.ceil(remaining / 16))
@@ -235,7 +235,7 @@ def _look(
     for batch, future in waiting:
         if future.done() and not future.cancelled() and not future.exception():
             deque(_stored(memory, batch, future.result()), 0)
-    memory.look()
+    memory.write_due()
     # Where Dask has lost its scheduler, new tasks would never be done. By name, since the package
     # that defines the class may be absent.
     is_of_dask = type(executor).__module__ == "distributed.cfexecutor"

@@ -98,7 +98,7 @@ def search_end() -> float:
 
 @contextmanager
 def limited(end: float) -> Iterator[None]:
-    """End searches within at this time of day, s since 1970, or earlier if that is the limit."""
+    """End the searches inside `with` at this time, s since 1970, or at an earlier limit."""
     previous = _state.search_end
     _state.search_end = min(previous, end)
     try:
@@ -114,13 +114,13 @@ def building() -> Iterator[None]:
     A user's formulas do not ask for the time. Only the main thread of a process can be interrupted
     in them, and not on Windows.
     """
-    left = _state.search_end - time.time()
+    remaining = _state.search_end - time.time()
     is_main = threading.current_thread() is threading.main_thread()
-    if math.isinf(left) or not is_main or not hasattr(signal, "setitimer"):
+    if math.isinf(remaining) or not is_main or not hasattr(signal, "setitimer"):
         yield
         return
     previous = signal.signal(signal.SIGALRM, _stop_building)
-    signal.setitimer(signal.ITIMER_REAL, max(left, BUILDING))
+    signal.setitimer(signal.ITIMER_REAL, max(remaining, BUILDING))
     try:
         yield
     finally:

@@ -134,7 +134,7 @@ class Ipopt:
     @classmethod
     def of(cls, program: CostProgram, options: Mapping[str, Any]) -> "Ipopt":
         """Return IPOPT on a program; its p are the smoothing and the data."""
-        # Problems of the same formulas share it: to build it takes as long as a run.
+        # Problems with the same formulas share it: building it takes as long as a run.
         key = repr(options)
         if key not in program.solvers:
             z, smoothing, data = input_symbols(program.function)

@@ -100,7 +100,7 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
     # A run on too coarse an integration has a cost that no finer one would have.
     runs = Runs.of(runs)
     ended = runs[~runs.converged & (runs.status != TOO_COARSE) & np.isfinite(runs.cost)]
-    # A start that was only compared has not been tried: it is the last choice.
+    # A start that was only screened has not been run: it is the last choice.
     tried = ended[ended.stage != SCREENED] or ended
     return tried[int(np.argmin(tried.cost))] if tried else None
 

@@ -16,11 +16,11 @@ from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.settings import settings
 from greybox.solve.interruption import stop_requested
-from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.other_minima import points_beside
 from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
+from greybox.solve.run_storage import Memory, RunStorage
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
 from greybox.solve.shared_solver import SharedSolver
 from greybox.solve.transcribed_program import TranscribedProgram
@@ -65,7 +65,7 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     progress: ProgressReport | None = None,
     movable: bool = True,
     executor: Executor | None = None,
-    kept: KeptRuns | None = None,
+    storage: RunStorage | None = None,
     promising: tuple[int, ...] = (),
     beside: bool = False,
 ) -> Multistart:
@@ -83,12 +83,12 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     before it is continued. All runs are stored. A run that fails is a result with its status, and
     never ranks before one that converged. When a stop is requested (`greybox.solve.interruption`),
     the current run is the last. With an executor its workers make the runs
-    (`greybox.solve.executors`). Runs that were `kept` are not made again.
+    (`greybox.solve.executors`). Runs in the `storage` are not made again.
     """
     # In 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
     # that of the conversion.
     points = FiniteStarts(nlp, solver, starts) if movable else starts
-    memory = Memory() if kept is None else Memory(kept, value_fingerprint(solver))
+    memory = Memory() if storage is None else Memory(storage, value_fingerprint(solver))
     *counts, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and counts[-1] < len(starts) else None
     begins = {} if screened is None else dict(enumerate(screened.begins))
@@ -126,10 +126,10 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     ends = () if minima else tuple(outcome.nodes for _, outcome in results.values())
     if screened is not None and not stop_requested():
         # Starts that were only compared are listed too, so that the answer counts them.
-        made = by_name(rows, runs)
+        by_row = by_name(rows, runs)
         runs = Runs.of(
-            replace(made[k], index=k)
-            if k in made
+            replace(by_row[k], index=k)
+            if k in by_row
             else Run(k, start, start, float(cost), SCREENED, converged=False, stage=SCREENED)
             for k, (start, cost) in enumerate(zip(starts, screened.costs, strict=True))
         )

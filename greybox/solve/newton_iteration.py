@@ -166,7 +166,7 @@ def _free(z: ca.SX, gradient: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:
 def _moved(
     z: ca.SX, step: ca.SX, free: ca.SX, has_barrier: ca.SX, lower: ca.SX, upper: ca.SX
 ) -> ca.SX:
-    """Return where a step of the free variables leads within the bounds."""
+    """Return the point to which a step of the free variables leads, cut at the bounds."""
     # With a barrier a step takes 99 % of the distance to a bound at most, as in IPOPT.
     share = ca.if_else(has_barrier, 0.99, 1.0)
     lowest, highest = z - share * (z - lower), z + share * (upper - z)

@@ -3,7 +3,8 @@
 Two poles that swap, or the resistors of a ladder, have other values with the same response, and few
 random starts lead there. Each parameter is held at some values while the others move, and then
 released: this crosses the ridge between two minima. It is done for many points at once, which needs
-the cost of responses: of a record whose model is linear, those of the model at its minimum.
+the cost of responses; for a record whose model is linear, these are the responses of the model at
+its minimum.
 """
 
 from contextlib import suppress
@@ -42,7 +43,7 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     costs = alike.costs(starts)
     # Ten squares, each of an error of a percent, have the sum 1e-3.
     limit = costs[0] + RIVAL * likelihood_unit(alike, costs[0]) + 1e-3
-    # A value that fits already is on no other side of a ridge.
+    # A value that fits as it is does not lie beyond a ridge.
     away = costs[1:] > limit
     held, z = held[:, away], alike.scaling.to_solver(starts[1:][away]).T
     low, high = (np.where(held, z, bound[:, None]) for bound in alike.bounds)

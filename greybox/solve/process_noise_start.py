@@ -23,8 +23,8 @@ from greybox.compiled.shared_response import resolvents
 from greybox.files.arrays import Array, ComplexArray
 
 # Noise over the derivatives of the states, with relative errors of one in the responses: at first,
-# for every second pair of starts, and over that, stage by stage. Those that begin with much noise
-# and with less miss different minima of two flexible modes.
+# for every second pair of starts, and over that, stage by stage. Starts with much noise and starts
+# with less miss different minima of two flexible modes.
 FIRST = 30.0, 3.0
 STAGES = 1.0, 0.1, 0.01
 

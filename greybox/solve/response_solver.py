@@ -165,7 +165,7 @@ class ResponseSolver(LocalSolver):
         ends of each block become those of the same runs. So as many runs reach the best minimum as
         reach that of the block which fewest of them solve.
         """
-        # In a few points: at zero, a parameter may seem to couple nothing.
+        # At a few points: at zero, a parameter may seem to couple nothing.
         z = self.problem.scaling.to_solver(ends[-8:]).T
         ones, data = np.ones_like(z[:1]), self.problem.data[:, None]
         hessian = self.problem.programs[-1].second_order(z, SMOOTHING * ones, data * ones)[2]
@@ -201,7 +201,7 @@ class ResponseSolver(LocalSolver):
 
     def run_together(self, starts: Array) -> list[Outcome]:
         """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
-        # With few starts, IPOPT's own options apply to the letter.
+        # With few starts, IPOPT's own options apply exactly.
         if len(starts) < (6 if self._options else self.fewest) or self.together == 1:
             return super().run_together(starts)
 
@@ -230,7 +230,7 @@ class ResponseSolver(LocalSolver):
         return ends
 
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
-        """Search again, from the columns of z (p, m), what ended at a response of zero."""
+        """Repeat the searches from z (p, m) that ended at a response of zero."""
         program = self.problem.programs[0]
         if program.explicit is None or program.roots is not None:
             return ends

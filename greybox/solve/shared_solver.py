@@ -59,7 +59,7 @@ class SharedSolver(ResponseSolver):
         """Return the ends of searches from the columns of z (p, m)."""
         if self._sine_tests:
             ends = super().improved(z, **limits)
-            # Near the last motions there may be others than those that are found anew.
+            # A search near the last motions may find others than a search that begins anew.
             for test in self._sine_tests:
                 test.last.clear()
             return continued(ends, super().improved(ends.z, max_iterations=FEW, from_near=True))

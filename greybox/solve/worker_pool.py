@@ -108,7 +108,7 @@ def _new_process() -> Executor:
 
 
 def _prepare_worker() -> None:
-    """Leave Ctrl-C and SIGTERM, which may go to all processes, to the parent; end with it."""
+    """Leave Ctrl-C and SIGTERM, which may go to all processes, to the parent, and end with it."""
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

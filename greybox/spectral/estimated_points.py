@@ -109,11 +109,11 @@ def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
     sure = response.omega[np.sqrt(np.asarray(response.variance)) < size / 2]
     coherent &= response.omega >= sure.min(initial=np.inf)
     coherent &= response.omega <= sure.max(initial=0.0)
-    # If all points are low, none is left out: the user shall see them.
+    # If all points are low, none is left out: the user should see them.
     if not coherent.any() or coherent.all():
         return response
     text = _dropped(
-        response.omega, ~coherent, f"of a coherence below {COHERENT} or too uncertain at an end"
+        response.omega, ~coherent, f"with a coherence below {COHERENT}, or too uncertain at an end"
     )
     earlier = [response.about["dropped"]] if "dropped" in response.about else []
     return replace(
@@ -121,7 +121,7 @@ def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
     )
 
 
-def _dropped(omega: Array, gone: BoolArray, why: str) -> str:
-    low, high = omega[gone].min(), omega[gone].max()
+def _dropped(omega: Array, dropped: BoolArray, why: str) -> str:
+    low, high = omega[dropped].min(), omega[dropped].max()
     place = f"{low:.4g} to {high:.4g} rad/s" if high > low else f"{low:.4g} rad/s"
-    return f"{gone.sum()} of {counted(omega.size, 'point')}, {why}, at {place}"
+    return f"{dropped.sum()} of {counted(omega.size, 'point')}, {why}, at {place}"

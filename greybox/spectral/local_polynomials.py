@@ -74,8 +74,8 @@ TRANSIENT_SHARE = 0.5
 # uses those of the bands beside it, up to an octave away.
 NEIGHBORHOOD = 12
 
-# Noise falls or rises with a power of the frequency. The exponent is estimated from an octave on
-# either side, by least squares on logarithms, with a prior of this standard deviation.
+# Noise is assumed to fall or rise with a power of the frequency. The exponent is estimated from an
+# octave on either side, by least squares on logarithms, with a prior of this standard deviation.
 STEEP = 1.0
 
 # Points by which the gain from instrument to input is expected, and standard deviations of noise

@@ -63,7 +63,7 @@ def periodic_response(
     """
     signals = (input, output, instrument or input)
     stretches, spectra = period_spectra(records, period, signals)
-    # The instrument has no noise of the loop, so that its lines stand out best.
+    # The instrument has no noise of the loop, so its lines are the clearest.
     amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
     omega = (1 + lines) * (HZ / period)

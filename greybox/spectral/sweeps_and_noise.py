@@ -37,8 +37,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     """Estimate a frequency response from sweeps or noise.
 
     Response and transients are polynomials in bands of the transform of the whole record (see
-    `greybox.spectral.local_polynomials`). Bands become narrower until the polynomials hold. Each
-    gives three points whose errors are independent, so that a likelihood may use them.
+    `greybox.spectral.local_polynomials`). Bands become narrower until the polynomials are accurate.
+    Each gives three points whose errors are independent, so that a likelihood may use them.
 
     Stretches between gaps or missing samples are transformed separately and used together, as are
     several records. Offsets and straight lines in the output count as transients.
@@ -68,8 +68,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     near : function of (n,) array, rad/s, optional
         A response near the true one, such as that of a fitted model. The polynomials then describe
         what it leaves, so that their error and that of the noise are smaller where the response
-        changes much from line to line: at the lowest frequencies, and at resonances. Not used at a
-        stated `omega`.
+        changes much from line to line: at the lowest frequencies, and at resonances. Not used if
+        `omega` is given.
 
     Returns
     -------

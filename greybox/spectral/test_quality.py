@@ -123,7 +123,7 @@ def check(
     usable = [segment for segment in segments if segment.usable]
     ends = [edge for segment in usable for edge in segment.band]
     if response is not None:
-        # A response shows what was measured, segments only what was planned.
+        # A response shows what was measured; segments show only what was planned.
         ends = response.omega.tolist()
     band = max(ends, default=math.nan), min(ends, default=math.nan)
     findings = [

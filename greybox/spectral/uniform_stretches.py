@@ -69,12 +69,12 @@ def uniform_stretches(
 
     if not stretches:
         raise ValueError(
-            f"in no two samples in a row, {', '.join(dict.fromkeys(signals))} are all present: "
+            f"{', '.join(dict.fromkeys(signals))} are never all present in two samples in a row: "
             "gb.prepare(record, ..., rate=...) puts signals of different rates on one time base."
         )
     # A ratio of two constants would consist of rounding errors.
     for k, name in enumerate(signals):
-        # Rounding errors of resampling some thousands.
+        # 1e-12: rounding errors of resampling, for values of some thousands.
         if all(np.ptp(s.values[k]) <= 1e-12 for s in stretches):
             raise ValueError(
                 f"{name} does not change in these records: choose a part that is excited."

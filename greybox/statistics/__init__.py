@@ -6,7 +6,7 @@ time.
 | file | contents |
 | --- | --- |
 | `metrics` | measures of fit; tests of whiteness, of correlation with the input, and of feedback |
-| `bounded_errors` | large errors bounded, for robust estimates |
+| `huber` | large errors bounded, for robust estimates |
 | `noise_ratio` | whether a signal is smooth or noise |
 | `residual_autocorrelation` | autoregressions of one series |
 | `error_spectrum` | a spectrum of errors: residuals made white, errors drawn |

@@ -9,8 +9,8 @@ An estimated autoregression is too short-lived if the errors drift through the w
 slow term would then look significant. So the differences of the samples are tested, too, for which
 such a drift is short: the larger probability counts.
 
-Process noise reaches several outputs, which then show a term, or what looks like one, alike: their
-likelihoods do not simply add up.
+Process noise reaches several outputs, which then show the same term, or the same imitation of a
+term: their likelihoods do not simply add up.
 
 Sources: Cochrane and Orcutt (1949), Application of least squares regression to relationships
 containing auto-correlated error terms, Journal of the American Statistical Association 44;
@@ -36,7 +36,7 @@ SAMPLES = 15
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
-# Factors on a smooth term beside errors that drift settle in up to seven rounds.
+# Factors on a smooth term, fitted with errors that drift, converge in up to seven rounds.
 ROUNDS = 7
 TINY = 1e-300
 
@@ -113,7 +113,7 @@ def autoregressive_p_values(
     basis = column_basis(fitted)
     values = np.column_stack([residuals, basis, outside(terms, basis)])
     values /= np.linalg.norm(values, axis=0) + TINY
-    # Each test is fitted beside the parameters, without the others; the last fit has no term.
+    # Each test is fitted with the parameters, without the others; the last fit has no term.
     first, size = 1 + basis.shape[1], np.array(sizes or [1] * terms.shape[1], dtype=int)
     tests = np.repeat(np.eye(len(size) + 1, len(size)), size, axis=1)
     used = np.hstack([np.ones((len(tests), first)), tests])
@@ -130,9 +130,9 @@ def autoregressive_p_values(
     for times in range(2):
         # Differences of the samples in a window are a window of one order less.
         sums = [np.diff(np.diff(each[i, j], times), times, axis=1) for each in whole]
-        # The errors are those beside the columns: what follows a missing term is an autoregression,
-        # too, and would leave nothing of the term if the filters came from it. The likelihood has
-        # several maxima: differences begin at the factors of the samples.
+        # The errors are fitted together with the columns: the effect of a missing term is an
+        # autoregression, too, and filters that contained it would leave nothing of the term. The
+        # likelihood has several maxima: differences begin at the factors of the samples.
         for _ in range(ROUNDS):
             filters = map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)
             added = [
@@ -208,7 +208,7 @@ def _filters(factors: Array, count: int, sums: Array) -> Array:
 def _least(squares: Array, used: Any = True) -> Array:
     """Return factors (h, n) with the least `squares` (h, n, n), one on the first column.
 
-    Of other columns than the `used` ones (h, n, n), they are zero.
+    The factors of columns other than the `used` ones (h, n, n) are zero.
     """
     squares = np.where(used, squares, np.eye(squares.shape[-1]))
     others = -np.linalg.solve(squares[:, 1:, 1:], squares[:, 1:, :1])[..., 0]

@@ -47,5 +47,5 @@ def outside(values: Array, basis: Array) -> Array:
     # The second time takes out what rounding left the first time.
     for _ in range(2):
         columns -= (columns @ basis) @ basis.T
-    # Of what lies in the space, all the rest is rounding.
+    # A column within the space leaves nothing but rounding.
     return (columns * (np.linalg.norm(columns, axis=-1, keepdims=True) > least)).T

@@ -1,4 +1,4 @@
-"""The spectrum of errors in time, by which residuals are whitened and errors are drawn.
+"""The spectrum of errors in time, with which residuals are whitened and errors are drawn.
 
 Blocks of correlated residuals cut off the correlation at their ends, so that the variance of a mean
 comes out too small: by a fifth with 23 samples of an autoregression of coefficient 0.8. Whitened

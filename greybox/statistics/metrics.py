@@ -160,8 +160,8 @@ def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
     mean = float(np.nanmean(np.concatenate(series)))
     a = autoregression([np.nan_to_num(s - mean) for s in series])
     # Σ a_k e(t - k) is NaN where a term is missing, as before the first sample.
-    before = np.full(a.size - 1, np.nan)
-    return [np.convolve(np.append(before, s - mean), a, mode="valid") for s in series], a
+    missing = np.full(a.size - 1, np.nan)
+    return [np.convolve(np.append(missing, s - mean), a, mode="valid") for s in series], a
 
 
 def _present(values: ArrayLike) -> Array:

@@ -45,7 +45,7 @@ LAGS /= LAGS[:, :1]
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)
 
-# Levels at which the intervals of an average of distributions and of Student's t shall agree: those
+# Levels at which the intervals of an average of distributions and of Student's t must agree: those
 # of a standard error, and of the printed interval.
 LEVELS = (0.6827, 0.95)
 
@@ -92,7 +92,7 @@ def neighbor_correlation(
         Derivatives of the residuals in the same units, real parts first.
     inflation : float, optional
         Squared residuals over their expectation by given error sizes. If it is below one, the given
-        sizes are used. By default, the residuals give the size.
+        sizes are used. By default, the size is estimated from the residuals.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def neighbor_correlation(
         return None
 
     rho = np.linspace(0.0, math.exp(-1 / n), VALUES)
-    # The inverse of a matrix rho^|i - j| has three diagonals, so that no matrix need be formed.
+    # The inverse of a matrix rho^|i - j| has three diagonals, so no matrix is formed.
     rows = np.ascontiguousarray(np.column_stack([errors, basis[:n] + 1j * basis[n:]]))
     squares_of_rows = (rows.conj().T @ rows).real
     ends = (rows[[0, -1]].conj().T @ rows[[0, -1]]).real
@@ -133,7 +133,7 @@ def neighbor_correlation(
     information = np.linalg.slogdet(moments[:, 1:, 1:])[1]
     squares = np.exp(np.linalg.slogdet(moments)[1] - information)
 
-    # The parameters took all of the errors, but for rounding.
+    # The parameters absorbed all of the errors, except for rounding.
     if not squares.min() > EXACT**2 * squares_of_rows[0, 0]:
         return None
 
@@ -225,8 +225,9 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
 
     The distributions have variances (m,) and the same degrees of freedom; the result has the same
     intervals as their average at `LEVELS`. With infinite degrees of freedom, the result is normal
-    and has the variance of the average: such variances add over the parts of a problem. From four
-    degrees of freedom on, the 95 % interval of Student's t is within 2 % of that of its variance.
+    and has the variance of the average: such variances add over the parts of a problem. With four
+    or more degrees of freedom, the 95 % interval of Student's t is within 2 % of that of a normal
+    distribution of the same variance.
     """
     from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
     from scipy.special import stdtr, stdtrit  # noqa: PLC0415

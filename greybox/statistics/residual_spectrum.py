@@ -85,7 +85,7 @@ class ColoredInformation:
         Spectrum of the errors; None where all residuals are zero.
     process_noise : function
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
-        gusts. It takes time, and few ask.
+        gusts. It takes time, and is rarely needed.
     """
 
     meat: Array
@@ -111,7 +111,7 @@ def colored_information(
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        R⁻¹ dy/dθ by the parameters θ, one for every stretch, zero where a sample is missing.
+        R⁻¹ dy/dθ for the parameters θ, one for every stretch, zero where a sample is missing.
     directions : (p, r) array
         Directions J of the parameters, of unit variance for white errors of covariance R, other
         data included.
@@ -148,7 +148,7 @@ def colored_information(
     )
     mixture, corrected = _corrected_mixture(spectra)
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
-    # Of a long record, a fifth of all memory: what is still asked for needs its power alone.
+    # For a long record this frees a fifth of all memory: from here on only the power is needed.
     vars(spectra).pop("_only_transform", None)
     times = np.zeros(k)
     times[compared] = spectra.grid.correlation_times(mixture.typical)

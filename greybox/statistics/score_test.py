@@ -30,8 +30,9 @@ FEWEST = 6.0  # numbers beyond those that the parameters take
 ROUNDING = 1e-12  # of products of columns
 TINY = 1e-300
 
-# Correlated errors that are tried, with white ones beside them: lengths of the correlation in
-# points, of which the longest is an error of all points, and variances over that of the white ones.
+# Correlated errors that are tried, in addition to white ones: lengths of the correlation in
+# points, the longest of which is an error common to all points, and variances over that of the
+# white ones.
 LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
 VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
 # Squares of errors that are smaller or larger in a band of points than elsewhere, by twelfths of
@@ -118,10 +119,10 @@ def joint_test(
 
 
 def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array) -> Fits:
-    """Return what fits leave of residuals, without a term and beside each, for m kinds of errors.
+    """Return what fits leave of residuals, without a term and with each, for m kinds of errors.
 
-    Correlated errors look like a smooth term that is missing, large ones like a local term, and the
-    other way round. So errors may be white, or correlated with white ones beside them, or larger or
+    Correlated errors look like a missing smooth term, large ones like a missing local term, and
+    vice versa. So errors may be white, or correlated in addition to white ones, or larger or
     smaller in a band of rows than in all others, in all blocks alike.
 
     Parameters

@@ -1,4 +1,4 @@
-"""The variances of parts of the errors whose spectra are known but for a factor.
+"""The variances of parts of the errors whose spectra are known up to a factor.
 
 Every sensor has white noise, and process noise reaches the outputs through the dynamics of the
 model. A few variances then determine the whole spectrum, while an autoregression has to find the
@@ -53,8 +53,8 @@ def whittle_score(
 
     Also returned are the inverse of the mean, and its product with the periodogram. All outputs
     count as if they had the most numbers: the transform of one that is measured at every fourth
-    sample repeats itself four times. Its repetitions are taken off, and their slopes (b, k) by its
-    own mean are returned last.
+    sample repeats itself four times. Its repetitions are subtracted, and their slopes (b, k) with
+    respect to its own mean are returned last.
     """
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
     if spectrum.shape[1] > 1:

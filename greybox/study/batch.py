@@ -17,7 +17,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
+from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
 from greybox.files.arrays import frozen
@@ -44,10 +44,10 @@ from greybox.solve.interruption import (
     listening,
     responding,
 )
-from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
+from greybox.solve.run_storage import RunStorageError
 from greybox.solve.runs import Outcome
 from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.ranking import held_out_error
@@ -178,9 +178,9 @@ def batch(
         runs = StoredRuns(folder)
         try:
             done = {m.name for m in listed if stored[m.name].status == "done"}
-            # A notebook stores every picture of the bar: two a second suffice. The time left is by
-            # the mean of all members: a moving one counts only the time since the last picture.
-            shown = bar(
+            # A notebook stores every update of the bar: two a second suffice. The time left is by
+            # the mean of all members: a moving one counts only the time since the last update.
+            progress_bar = bar(
                 is_shown=progress,
                 total=len(listed),
                 initial=len(done),
@@ -189,22 +189,22 @@ def batch(
                 mininterval=0.5,
                 smoothing=0,
             )
-            with listening(), shown:
+            with listening(), progress_bar:
                 try:
                     new = {m: None for m in listed if executor and not stored[m.name].runs}
-                    made = _by_workers([*new], executor)
+                    answers = _by_workers([*new], executor)
                     compiled: set[str] = set()
                     for member in listed:
                         if is_search_over():
                             break
-                        if changes := next(made, []) if member in new else []:
+                        if changes := next(answers, []) if member in new else []:
                             runs.changes += changes
                         else:
                             _fit_member(
-                                member, runs, stored[member.name], compiled, executor, shown
+                                member, runs, stored[member.name], compiled, executor, progress_bar
                             )
-                        shown.update(member.name not in done)
-                        runs.look()
+                        progress_bar.update(member.name not in done)
+                        runs.write_due()
                         if runs.trouble:
                             break  # a full disk, which the last attempt names
                 finally:
@@ -229,14 +229,14 @@ def require_distinct(members: Sequence[Member]) -> None:
 class _Unwritten(StoredRuns):
     """Runs that another process writes."""
 
-    def look(self) -> None:
+    def write_due(self) -> None:
         """Write nothing."""
 
 
 class _WholeMembers(Runner):
     """Fits members, one in each row (1,), pickled; the estimate of an outcome is what to store.
 
-    That is nothing for a member that takes longer than `UNWRITTEN`: workers then share its runs.
+    Nothing is stored for a member that takes longer than `UNWRITTEN`: workers then share its runs.
     """
 
     def run(self, start: Any) -> Outcome:
@@ -254,7 +254,7 @@ class _WholeMembers(Runner):
 
 
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
-    """Yield what every member stores; nothing if it is large, or if a worker ended by it."""
+    """Yield what every member stores; nothing if it is large, or if its worker was lost."""
     # In a worker, classes of the user's script have another module, and members another key.
     study = unchanged_in.get()
     rows = ((k, np.array([pickled((m, _key(m), study))])) for k, m in enumerate(members))
@@ -276,7 +276,7 @@ def _fit_member(
 ) -> None:
     """Fit a member, unless it is done; an error of its own is its answer.
 
-    The `key` is that of its settings, if it is known.
+    The `key` identifies its settings, if it is known.
     """
     if _is_done(member, stored, compiled):
         return
@@ -286,13 +286,13 @@ def _fit_member(
         bar.set_description_str(
             f"{member.name}: {done} of {counted(count, 'start')}", refresh=False
         )
-        bar.update(0)  # shows it if the last picture is old
+        bar.update(0)  # shows it if the last update is old
 
     # The runs are written whatever ends the fit, but an answer only if the search was not cut: the
     # next call would take it for the answer from all starts.
     result, error = None, ""
     try:
-        result = fit_keeping(
+        result = fit_with_storage(
             runs,
             member.problem,
             member.starts,
@@ -303,9 +303,9 @@ def _fit_member(
             progress=bar is not None and report,
         )
         error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
-    except (ExecutorLostError, KeptRunsError):  # of the workers or the folder, not of the member
+    except (ExecutorLostError, RunStorageError):  # of the workers or the folder, not of the member
         raise
-    # Whatever else happens ends this member alone: a batch runs for days without its user.
+    # Any other error ends only this member: a batch runs for days without its user.
     except Exception as raised:
         message = " ".join(str(raised).split())
         is_sentence = message and isinstance(raised, SENTENCES)
@@ -339,7 +339,7 @@ def _stated(problem: AnyProblem) -> dict[str, Any]:
 
 
 def _key(member: Member, *, formulas_alone: bool = False) -> str:
-    """Return a key of all that a member states, or of its formulas; empty with a lambda."""
+    """Return a key of all settings of a member, or of its formulas; empty with a lambda."""
     parts, by = member.problem.parts, member.by
     formulas = [
         (p.model, p.criterion, p.tied, p.constraints, getattr(p.data, "output", "")) for p in parts

@@ -34,9 +34,9 @@ from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
-from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import ProgressReport, multistart, solver_for
+from greybox.solve.run_storage import Memory
 from greybox.solve.runs import Outcome
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.replicates import Replicates
@@ -272,9 +272,9 @@ def bootstrap(
     drawn too, with their covariance. Every replicate is solved from the estimate: the spread is
     that of one minimum and does not include a choice among several.
 
-    Percentile intervals from 5 to 24 points covered 92 to 95 %, those of a pole that the data bound
-    on one side only 91 to 93 %. In time, with errors of correlation 0.8, they covered 92 % (± 2 %,
-    by ``benchmarks/bootstrap_coverage.py``).
+    Percentile intervals from 5 to 24 points covered 92 to 95 %; those of a pole that the data bound
+    on one side only covered 91 to 93 %. In time, with errors of correlation 0.8, they covered 92 %
+    (± 2 %, by ``benchmarks/bootstrap_coverage.py``).
 
     Parameters
     ----------
@@ -428,14 +428,14 @@ def _made(
     rows = ((k, np.array([float(k)])) for k in range(replicates))
     runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
     lock = nullcontext() if folder is None else locked(Path(folder))
-    shown = bar(is_shown=progress is True, total=replicates, unit="replicate")
-    with lock, listening(), shown:
+    progress_bar = bar(is_shown=progress is True, total=replicates, unit="replicate")
+    with lock, listening(), progress_bar:
         try:
             memory = Memory() if runs is None else Memory(runs, value_fingerprint(runner))
             with responding(Response.STOP):
                 for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
                     outcomes.append(outcome)
-                    shown.update()
+                    progress_bar.update()
                     if callable(progress):
                         progress(len(outcomes), replicates)
             return outcomes, take_interrupt()

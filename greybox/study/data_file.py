@@ -35,8 +35,8 @@ def read_data(
     A table of several responses, see `read_responses`, gives all of them.
 
     `columns` name the columns of a table, with units: ``{"theta": "pitch:deg"}``. They are those of
-    a response if they contain its frequency or magnitude. The `rate` in Hz is that of a table
-    without a time. `prepare` has the arguments of `gb.prepare`, for a log.
+    a response if they contain its frequency or magnitude. The `rate`, in Hz, is the sampling rate
+    of a table without a time. `prepare` has the arguments of `gb.prepare`, for a log.
 
     Raises
     ------

@@ -108,8 +108,8 @@ def combined(choices: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
     for values in itertools.product(*axes.values()):
         chosen = by_name(axes, values)
         head = _label(first, chosen.get(first, ""), place)
-        rest = ", ".join(_label(key, chosen[key], place) for key in varied)
-        name = f"{head}: {rest}" if rest else head
+        varied_text = ", ".join(_label(key, chosen[key], place) for key in varied)
+        name = f"{head}: {varied_text}" if varied_text else head
         combinations.append({**chosen, "name": name, "held": held})
     return combinations
 

@@ -51,7 +51,7 @@ def _upright(name: str) -> str:
 
 
 def latex_number(value: float | None, error: float | None = None) -> str:
-    """Return a value with its standard error, each with the digits that it deserves."""
+    """Return a value with its standard error, each with its significant digits."""
     if value is None:
         return "--"
     texts = with_error(value, error or 0.0)

@@ -35,7 +35,7 @@ PREDICTION = "error of held-out predictions, % of the signal"
 EQUAL = 0.05  # relative difference of errors that makes no difference to a user of the model
 
 Table = dict[str, dict[str, float]]
-"""A number by data set and structure, the less the better."""
+"""A number by data set and structure, the lower the better."""
 
 Result = tuple[str, str, Fit, float | str | None]
 """A structure, a data set, the fit, and its `held_out_error`, if data are held out."""
@@ -43,7 +43,7 @@ Result = tuple[str, str, Fit, float | str | None]
 
 @unchanged()  # equal models share what is compiled
 def ranking(results: Iterable[Result]) -> Comparison:
-    """Compare structures over data sets, of which each has its results in a row.
+    """Compare structures over data sets; each data set has its results in a row.
 
     Only the fits of one data set are in memory at a time.
     """
@@ -90,8 +90,8 @@ def _by_data(results: Iterable[Result]) -> Iterator[tuple[str, list[Result]]]:
         # Data of one name may differ: they are numbered.
         groups: list[list[Result]] = []
         for result in alike:
-            same = (g for g in groups if not data_difference([g[0][2], result[2]], ("", "")))
-            if (group := next(same, None)) is None:
+            matching = (g for g in groups if not data_difference([g[0][2], result[2]], ("", "")))
+            if (group := next(matching, None)) is None:
                 groups.append(group := [])
             group.append(result)
         for number, group in enumerate(groups, 1):
@@ -150,7 +150,8 @@ def _wins(measure: str, table: Table) -> str:
 
 def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> tuple[str, str]:
     """Return the structure that the data sets together support, and why."""
-    # Not all structures suit all data sets: judged are those of the one that is best most often.
+    # Not all structures suit all data sets: the comparison uses the data sets of the structure that
+    # is best most often.
     [(winner, _)] = _best(table).most_common(1)
     shared = [values for values in table.values() if winner in values]
     labels = [label for label in sizes if all(label in values for values in shared)]

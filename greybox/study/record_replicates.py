@@ -47,8 +47,8 @@ class DrawnRecord:
             if self.spectrum is None:
                 errors = self._drawn_residuals(random, count)
             else:
-                # The filter acts on a circle: in one twice as long the last sample that is used is
-                # not a neighbor of the first one.
+                # The filter is circular: with twice the length, the last sample that is used is not
+                # a neighbor of the first one.
                 white = self._drawn_residuals(random, 2 * count)
                 errors = self.spectrum.colored(white)[:, :count]
             outputs.append(np.where(np.isfinite(measured), fitted + errors, np.nan))
@@ -98,7 +98,7 @@ def _drawn_record(
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
 
     # White residuals are too small by the fitted parameters and initial states. The spectrum of
-    # colored ones is corrected for the fit already.
+    # colored residuals is already corrected for the fit.
     if spectrum is None:
         return DrawnRecord(measured, fitted, math.sqrt(part.numbers / dof) * residuals, None)
     white = _centered([spectrum.whitened(values) for values in differences])

@@ -187,7 +187,8 @@ class ResponseReplicates(Replicates):
         if cut := reason_to_end():
             nowhere = np.full(len(self.start), np.nan)
             return Outcome(nowhere, cut, 0, 0.0, converged=False)
-        # What was compiled is shared; at the estimate, no other criterion need locate the minimum.
+        # The compiled functions are shared; near the estimate, no other criterion is needed to
+        # locate the minimum.
         nlp = copy(self.nlp)
         vars(nlp).update(data=data, programs=self.nlp.programs[-1:])
         return ResponseSolver(nlp, WARM, batched=False).run(self.start)

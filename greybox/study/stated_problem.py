@@ -1,4 +1,4 @@
-"""The problem that options describe by name: those of `greybox fit`, or the keys of a study file.
+"""The problem that named options describe: those of `greybox fit`, or the keys of a study file.
 
 Begin with `stated_problem`.
 """
@@ -88,7 +88,7 @@ def stated_problem(
             _require_problem(problem)
             problem, settings = find_problem(problem)
 
-    # Options of the whole problem first; those of single parameters need its final names.
+    # Options of the whole problem come first; those of single parameters need its final names.
     problem = in_band(problem, options.get("band"))
     if "delay" in options:
         problem = problem.with_(delay=options["delay"])
@@ -253,7 +253,7 @@ def with_parameter_options(problem: AnyProblem, options: Mapping[str, Any]) -> A
 
 def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Problem:
     """Return a part with the changes of its parameters, which it may name differently."""
-    # Options speak of names in the answer. A tied parameter has no value of its own to change.
+    # Options use the names of the answer. A tied parameter has no value of its own to change.
     inside = {part.outside(name): name for name in part.declared if name not in part.tied}
     changed = {
         what: {inside[name]: value for name, value in values.items() if name in inside}

@@ -3,13 +3,13 @@
 ``study.sqlite``  an SQLite database: members with answers and fits, and every run as it is made.
 ``lock``          locked by the process that writes.
 
-What is damaged is set aside by the next process that writes, and made again (`mend`).
+The next process that writes removes what is damaged, and computes it again (`mend`).
 
 A single fit with ``--out`` and a bootstrap keep their runs in such a folder, too, as those of one
-member. SQLite commits are atomic: `kill -9` leaves all runs and answers up to the last commit.
-Runs are JSON texts with a checksum, answers and fits are compressed ones, so nothing in a folder
-from a stranger is executed. A commit takes some milliseconds of the disk: the results of small
-members are written together.
+member. SQLite commits are atomic: `kill -9` leaves all runs and answers up to the last commit. Runs
+are JSON texts with a checksum, answers and fits are compressed JSON, so nothing in a folder from a
+stranger is executed. A commit takes some milliseconds of the disk: the results of small members are
+written together.
 """
 
 import json
@@ -29,7 +29,7 @@ from greybox.files.arrays import Array, Strings, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
-from greybox.solve.kept_runs import KeptRuns, KeptRunsError
+from greybox.solve.run_storage import RunStorage, RunStorageError
 from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
 
 Status = Literal["done", "failed", "unfinished"]
@@ -83,7 +83,7 @@ PATIENCE = 2.0
 def locked(folder: Path) -> Iterator[None]:
     """Create the folder if necessary, keep other processes from writing, and mend it.
 
-    What was damaged is a warning, see `mend`.
+    A warning names what was damaged, see `mend`.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def locked(folder: Path) -> Iterator[None]:
         ) from error
     try:
         for text in mend(folder):
-            warnings.warn(f"{folder}: {text}; what is missing is made again.", stacklevel=4)
+            warnings.warn(f"{folder}: {text}; what is missing is computed again.", stacklevel=4)
         yield
     finally:
         lock.release()
@@ -261,7 +261,7 @@ def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     return {member.name: member for member in read_members(folder)}
 
 
-class StoredRuns(KeptRuns):
+class StoredRuns(RunStorage):
     """The runs of a member of a study; those of the members of a batch are written together.
 
     Attributes
@@ -280,15 +280,15 @@ class StoredRuns(KeptRuns):
         self.begin(name)
 
     def begin(self, name: str, *, is_new: bool = False) -> None:
-        """Go on to a member; a new one has no runs on disk."""
+        """Switch to a member; a new one has no runs on disk."""
         self._name, self._is_new, self._has_begun = name, is_new, False
 
-    def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
+    def stored(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
         """Return the runs on disk by the number of their start.
 
         Raises
         ------
-        KeptRunsError
+        RunStorageError
             If they were made for another problem, or the database is damaged.
         """
         self.fingerprint = fingerprint
@@ -306,9 +306,9 @@ class StoredRuns(KeptRuns):
                 _require_whole(self._folder, checksum, text, self._name, number, key)
                 runs[int(number)] = _stored_run(text)
         except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-            raise KeptRunsError(_damaged(self._folder)) from error
+            raise RunStorageError(_damaged(self._folder)) from error
         if any(row[-1] != fingerprint for row in rows):
-            raise KeptRunsError(
+            raise RunStorageError(
                 f"the runs in {self._folder} belong to another problem, to other options, or to "
                 "another version of greybox or CasADi: repeat what the study began with, or begin "
                 "another study."
@@ -327,7 +327,7 @@ class StoredRuns(KeptRuns):
         row = name, number, text, _checksum(text, name, number, self.fingerprint)
         self._change(f"INSERT OR REPLACE INTO runs VALUES ({MEMBER}, ?, ?, ?)", *row)
         self._work += outcome.seconds
-        self.look()
+        self.write_due()
 
     def finish(self, answer: Mapping[str, Any], fit: bytes = b"") -> None:
         """Store the answer of the member, which is then done, and its fit."""
@@ -339,8 +339,8 @@ class StoredRuns(KeptRuns):
     def _change(self, statement: str, *values: Any) -> None:
         self.changes.append((statement, values))
 
-    def look(self) -> None:
-        """Write what is older, or took longer, than `UNWRITTEN`."""
+    def write_due(self) -> None:
+        """Write runs that are older, or took longer, than `UNWRITTEN`."""
         # A commit takes some milliseconds. After every run of a response, which takes no longer,
         # the disk would cost as much time as the solver.
         age = time.monotonic() - self._written_at
@@ -486,8 +486,8 @@ def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool)
         raise ValueError(
             _damaged(path.parent)
             if _is_ours(connection)
-            else f"{path} is not a study, or one of another version of greybox: update greybox, or "
-            "begin another study."
+            else f"{path} is not a study, or was made by another version of greybox: "
+            "update greybox, or begin another study."
         )
 
 
@@ -504,7 +504,7 @@ def _tables(connection: sqlite3.Connection) -> Strings:
 def _damaged(folder: Path) -> str:
     return (
         f"{folder / DATABASE} is damaged or not a study: restore it, or run the batch again, which "
-        "makes again what cannot be read."
+        "repeats what cannot be read."
     )
 
 

@@ -135,10 +135,10 @@ class Study(Printed):
         """Compare structures, or another factor, over the data sets; ``gb.compare(study)``.
 
         For every data set the table has BIC less the least: of each structure that of its best
-        member. Criteria that are no likelihoods are put on the scale of one, as in
+        member. Criteria that are not likelihoods are put on the scale of one, as in
         `greybox.compare`; over records, structures with and without a delay are compared by the
         samples that all of them fit. The statements count the data sets in which each structure is
-        the best; the verdict adds BIC up over all data sets that all structures have in common.
+        the best; the verdict adds up BIC over the data sets that all structures have in common.
         Data that the members held out have the last word: they support the smallest structure whose
         errors, by their geometric mean over the data sets, are within 5 % of the least.
 
@@ -302,7 +302,7 @@ def _latex(members: Sequence[StudyMember]) -> str:
 
 
 def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
-    """Return the factors in which members differ; their names where these do not suffice."""
+    """Return the factors in which members differ, or names where these do not suffice."""
     factors = [member.factors for member in members]
     names = dict.fromkeys(name for values in factors for name in values)
     varied = [name for name in names if len({values.get(name) for values in factors}) > 1]
@@ -316,8 +316,8 @@ def _differences(texts: Sequence[str]) -> list[str]:
     """Return texts without the values, such as ``a = 1``, that all of them have."""
     words = [text.split(", ") for text in texts]
     common = set.intersection(*map(set, words)) if len({*texts}) > 1 else set()
-    kept = [[w for w in row if w not in common or " = " not in w] for row in words]
-    pairs = zip(texts, kept, strict=True)
+    distinct = [[w for w in row if w not in common or " = " not in w] for row in words]
+    pairs = zip(texts, distinct, strict=True)
     return [", ".join(row) or (text and "nothing else") for text, row in pairs]
 
 

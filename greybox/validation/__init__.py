@@ -1,4 +1,4 @@
-"""Fits held against each other and against data that they have not seen.
+"""Fits compared with each other and with data that they have not seen.
 
 Begin with `compare`.
 

@@ -50,7 +50,7 @@ def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
     parts = [part for fit in fits for part in fit.parts]
     if not all(isinstance(part, FittedResponse) and part.weight == 1 for part in parts):
         return None
-    # Measured variances, where all data have them, say more than the assumption that errors are
+    # Measured variances, where all data have them, are better than the assumption that errors are
     # proportional to the response.
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()

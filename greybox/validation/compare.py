@@ -134,7 +134,7 @@ def compare(
     bic = _known("BIC", rows)
     supported = verdict = ""
     # The likelihood of records assumes white residuals. Real ones are correlated, which inflates
-    # differences of BIC: for records only the tests, which allow for it, have a say.
+    # differences of BIC: for records only the tests count, which allow for it.
     if bic and not any(part.data.has_time for fit in fits for part in fit.records):
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]

@@ -137,5 +137,5 @@ class Comparison(Printed):
 
 
 def p_text(p: float) -> str:
-    """Return a p-value as it stands in a sentence."""
+    """Return a p-value as text for a sentence."""
     return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"

@@ -21,12 +21,12 @@ from greybox.validation.same_data import (
     other_samples,
 )
 
-LEAST_DOF = 3  # below, F of one term is significant from 18 on: smaller ones are no evidence
+LEAST_DOF = 3  # with fewer, F of one term is significant only above 18
 
 
 @dataclass(frozen=True)
 class NestedTest:
-    """Whether the data need the terms that only the larger model has; printing it says so.
+    """Whether the data need the terms that only the larger model has; printed, it is a sentence.
 
     Attributes
     ----------
@@ -84,8 +84,9 @@ class NestedTest:
 def nested_test(small: Fit, large: Fit) -> NestedTest:
     """Test whether the parameters that only `large` has free are needed.
 
-    `large` contains `small` where parameters with the same name are equal and the equations agree
-    with the other parameters of `large` at zero, one or a bound, or as `small` fixes or ties them.
+    `large` contains `small` if, with equal parameters under the same names, the equations agree
+    where the other parameters of `large` are zero, one or at a bound, or as `small` fixes or ties
+    them.
 
     The test compares twice the difference of the costs with an F distribution. First it divides by
     the variance that the standard errors give these parameters over the variance that the curvature

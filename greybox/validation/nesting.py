@@ -50,7 +50,7 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
         raise NotNestedError(
             f"{' and '.join(labels)} differ in their criteria, delays, ties or other settings"
         )
-    # Standard deviations of sensors are parameters beside process noise, else implicit.
+    # Standard deviations of sensors are parameters if there is process noise, else implicit.
     implicit = {
         b.names[name]
         for _, b in pairs
@@ -133,7 +133,7 @@ class _Part:
 
     def _settings(self) -> list[object]:
         part = self.part
-        # Only output error may have other errors than normal ones.
+        # Only output error may assume errors that are not normal.
         settings = {"errors": "normal", **part.settings}
         settings = {name: v for name, v in settings.items() if name not in ADDED_SETTINGS}
         # Output error is prediction error with gains of zero.

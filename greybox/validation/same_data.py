@@ -1,4 +1,4 @@
-"""Whether fits have the same data, and whether their costs may be held against one another."""
+"""Whether fits have the same data, and whether their costs may be compared."""
 
 from collections.abc import Sequence
 
@@ -28,7 +28,8 @@ def check_fits(fits: Sequence[Fit]) -> None:
 
 def labels_of(fits: Sequence[Fit]) -> Strings:
     """Return the names of the models, with problems or numbers where they are alike."""
-    # Names of models say most. Only if these are equal, names of problems or numbers are needed.
+    # Names of models are the most useful. Only if these are equal, names of problems or numbers are
+    # needed.
     models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
     with_problems = [f"{model} ({fit.name})" for model, fit in zip(models, fits, strict=True)]
     for labels in (models, with_problems):
@@ -102,7 +103,7 @@ def is_likelihood(fit: Fit) -> bool:
 
 
 def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how a fit leaves out other samples than the first; empty if it does not."""
+    """Return how the samples left out differ from those of the first fit; empty if they do not."""
     for k, first in enumerate(fits[0].parts):
         count = first.compared_numbers
         for fit, name in zip(fits[1:], names[1:], strict=True):

@@ -61,7 +61,7 @@ def verdicts(
 def fit_verdict(
     fits: tuple[Fit, Fit], labels: Labels, difference: float | None
 ) -> tuple[str, NestedTest | None]:
-    """Say which of two fits describes better the data of both.
+    """Say which of two fits describes the data of both better.
 
     Nested models are compared by the ratio of their costs if these are of one criterion. Other fits
     of responses are compared by the `difference` of AIC, second less first; other models of records
@@ -86,7 +86,7 @@ def verdict_by_aic(labels: Labels, difference: float) -> str:
     by = f"AIC differs by {number(abs(difference), 3)}"
     if abs(difference) < EQUAL_AIC:
         return f"{labels[0]} and {labels[1]} fit the data equally well ({by})."
-    if abs(difference) < 10:  # from 10 on, the larger one has essentially no support
+    if abs(difference) < 10:  # above that, the model with the larger AIC has essentially no support
         return f"{_undecided(labels)} ({by}, which is less than 10)."
     better, worse = labels if difference > 0 else labels[::-1]
     return f"{better} fits the data better than {worse} ({by})."

@@ -149,10 +149,10 @@ def stepwise(
         With a model that has all candidates.
     candidates : sequence of str, mapping of name to value, or Misfit
         Parameters, by their names in the problem, and the value of each where its term is absent:
-        zero by default. From a misfit those terms are added to the model that are significant and
-        belong into the equation of a state: `Fit.misfit`, or `gb.misfit` with terms of your own.
+        zero by default. For a misfit (`Fit.misfit`, or `gb.misfit` with terms of your own), its
+        significant terms in equations of states are added to the model.
     starts : int
-        Sobol points from which every structure is fitted, beside the previous estimate.
+        Sobol points from which every structure is fitted, besides the previous estimate.
 
     Raises
     ------
@@ -270,8 +270,8 @@ class _Fits:
 
     def _tested(self, term: str, small: Fit, large: Fit) -> NestedTest | str:
         """Return the test of a term, or why there is none."""
-        # A missing term leaves residuals that look like errors correlated along frequency. With
-        # such errors allowed, no test would find the term: here errors count as independent.
+        # A missing term leaves residuals that look like errors correlated along frequency. If such
+        # errors were allowed, no test would find the term: here errors count as independent.
         removed = {term: self.absent[term]}
         try:
             return nested_test_at(removed, small, large, ("without", "with"), independent=True)

@@ -419,7 +419,7 @@ def test_workers_that_are_lost_are_told(capsys, own, monkeypatch, out, more):
     def lost(*arguments, **options):
         raise ExecutorLostError("the workers are gone.")
 
-    monkeypatch.setattr("greybox.cli.fit_command.fit_keeping", lost)
+    monkeypatch.setattr("greybox.cli.fit_command.fit_with_storage", lost)
     words = [] if out is None else ["--out", out]
     assert run(capsys, "fit", own(), *words) == (1, "", f"greybox: the workers are gone{more}.\n")
 
@@ -433,7 +433,7 @@ def test_ctrl_c_before_any_run_has_no_answer_and_while_drawing_no_figure(
         raise Interrupted("interrupted before the first start")
 
     with monkeypatch.context() as before:
-        before.setattr("greybox.cli.fit_command.fit_keeping", stopped)
+        before.setattr("greybox.cli.fit_command.fit_with_storage", stopped)
         assert run(capsys, "fit", name) == (130, "", "greybox: interrupted.\n")
 
     def drawing(*arguments, **options):

@@ -145,7 +145,7 @@ def test_a_difference_of_temperatures_has_no_zero():
 
 @pytest.mark.parametrize("unit", ["lb", "LBS", "lb/ft²", "lb*s"])
 def test_pounds_may_be_two_things(unit):
-    with pytest.raises(ValueError, match="may be a pound of mass or of force, write lbm or lbf"):
+    with pytest.raises(ValueError, match="may be a pound of mass or of force: write lbm or lbf"):
         to_si(unit)
 
 

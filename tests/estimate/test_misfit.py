@@ -419,12 +419,17 @@ def test_parts_may_disagree_without_a_cause():
     assert "one set of values" in misfit.verdict
 
 
-@pytest.mark.parametrize(("left", "size"), [(0.24, ""), (0.83, " (83 % of the variance)")])
-def test_large_residuals_are_named_where_nothing_is_missing(left, size):
-    misfit = Misfit(left, left, 3, (), p_common=1.0, drift=0.0, is_unstable=False)
-    assert (
-        misfit.verdict == f"explains the data: the residuals{size} follow none of 3 missing terms"
-    )
+@pytest.mark.parametrize(
+    ("left", "drift", "words"),
+    [
+        (0.24, 0.9, "explains the data: the residuals follow none"),
+        (0.83, 0.1, "explains the data: the residuals (83 % of the variance) follow none"),
+        (0.83, 0.9, "may explain the data: 83 % of their variance is left and follows none"),
+    ],
+)
+def test_large_residuals_are_named_where_nothing_is_missing(left, drift, words):
+    misfit = Misfit(left, left, 3, (), p_common=1.0, drift=drift, is_unstable=False)
+    assert misfit.verdict == f"{words} of 3 missing terms"
 
 
 def test_one_set_of_values_does_not_serve_both_tables_of_the_paper():

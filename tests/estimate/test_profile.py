@@ -13,7 +13,7 @@ from scipy.stats import t as student
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.profile import likelihood_factor
-from greybox.estimate.profiles import ProfileOf, Profiles
+from greybox.estimate.profile_result import ProfileOf, Profiles
 from greybox.files.text_table import number
 from greybox.models.tilt import PAPER_G
 from greybox.problems import pitch_hover, yaw_hover

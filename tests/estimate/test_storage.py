@@ -556,7 +556,7 @@ def flown(**changes):
             lambda fit: {
                 "parts": (flown(simulated=gb.Record(np.arange(6.0) + 1, {"y": np.ones(6)})),)
             },
-            "the simulated record has other times than its data",
+            "the simulated record and its data have different times",
         ),
         (
             lambda fit: {

@@ -121,12 +121,35 @@ def test_digits_with_underscores_are_no_numbers(tmp_path):
     )
 
 
-def test_utf_16_is_refused_with_the_cure(tmp_path):
+def test_unicode_text_of_a_spreadsheet_is_read(tmp_path):
+    # Excel saves "Unicode Text" as UTF-16 with tabs.
+    [record] = gb.read(saved(tmp_path, "t\tBöe\n0\t1,5\n1\t2,5\n", "utf-16")).records.values()
+    assert record["Böe"].tolist() == [1.5, 2.5]
+
+
+def test_zero_bytes_are_refused_with_the_cure(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_bytes(b"t,x\n0,1\n\x00\x00,2\n")
     for read in (gb.read, gb.read_response):
-        with pytest.raises(
-            ValueError, match=r"is not a CSV text file .* UTF-16 .*: save it as UTF-8"
-        ):
-            read(saved(tmp_path, "t,x\n0,1\n1,2\n", "utf-16"))
+        with pytest.raises(ValueError, match=r"is not a CSV text file.*: save it as UTF-8"):
+            read(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time  x\n 0.0  1.5\n 0.1  2.5\n",
+        "  time [s]   x [mm]\n  0.0   1.5\n  0.1   2.5\n",
+        "# gain: 2 of 3\n# time x\n0 1.5\n0.1 2.5\n",
+        "time\tx y\n0.0\t1.5\n0.1\t2.5\n",
+        "time x\n[s] [mm]\n0.0 1.5\n0.1 2.5\n",
+    ],
+)
+def test_blanks_separate_numbers(tmp_path, text):
+    [record] = gb.read(saved(tmp_path, text, "utf-8")).records.values()
+    assert record.time.tolist() == [0.0, 0.1]
+    [values] = record.signals.values()
+    assert values.tolist() == [1.5, 2.5]
 
 
 @pytest.mark.parametrize(

@@ -352,7 +352,7 @@ def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
         ),
         (
             lambda: gb.PredictionError(process_noise="v", noise="full"),
-            "with process_noise or disturbance sensors have the parameters v_<output>: leave out noise='full', and",
+            "with process_noise or disturbance, sensors have the parameters v_<output>: leave out noise='full', and",
         ),
     ],
 )

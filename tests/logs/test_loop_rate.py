@@ -39,12 +39,12 @@ def test_a_complete_log_has_no_such_error():
 
 
 @pytest.mark.parametrize(
-    ("gyro", "kept", "share"), [(0, 2, 0.2), (0, 3, 0.0), (0, 4, 0.2), (1, 2, 0.0)]
+    ("gyro", "stride", "share"), [(0, 2, 0.2), (0, 3, 0.0), (0, 4, 0.2), (1, 2, 0.0)]
 )
-def test_kept_passes_differ_where_the_gyro_does_not_fit_the_loop(gyro, kept, share):
+def test_kept_passes_differ_where_the_gyro_does_not_fit_the_loop(gyro, stride, share):
     """1 kHz at 400 Hz are two and three samples in turn; 2 kHz are five in every pass."""
-    found = thinning(log(400 / kept, INS_GYRO_RATE=gyro), "RATE.POut", 0, 20)
-    assert found.kept == kept
+    found = thinning(log(400 / stride, INS_GYRO_RATE=gyro), "RATE.POut", 0, 20)
+    assert found.stride == stride
     assert found.count == pytest.approx(share, abs=1e-12)
 
 
@@ -68,10 +68,10 @@ def test_the_error_is_that_of_a_simulated_loop():
         d += alpha * (value - d)
         term[k] = d
     t = np.arange(2, seconds * int(LOOP)) / LOOP
-    kept = slice(2001, None, 2)
+    stride = slice(2001, None, 2)
     amplitudes = [
         2 * np.mean(term[rows] * np.exp(-1j * omega * t[rows]))
-        for rows in (slice(2000, None), kept)
+        for rows in (slice(2000, None), stride)
     ]
     measured = abs(amplitudes[1] / amplitudes[0] - 1)
 
@@ -124,12 +124,12 @@ def test_a_response_has_it_as_an_error_that_all_frequencies_have_in_common():
     assert "all frequencies" in errors[0].finding.text
 
 
-@pytest.mark.parametrize(("kept", "said"), [(2, "second"), (3, "third"), (4, "4th")])
-def test_which_passes_were_logged_is_said(kept, said):
-    found = thinning(log(400 / kept), "RATE.POut", 0, 20)
+@pytest.mark.parametrize(("stride", "said"), [(2, "second"), (3, "third"), (4, "4th")])
+def test_which_passes_were_logged_is_said(stride, said):
+    found = thinning(log(400 / stride), "RATE.POut", 0, 20)
     assert (
         str(found)
-        == f"every {said} pass of the control loop was logged ({400 / kept:.4g} of 400 Hz)"
+        == f"every {said} pass of the control loop was logged ({400 / stride:.4g} of 400 Hz)"
     )
 
 
@@ -168,7 +168,7 @@ def test_what_is_not_known_is_not_judged():
     del flown.metadata["parameters"]["INS_GYRO_FILTER"]
     assert thinning(flown, "RATE.POut", 0, 20) is None
     assert thinning(log(320.5), "RATE.POut", 0, 20) is None
-    assert thinning(log(319.5), "RATE.POut", 0, 20).kept == 1
+    assert thinning(log(319.5), "RATE.POut", 0, 20).stride == 1
 
 
 def test_filters_of_first_and_second_order_are_butterworths():
@@ -192,7 +192,7 @@ def test_every_third_pass_of_a_gyro_that_does_not_fit_by_thirds(doubled):
     """
     found = thinning(log(100, SCHED_LOOP_RATE=300.0, INS_GYRO_RATE=doubled), "RATE.POut", 0, 20)
     gyro = 1000 * 2**doubled
-    assert (found.kept, found.loop, found.logged) == (3, 300.0, pytest.approx(100))
+    assert (found.stride, found.loop, found.logged) == (3, 300.0, pytest.approx(100))
     assert found.count == pytest.approx(math.sqrt((4 / 9 + 2 / 9) / 3) / (gyro / 300), rel=0.05)
     assert found.age == pytest.approx(math.sqrt(2 / 27) / gyro, rel=0.05)
 

@@ -124,7 +124,7 @@ def test_a_unit_that_is_not_converted_is_named():
     assert record.units == {"force": "lb", "u": "pwm"}
     assert record["force"] == pytest.approx(wave(record.time), abs=1e-9)
     assert record.findings == (
-        "A.F is in 'lb', as in the log, not in SI: lb may be a pound of mass or of force, write lbm or lbf.",
+        "A.F is in 'lb', as in the log, not in SI: lb may be a pound of mass or of force: write lbm or lbf.",
         "A.out is in 'pwm', as in the log, not in SI: the unit 'pwm' is not known.",
     )
 

@@ -98,7 +98,7 @@ def test_names_stand_at_the_axes(small_study):
 
 
 def test_values_over_other_data_sets_are_refused(small_study):
-    with pytest.raises(ValueError, match="none of the data sets: name hover"):
+    with pytest.raises(ValueError, match="names no data set: give values for hover"):
         trend_figure(small_study, "K", {"hover.csv": 1.0})
 
 

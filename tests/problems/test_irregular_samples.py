@@ -59,7 +59,7 @@ def test_what_needs_uniform_samples_says_so():
         T = gb.Parameter(0.1, bounds=(0, 0.5), unit="s")
         delays = {"u": "T"}
 
-    with pytest.raises(ValueError, match=r"not uniform .* which a delay needs"):
+    with pytest.raises(ValueError, match=r"not uniform .* a delay needs uniform sampling"):
         gb.fit(gb.Problem(Late(), ramped()))
     with pytest.raises(ValueError, match="corrects its states by a constant gain"):
         gb.fit(gb.Problem(Decay(), ramped(), gb.PredictionError()))

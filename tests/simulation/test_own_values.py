@@ -156,10 +156,10 @@ def test_what_the_record_does_not_determine_is_said_and_kept():
     found = gb.predict(Integrated(), {"gain": 2.0}, record, own=["x_bias", "rate_bias"])
     assert found.own.keys() == {"rate_bias"}
     assert found.own["rate_bias"][0] == pytest.approx(0.1, abs=0.01)
-    assert "x_bias: not determined by ramp, the value of the fit is used." in found.notes
+    assert "x_bias: not determined by ramp; the value of the fit is used." in found.notes
     alone = gb.predict(Integrated(), {"gain": 2.0}, record, own=["x_bias"])
     assert alone.own == {}
-    assert "x_bias: not determined by ramp, the value of the fit is used." in alone.notes
+    assert "x_bias: not determined by ramp; the value of the fit is used." in alone.notes
     assert alone.rms("x") == pytest.approx(
         gb.predict(Integrated(), {"gain": 2.0}, record, own=()).rms("x")
     )

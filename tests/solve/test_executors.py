@@ -36,8 +36,8 @@ from greybox.solve.executors import (
     run_all,
     run_starts,
 )
-from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import LocalSolver
+from greybox.solve.run_storage import Memory
 from greybox.solve.runs import Outcome
 from greybox.solve.worker_pool import ExecutorLostError, WorkerLostError
 
@@ -449,7 +449,7 @@ def test_runs_of_a_later_task_are_stored_while_an_earlier_one_is_waited_for():
         if len(looks) == 3:
             late.set_result(futures[0].result())
 
-    memory.look = look
+    memory.write_due = look
     executor = Late()
     list(run_all(Lasting(TASK_SECONDS / 2.5), enumerate(STARTS), len(STARTS), executor, memory))
     assert sorted(kept) == [*range(50)]

@@ -59,11 +59,11 @@ def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
     assert left.omega.tolist() == [2, 3]
     assert (
         left.about["dropped"]
-        == "2 of 4 points, of a coherence below 0.6 or too uncertain at an end, at 1 to 4 rad/s"
+        == "2 of 4 points, with a coherence below 0.6, or too uncertain at an end, at 1 to 4 rad/s"
     )
     left = without_incoherent(response([0.9, 0.3, 0.9, 0.9], dropped="a", test="b"))
     assert left.about == {
-        "dropped": "a; 1 of 4 points, of a coherence below 0.6 or too uncertain at an end, at 2 rad/s",
+        "dropped": "a; 1 of 4 points, with a coherence below 0.6, or too uncertain at an end, at 2 rad/s",
         "test": "b",
     }
     for same in ([0.1, 0.2, 0.3, 0.4], [0.6, 0.7, 0.8, 0.9]):

@@ -173,7 +173,7 @@ def test_lines_that_the_output_does_not_answer_are_left_out():
     found = periodic_response(data, 10.0, "u", "y")
     assert (
         found.about["dropped"]
-        == "3 of 28 points, of a coherence below 0.6 or too uncertain at an end, at 6.283 to 7.54 rad/s"
+        == "3 of 28 points, with a coherence below 0.6, or too uncertain at an end, at 6.283 to 7.54 rad/s"
     )
     assert len(found) == 25
 

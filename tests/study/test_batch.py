@@ -20,7 +20,7 @@ from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 
 import greybox as gb
-from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
+from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.study.store import StoredRuns, locked, read_members
 
 RESPONSE = gb.Problem(
@@ -198,7 +198,7 @@ def test_what_is_damaged_is_made_again_and_nothing_else(tmp_path, made, finished
             connection.execute("UPDATE members SET fit = NULL WHERE id = 1")
     else:
         database.write_bytes(b"\xff" * 5000)
-    with pytest.warns(UserWarning, match="what is missing is made again"):
+    with pytest.warns(UserWarning, match="what is missing is computed again"):
         study = gb.batch(first, tmp_path, progress=False)
     assert made == missing
     require_same(study["response"].fit, whole)
@@ -264,7 +264,7 @@ def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_
         gb.batch([gb.study.Member(OTHER, 12, name="response")], tmp_path, progress=False)
     other = StoredRuns(tmp_path, "response")
     with pytest.raises(ValueError, match="belong to another problem"):
-        other.known(fingerprint(OTHER, SolverChoice()))
+        other.stored(fingerprint(OTHER, SolverChoice()))
     with pytest.raises(ValueError, match="began at other starts, from number 1 on"):
         gb.batch(
             [gb.study.Member(RESPONSE, 12, seed=5, name="response", search="multistart")],
@@ -412,9 +412,9 @@ def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
             super().add(number, start, outcome)
 
     kept = Noted(tmp_path, "fit")
-    fit = fit_keeping(kept, problem, 4, by=SolverChoice(), progress=False)
+    fit = fit_with_storage(kept, problem, 4, by=SolverChoice(), progress=False)
     kept.write()
-    known = StoredRuns(tmp_path, "fit").known(fingerprint(problem, SolverChoice()))
+    known = StoredRuns(tmp_path, "fit").stored(fingerprint(problem, SolverChoice()))
     assert sorted(known) == sorted(found) == [0, 1, 2, 3]
     for number, (start, outcome) in known.items():
         assert_array_equal(start, found[number][0])
@@ -428,7 +428,7 @@ def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
             assert_array_equal(array, other)
     found.clear()
     require_same(
-        fit_keeping(Noted(tmp_path, "fit"), problem, 4, by=SolverChoice(), progress=False), fit
+        fit_with_storage(Noted(tmp_path, "fit"), problem, 4, by=SolverChoice(), progress=False), fit
     )
     assert found == {}
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from greybox.solve.kept_runs import KeptRunsError
+from greybox.solve.run_storage import RunStorageError
 from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.store import (
     DATABASE,
@@ -33,7 +33,7 @@ WHOLE = Outcome(np.array([3.0, np.pi]), "stagnated", 9, 1.5, False, 2.5, np.arra
 def stored(folder, *outcomes):
     """The runs of a member, on disk."""
     runs = StoredRuns(folder, "fit")
-    runs.known("a problem")
+    runs.stored("a problem")
     for number, outcome in enumerate(outcomes):
         runs.add(number, START + number, outcome)
     runs.write()
@@ -62,7 +62,7 @@ def require_same(outcome, wanted):
 def test_runs_come_back_to_the_last_bit(tmp_path):
     stored(tmp_path, PLAIN, WHOLE)
     runs = StoredRuns(tmp_path, "fit")
-    known = runs.known("a problem")
+    known = runs.stored("a problem")
     assert sorted(known) == [0, 1]
     for number, wanted in enumerate((PLAIN, WHOLE)):
         start, outcome = known[number]
@@ -75,7 +75,7 @@ def test_runs_come_back_to_the_last_bit(tmp_path):
 def test_a_run_that_is_made_again_replaces_the_first(tmp_path):
     stored(tmp_path, PLAIN, PLAIN)
     stored(tmp_path, WHOLE)
-    known = StoredRuns(tmp_path, "fit").known("a problem")
+    known = StoredRuns(tmp_path, "fit").stored("a problem")
     require_same(known[0][1], WHOLE)
     require_same(known[1][1], PLAIN)
 
@@ -86,13 +86,13 @@ def test_runs_that_took_long_or_are_old_are_written(tmp_path, monkeypatch):
     runs = stored(tmp_path)
     runs.add(0, START, replace(PLAIN, seconds=0.6 * UNWRITTEN))
     now[0] += 0.9 * UNWRITTEN
-    runs.look()
+    runs.write_due()
     assert runs.count == 0
     runs.add(1, START, replace(PLAIN, seconds=0.5 * UNWRITTEN))  # together they took long
     assert runs.count == 2
     runs.add(2, START, replace(PLAIN, seconds=0.0))
     now[0] += 1.1 * UNWRITTEN
-    runs.look()
+    runs.write_due()
     assert runs.count == 3
 
 
@@ -100,13 +100,13 @@ def test_runs_that_are_removed_are_gone(tmp_path):
     runs = stored(tmp_path, PLAIN, WHOLE)
     runs.remove()
     assert runs.count == 0
-    assert StoredRuns(tmp_path, "fit").known("another problem") == {}
+    assert StoredRuns(tmp_path, "fit").stored("another problem") == {}
 
 
 def test_runs_of_another_problem_are_refused(tmp_path):
     stored(tmp_path, PLAIN)
-    with pytest.raises(KeptRunsError, match="belong to another problem"):
-        StoredRuns(tmp_path, "fit").known("another problem")
+    with pytest.raises(RunStorageError, match="belong to another problem"):
+        StoredRuns(tmp_path, "fit").stored("another problem")
 
 
 @pytest.mark.parametrize(
@@ -121,8 +121,8 @@ def test_runs_of_another_problem_are_refused(tmp_path):
 def test_a_changed_run_is_refused(tmp_path, statement):
     stored(tmp_path, PLAIN)
     change(tmp_path, statement)
-    with pytest.raises(KeptRunsError, match=f"{DATABASE} is damaged"):
-        StoredRuns(tmp_path, "fit").known("a problem")[0]
+    with pytest.raises(RunStorageError, match=f"{DATABASE} is damaged"):
+        StoredRuns(tmp_path, "fit").stored("a problem")[0]
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_what_is_damaged_is_removed_and_the_rest_kept(tmp_path):
     assert runs.startswith("fit: removed 2 damaged runs;")
     assert answer.startswith("fit: removed 1 damaged answer;")
     assert not mended(tmp_path)
-    known = StoredRuns(tmp_path, "fit").known("a problem")
+    known = StoredRuns(tmp_path, "fit").stored("a problem")
     assert sorted(known) == [0]
     require_same(known[0][1], PLAIN)
     assert read_members(tmp_path)[0].status == "unfinished"
@@ -187,7 +187,7 @@ def test_a_changed_key_of_the_problem_costs_the_runs_of_its_member(tmp_path):
     stored(tmp_path, PLAIN)
     change(tmp_path, "UPDATE members SET fingerprint = 'a problen'")
     assert len(mended(tmp_path)) == 1
-    assert not StoredRuns(tmp_path, "fit").known("a problem")
+    assert not StoredRuns(tmp_path, "fit").stored("a problem")
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -209,13 +209,13 @@ def test_wherever_bytes_change_what_can_be_read_is_right(tmp_path, seed):
         warnings.simplefilter("ignore")
         with locked(tmp_path):
             add_members(tmp_path, ["fit"])
-            known = StoredRuns(tmp_path, "fit").known("a problem")
+            known = StoredRuns(tmp_path, "fit").stored("a problem")
             for number, (start, outcome) in known.items():
                 assert_array_equal(start, START + number)
                 require_same(outcome, outcomes[number])
     assert not mended(tmp_path)
     stored(tmp_path, *outcomes)
-    assert len(StoredRuns(tmp_path, "fit").known("a problem")) == 12
+    assert len(StoredRuns(tmp_path, "fit").stored("a problem")) == 12
 
 
 def test_the_database_of_another_program_is_left_alone(tmp_path):
@@ -277,7 +277,7 @@ def test_a_folder_that_cannot_be_made_is_refused_with_the_reason(tmp_path):
 def test_runs_of_a_fit_that_an_error_ends_are_written(tmp_path):
     def fit():
         with runs_beside(tmp_path / "fit.h5") as runs:
-            runs.known("a problem")
+            runs.stored("a problem")
             runs.add(4, START, PLAIN)
             raise ZeroDivisionError
 
@@ -298,7 +298,7 @@ def test_a_full_disk_does_not_end_a_fit_and_runs_are_written_once_there_is_space
     from full_disk import limited_files
 
     with runs_beside(tmp_path / "fit.h5") as runs:
-        runs.known("a problem")
+        runs.stored("a problem")
         with limited_files(4096):
             runs.add(0, START, replace(PLAIN, seconds=10 * UNWRITTEN))
         assert "cannot be written" in runs.trouble

@@ -18,7 +18,7 @@ def read_here(kind, path, *wanted):
             warnings.simplefilter("ignore")
             KINDS[kind][1](str(path), found, list(wanted))
     except RefusedError as reason:
-        raise ValueError(f"{path} is not read: {reason}.") from None
+        raise ValueError(f"{path} cannot be read: {reason}.") from None
     except Exception as problem:
         said = f"{type(problem).__name__}: {problem}"
         raise ValueError(

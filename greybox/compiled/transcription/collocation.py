@@ -17,7 +17,7 @@ MOST_POINTS = 9
 
 @dataclass(frozen=True)
 class Collocation(Transcription):
-    """Radau points between samples: no simulation, so stiff and unstable models are no trouble.
+    """Radau points between samples: no simulation, so stiff and unstable models cause no trouble.
 
     Source: Betts (2010), Practical Methods for Optimal Control and Estimation Using Nonlinear
     Programming, 2nd ed., chapter 5; Hairer and Wanner, Solving ODEs II, IV.5.

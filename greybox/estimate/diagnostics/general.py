@@ -46,7 +46,7 @@ from greybox.solve.minima import Multistart
 
 UNEXPLAINED = (
     "the model does not explain the data, so its estimates may be biased, and the standard errors "
-    "are valid only if it did."
+    "would be valid only if it did."
 )
 
 

@@ -39,8 +39,8 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
         lost = np.isnan(many)
         change = np.where(lost, 0.0, np.abs(many / few - 1))
         noise = rms(np.abs(part.data.response / few - 1))
-        # More than rounding matters from a tenth of a standard error on, which adds 0.5 % to the
-        # root mean square error.
+        # A shift matters above a tenth of a standard error, which adds 0.5 % to the root mean
+        # square error.
         if np.linalg.norm(change) > max(0.1 * noise, 1e-7):
             count = counted(sine.harmonics, "harmonic is", "harmonics are")
             yield (

@@ -97,7 +97,7 @@ def _of_record(
     if covariance.known is None:
         counts = zip(part.outputs, part.few, covariance.counts, strict=True)
         least = min(shared[output] if few else n for output, few, n in counts if n)
-        # Of one output alone, the intervals allow for the number of samples.
+        # With a single output, the intervals already allow for the number of samples.
         if least < min(6, total):
             text = (
                 f"the noise of an output of {name!r} is estimated from {counted(least, 'sample')}, "
@@ -111,7 +111,8 @@ def _of_record(
     for k, (output, deviation, squares, count) in enumerate(columns):
         dof = max(count * remaining, 1.0)
         ratio = squares[k] / (dof * deviation**2)
-        # The parameters may fit few samples exactly: then the given noise counts, not theirs.
+        # The parameters may fit few samples exactly: then the given noise counts, not the
+        # residuals.
         if (count < 8 and ratio < 1) or _is_likely(ratio, dof, 0.01 * count / total):
             continue
         incomplete = "the model is incomplete or the given value is too small"
@@ -168,7 +169,7 @@ def better_weights(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
             if share < 0.5  # one is below 0.3, or the gain is smaller
         ]
         yield (
-            "some parts have more weight than their errors deserve, which stay correlated or "
-            f"exceed the given noise: with Problem(..., weight=...) of {some(weights)}, standard "
-            f"errors would be about {gain:.2g} times smaller."
+            "some parts have too much weight, because their errors are correlated or exceed the "
+            f"given noise: with Problem(..., weight=...) of {some(weights)}, standard errors "
+            f"would be about {gain:.2g} times smaller."
         )

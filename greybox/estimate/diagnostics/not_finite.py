@@ -25,7 +25,7 @@ class Trouble:
     what : str
         The same words for all runs with this trouble.
     why, cure : str
-        With time and values; empty where `what` says all.
+        With time and values; empty where `what` is enough.
     """
 
     what: str
@@ -63,7 +63,7 @@ def _not_finite(runs: Runs) -> Runs:
 
 def _trouble(nlp: CompiledProblem, run: Run) -> Trouble | None:
     """Return the trouble of the first part that has one where a run began, or else ended."""
-    # Screening moves starts: a run may begin elsewhere, and then it ends there.
+    # Screening moves starts, so a run may have begun elsewhere: then look at its end.
     points = [x for x in (run.start, run.estimate) if all_finite(x)]
     with np.errstate(all="ignore"):
         for x, part in itertools.product(points, nlp.parts):

@@ -26,8 +26,8 @@ from greybox.estimate.diagnostics.repeated import Finding
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number, percent
-from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
+from greybox.statistics.huber import bounded, robust_deviation
 from greybox.statistics.metrics import is_resolved
 
 # Share of fits to clean data in which any point is called an outlier.
@@ -115,12 +115,12 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             continue
         for output in part.outputs:
             residual = part.residual(output)[None]
-            shown = np.isfinite(residual[0])
-            if not shown.any():
+            measured = np.isfinite(residual[0])
+            if not measured.any():
                 continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
-            fitted = np.abs(part.simulated[output])[shown]
-            r, chance = _rank_correlation(size[shown], fitted)
+            fitted = np.abs(part.simulated[output])[measured]
+            r, chance = _rank_correlation(size[measured], fitted)
             # Rounding follows what is rounded.
             follows = r > FOLLOWS and chance < SIZE / len(part.outputs)
             if follows and is_resolved(residual[0], part.data[output]):

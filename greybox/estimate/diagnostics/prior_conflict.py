@@ -10,8 +10,8 @@ from greybox.files.text_table import number, with_error
 def prior_conflicts(fit: Fit) -> Iterator[str]:
     """Warn of parameters that the data moved further than their priors allow.
 
-    If prior and data agree, the mean moves by a normal amount with the variance that the prior has
-    more than the estimate. Source: Evans and Moshonov (2006), Checking for prior-data conflict,
+    If prior and data agree, the shift of the mean is normal, and its variance is that of the prior
+    less that of the estimate. Source: Evans and Moshonov (2006), Checking for prior-data conflict,
     Bayesian Analysis 1(4), for normal densities.
     """
     for name, (mean, sigma) in fit.priors.items():

@@ -43,11 +43,11 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
 
 
 def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
-    """Name data that are fitted twice, as of a file that was given twice."""
+    """Name data that are fitted twice, such as a file that was given twice."""
     pairs = [
-        (same[0].name, again.name, "points")
-        for same in grouped(nlp.parts_of(ResponsePart), lambda part: part.data.checksum)
-        for again in same[1:]
+        (group[0].name, again.name, "points")
+        for group in grouped(nlp.parts_of(ResponsePart), lambda part: part.data.checksum)
+        for again in group[1:]
     ]
     for first, again in combinations(nlp.parts_of(RecordPart), 2):
         earlier, later = first.model.record, again.model.record
@@ -117,8 +117,8 @@ def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
                     f"{name} moves fast for its sampling rate: lines between its samples lose "
                     f"{100 * lost:.1f} % of its power, which shifts the estimates. Give it at a "
                     "higher rate (interpolated by its band, as by scipy.signal.resample), with "
-                    "outputs NaN in between, or state its hold; inputs='linear' says that it runs "
-                    "in lines.",
+                    "outputs NaN in between, or state its hold; inputs='linear' states that it "
+                    "varies in straight lines.",
                 )
 
 
@@ -197,8 +197,8 @@ def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Iterator[str
             # a fraction of a standard error.
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > 0.1:
                 place = _place(fitted, pairs)
-                after = part.data.stretches[0].step * (lag + 1)
-                values.append(f"{r:.2g} after {after:.2g} s for {output}{place}")
+                delay = part.data.stretches[0].step * (lag + 1)
+                values.append(f"{r:.2g} after {delay:.2g} s for {output}{place}")
 
     if values:
         part, _ = tested[0]

@@ -34,7 +34,7 @@ DEFAULTS = {
     "MOT_THST_EXPO": 0.65,
     "MOT_THST_HOVER": 0.35,
 }
-PWM = (1000.0, 2000.0)  # µs, where MOT_PWM_MIN and MOT_PWM_MAX do not say
+PWM = (1000.0, 2000.0)  # µs, used where MOT_PWM_MIN and MOT_PWM_MAX were not logged
 TERMS = np.arange(1, 21)  # of the sum; the next are below 1/20^1.5 of the first
 
 

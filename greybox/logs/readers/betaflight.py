@@ -37,7 +37,7 @@ TURN = round(2 * np.pi * PHASE)
 def without_settings(raw: bytes) -> tuple[bytes, dict[str, float]]:
     """Return a table whose lines before the header are comments, and the numbers in these lines.
 
-    The numbers of the lines stay right. Several numbers are named ``rollPID[0]`` and so on.
+    Line numbers remain correct. Several numbers are named ``rollPID[0]`` and so on.
     """
     header = HEADER.search(raw)
     start = header.start() if header else 0

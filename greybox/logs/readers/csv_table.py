@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,19 +37,18 @@ def read(
 ) -> Recording:
     """Read a table with a header line into one record named after the file.
 
-    The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
-    `greybox.files.delimited_text`. Units are in the header, ``pitch [deg]`` or ``pitch (deg)``, or
-    in a line of their own below it. So is the course of a signal between its samples, if it is
-    known: ``u [1 held]`` for the output of a controller, which holds it, and
-    ``pitch [deg sampled]`` for samples of what is continuous.
-    Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as ``nan``, are
-    missing samples.
+    The cells are separated by semicolons, tabs, commas or blanks; the numbers may have decimal
+    commas, see `greybox.files.delimited_text`. Units are in the header, ``pitch [deg]`` or
+    ``pitch (deg)``, or in a line of their own below it. So is how a signal varies between its
+    samples, if it is known: ``u [1 held]`` for the output of a controller, which holds it, and
+    ``pitch [deg sampled]`` for samples of a continuous signal. Lines that start with ``#`` or ``%``
+    are comments; empty cells, and words such as ``nan``, are missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
     in ``time_s``, ``time_ms``), or TimeUS, TimeMS as the tools of ArduPilot write it; for times
-    without a unit see `greybox.data.time_column`. Otherwise it is the first column, if this
-    increases and has a unit of time. The
-    rows of a table without a time column have no order in time, see `Record`.
+    without a unit see `greybox.data.time_column`. It may have dates such as
+    ``2026-05-01T10:00:00.25``. Otherwise it is the first column, if this increases and has a unit
+    of time. The rows of a table without a time column have no order in time, see `Record`.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def read(
         Not used: a table is one record, and all of it is read.
     stated : mapping of str to str, optional
         Columns by new name, see `greybox.logs.read`. Columns of a table without a header line are
-        named by their numbers, from 1; blanks may separate them too.
+        named by their numbers, from 1.
     rate : float, Hz, optional
         The sampling rate of a table without a time.
 
@@ -95,8 +95,9 @@ def read(
     if unread and not (is_timed or rate):
         unit = f" [{unread.unit}]" if unread.unit else ""
         raise ValueError(
-            f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known "
-            "unit: give it in seconds as 'time [s]', or another name if it is no time."
+            f"{path} has the column '{unread.name}{unit}', which is not a time in numbers with a "
+            "known unit: give it in seconds as 'time [s]', or give it another name if it is not a "
+            "time."
         )
 
     variables = [
@@ -149,6 +150,11 @@ def _headings(text: DelimitedText) -> list[Heading]:
     return headings
 
 
+def _nanoseconds(cells: Sequence[str]) -> Array:
+    """Return dates (n,) in the format of ISO 8601, UTC, in ns since 1970; ValueError for others."""
+    return np.array([cell.removesuffix("Z") for cell in cells], "datetime64[ns]").astype(float)
+
+
 def _columns(
     headings: Sequence[Heading], text: DelimitedText
 ) -> tuple[dict[str, Array], list[str]]:
@@ -181,6 +187,9 @@ def _columns(
         odd = [j for j in missing if cells[j].lower() not in MISSING]
         # Some damaged cells do not make a column one of text.
         if len(odd) > sum(map(bool, cells)) / 2:
+            with suppress(ValueError):
+                columns[name] = _nanoseconds(cells)
+                continue
             not_numeric.append(name)
             continue
         columns[name] = values

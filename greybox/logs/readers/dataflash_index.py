@@ -35,7 +35,9 @@ class Layout:
     @property
     def dtype(self) -> np.dtype:
         """The body as a packed numpy type, little-endian."""
-        types = (_numpy_type(FORMAT_TO_STRUCT[letter][0]) for letter in self.format)
+        formats = (FORMAT_TO_STRUCT[letter][0] for letter in self.format)
+        # The letters of `struct` are those of numpy, except that of texts: 16s is S16.
+        types = (f"S{form[:-1]}" if form.endswith("s") else f"<{form}" for form in formats)
         return np.dtype([(f"f{i}", type_) for i, type_ in enumerate(types)])
 
     def scale(self, column: int) -> float | None:
@@ -144,8 +146,8 @@ def _chain(
             is_message[last] = False
             end = int(starts[last])
         # A page of memory: zeros or erased flash at the end of a file are not damage.
-        rest = data[end : end + 4096]
-        if resume < len(data) or (rest.strip(b"\0") and rest.strip(b"\xff")):
+        tail = data[end : end + 4096]
+        if resume < len(data) or (tail.strip(b"\0") and tail.strip(b"\xff")):
             damage.append((end, resume))
         end = resume
 
@@ -188,12 +190,3 @@ def text(raw: bytes) -> str:
         return raw.decode("utf-8")
     except UnicodeDecodeError:
         return raw.decode("iso-8859-1")
-
-
-def _numpy_type(letter: str) -> str:
-    """Translate a letter of `struct` to numpy."""
-    return (
-        f"S{letter[:-1]}"
-        if letter.endswith("s")
-        else np.dtype(letter if letter != "e" else "f2").newbyteorder("<").str
-    )

@@ -40,12 +40,12 @@ class UnitTables:
     def __init__(self, groups: Iterable[Messages]) -> None:
         tables = {group.name: group for group in groups}
         self._labels: dict[str, set[str]] = {}
-        for letter, label in _pairs(tables.get("UNIT"), "Id", "Label"):
+        for letter, label in _pairs(tables.get("UNIT"), "Label"):
             self._labels.setdefault(_letter(letter), set()).add(label)
         # Single precision on board: pymavlink rounds to 7 digits to look the prefixes up.
         self._multipliers = {
             _letter(letter): float(f"{value:.7g}")
-            for letter, value in _pairs(tables.get("MULT"), "Id", "Mult")
+            for letter, value in _pairs(tables.get("MULT"), "Mult")
         }
         used = tables.get("FMTU")
         letters = zip(column(used, "UnitIds"), column(used, "MultIds"), strict=False)
@@ -86,9 +86,9 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], Strings]:
     return with_units, (text,) if names else ()
 
 
-def _pairs(table: Messages | None, key: str, value: str) -> Iterable[tuple[float, Any]]:
-    """Return the pairs of two columns; empty if a column is missing."""
-    return zip(column(table, key), column(table, value), strict=False)
+def _pairs(table: Messages | None, value: str) -> Iterable[tuple[float, Any]]:
+    """Return the pairs of the columns Id and `value`; empty if one is missing."""
+    return zip(column(table, "Id"), column(table, value), strict=False)
 
 
 def _instance(layout: Layout, units: str) -> str:

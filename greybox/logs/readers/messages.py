@@ -77,7 +77,7 @@ def bare(messages: Collection[str] | None) -> Strings | None:
 def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], Strings]:
     """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
     timed = [group for group in groups if group.time is not None and len(group)]
-    # In the order of the file, since restarts show in it across all types of messages.
+    # In the order of the file, in which restarts show across all types of messages.
     stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
     for group in timed:
         stamps[group.order] = group.time

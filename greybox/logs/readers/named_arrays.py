@@ -50,7 +50,7 @@ def read(
     of its group (``flight/ATT``), at the root or in the workspace that of the file.
 
     Units are attributes ``unit`` or ``units`` of HDF5's datasets, followed by the word held or
-    sampled if it is known how the signal runs between its samples; those of MATLAB's files are
+    sampled if it is known how the signal varies between its samples; those of MATLAB's files are
     unknown.
 
     Parameters

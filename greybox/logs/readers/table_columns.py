@@ -34,7 +34,7 @@ def table(
         As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]``
         ..., one per column.
     units : mapping of str to str
-        A word behind the unit may state how the signal runs between its samples, ``1 held`` or
+        A word after the unit may state how the signal varies between its samples, ``1 held`` or
         ``rad sampled``.
     """
     timer = time_column(columns, units)

@@ -77,7 +77,8 @@ class Packets:
             packet = self._link.decode(bytearray(self._data[at:end]))
         except (mavlink.MAVError, UnicodeError):
             return None, at
-        # The checksum of an unknown packet cannot be verified, so that it must be between others.
+        # The checksum of an unknown packet cannot be verified, so it counts only between other
+        # packets.
         is_sound = not isinstance(packet, mavlink.MAVLink_unknown) or (
             is_expected and (end == len(self._data) or MARK.match(self._data, end + STAMP))
         )

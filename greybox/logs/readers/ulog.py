@@ -98,17 +98,17 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     )
 
 
-def _about(said: Mapping[str, Any]) -> dict[str, Any]:
-    release, commit = said["firmware"]
+def _about(facts: Mapping[str, Any]) -> dict[str, Any]:
+    release, commit = facts["firmware"]
     about = {
-        "vehicle": said["vehicle"],
+        "vehicle": facts["vehicle"],
         "firmware": f"{release} ({commit})" if release and commit else release or commit,
-        "parameters": {name: float(value) for name, value in said["parameters"].items()},
+        "parameters": {name: float(value) for name, value in facts["parameters"].items()},
         "parameter_changes": parameter_changes(
-            [(0.0, name, value) for name, value in said["initial"].items()]
-            + [(ticks / 1e6, name, value) for ticks, name, value in said["changes"]]
+            [(0.0, name, value) for name, value in facts["initial"].items()]
+            + [(ticks / 1e6, name, value) for ticks, name, value in facts["changes"]]
         ),
-        "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
+        "texts": tuple((ticks / 1e6, text) for ticks, text in facts["texts"]),
     }
     return {key: value for key, value in about.items() if value}
 

@@ -62,8 +62,8 @@ class AllParts:
         """
         flags = [t.simulated for t in like.trajectories] if like else [False] * len(self.parts)
         zipped = zip(self.parts, nodes or [None] * len(self.parts), flags, strict=True)
-        each = [part.trajectory(z, n, simulated=flag) for part, n, flag in zipped]
-        return Iterate(z, tuple(sharing(self.parts, each)))
+        trajectories = [part.trajectory(z, n, simulated=flag) for part, n, flag in zipped]
+        return Iterate(z, tuple(sharing(self.parts, trajectories)))
 
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
@@ -111,8 +111,8 @@ class AllParts:
     ) -> float:
         """Return half the weighted squares of residuals and gaps of a finite iterate.
 
-        The variances (n,) of the gaps are those of every state. Gaps of a variance of zero, which
-        the next step closes, do not count.
+        The variances (n,) of the gaps are those of every state. Gaps whose variance is zero do
+        not count: the next step closes them.
         """
         total = 0.0
         for part, t, weight, v in self.along(iterate, residual_weights, variances):

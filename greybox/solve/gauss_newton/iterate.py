@@ -57,7 +57,7 @@ class Step:
     distance : float
         Half the squared length of the step: in standard errors, where the cost is a likelihood.
     gradient, hessian : (p,) and (p, p) arrays
-        Derivatives of the cost by z, without damping.
+        Derivatives of the cost with respect to z, without damping.
     multipliers : sequence of (n,) arrays
         Penalty on the gaps of every state in the exact merit function; empty while continuity is
         relaxed.

@@ -167,7 +167,7 @@ def _iterated(
         # 7 runs reaches the predictors of the tilt plant.
         z = best_gains(parts, iterate, progress.gap_variance) if becomes_exact else iterate.z
         iterate = iterate if z is iterate.z else parts.at(z, iterate.nodes)
-        # Of a long record, they are a tenth of what fits into memory.
+        # For a long record, they take a tenth of the memory.
         del step, trial, closed
         linearizations = []
     return End(iterate, "iterations exceeded", iterations)
@@ -227,7 +227,7 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gain
     # A step that is not stopped by a bound decreases the cost by its `distance`, and continues to
     # converge.
     stopped = undamped.decrease > 2 * undamped.distance
-    # Noise moves the minimum by half a unit of log-likelihood per unknown in the mean. At a tenth
+    # Noise moves the minimum by half a unit of log-likelihood per unknown on average. At a tenth
     # of a standard error, a hundredth of it is left; half of the square is used here.
     unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
     is_noise = undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * unknowns / 2

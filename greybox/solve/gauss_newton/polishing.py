@@ -69,7 +69,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
             break
 
         following = followed(parts, iterate, step)
-        del step  # of a long record, a tenth of what fits into memory
+        del step  # for a long record, a tenth of the memory
         if following is None:
             break
         iterate = following

@@ -33,9 +33,9 @@ class Points(NamedTuple):
     states : (r, m, n) array
         States that the m segments begin with.
     cost, gradient, hessian : (r,), (r, p) and (r, p, p) arrays
-        By the parameters; the cost of some may be infinite.
+        With respect to the parameters; the cost of some may be infinite.
     curvature, cross, slope : (r, m, n, n), (r, m, n, p) and (r, m, n) arrays
-        Hessian, mixed derivatives and gradient by the states of every segment.
+        Hessian, mixed derivatives and gradient with respect to the states of every segment.
     """
 
     z: Array

@@ -18,8 +18,8 @@ DECADES = 10.0 ** np.arange(-12, 1)
 def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) -> Array:
     """Return z (p,) with the best gains: those of the iterate, or of a steady Kalman filter.
 
-    `variances` (n,) for every part are those by which each state moves at all; the filters' process
-    noise is a share of them.
+    `variances` (n,) for every part are the variances of the gaps; the process noise of the filters
+    is a share of them.
     """
     corrected = [
         (gain, trajectory, size)

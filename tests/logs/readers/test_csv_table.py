@@ -128,9 +128,9 @@ def test_the_clock_may_start_again(saved):
         ("0,1\n1,2\n2,3\n", "has no header line: its first line, '0,1', must name the columns"),
         (
             "time,x\n10:00:01,2\n10:00:02,3\n",
-            "has the column 'time', which is no time in numbers and a known unit",
+            "has the column 'time', which is not a time in numbers with a known unit",
         ),
-        ("time [days],x\n1,2\n2,3\n", r"has the column 'time \[days\]', which is no time"),
+        ("time [days],x\n1,2\n2,3\n", r"has the column 'time \[days\]', which is not a time"),
         ("t,name\n1,a\n2,b\n", "has no numeric column besides the time"),
         ("t,x,x\n1,2,3\n2,3,4\n", "has two columns named 'x'"),
     ],
@@ -198,3 +198,11 @@ def test_times_in_any_unit_of_time(saved, header):
     recording = saved(f"{header},x\n{rows}\n")
     np.testing.assert_allclose(recording["flight"].time, 2 * np.arange(9), atol=1e-5)
     assert recording.findings == ()
+
+
+@pytest.mark.parametrize("end", ["", "Z"])
+def test_dates_are_times(saved, end):
+    rows = (f"2026-05-01T10:59:59.{k:02d}{end},{k}" for k in range(95, 100))
+    recording = saved("\n".join(["timestamp,u", *rows, f"2026-05-01 11:00:00{end},100"]))
+    np.testing.assert_allclose(recording["flight"].time, 0.01 * np.arange(6), atol=1e-6)
+    assert recording["flight"]["u"].tolist() == list(range(95, 101))

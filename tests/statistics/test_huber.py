@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
-from greybox.statistics.bounded_errors import bounded, robust_deviation
+from greybox.statistics.huber import bounded, robust_deviation
 
 NORMAL = norm.ppf((np.arange(20000) + 0.5) / 20000)
 

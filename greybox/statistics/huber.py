@@ -1,9 +1,9 @@
 """Errors with bounded large values, so that outliers do not decide an estimate.
 
-An estimate is robust if errors count as ψ(e), with Huber's ψ that is linear up to a bound and
+An estimate is robust if errors count as ψ(e), with Huber's ψ, which is linear up to a bound and
 constant beyond it. Least squares on the *pseudo-values* model + ψ(e) / mean(ψ') have the same
-estimate, and the covariance of that M-estimator. So everything that is made for least squares,
-correlated errors included, serves outliers, too.
+estimate, and the covariance of that M-estimator. So everything made for least squares, including
+correlated errors, works with outliers, too.
 
 Source: Huber and Ronchetti (2009), Robust Statistics, 2nd ed., sections 7.4 and 7.8.
 """
@@ -19,7 +19,7 @@ def robust_deviation(errors: Array) -> Array:
     """Return the standard deviations (k, 1) of errors (k, n), NaN if missing, by their medians."""
     # The median size of normal errors times 1.4826 is their standard deviation.
     deviation = 1.4826 * np.nanmedian(np.abs(errors), axis=1, keepdims=True)
-    # Where more than half of all errors are zero, as of rounded signals, there is no scale.
+    # Where more than half of all errors are zero, as in rounded signals, there is no scale.
     return np.where(deviation > 0, deviation, np.inf)
 
 

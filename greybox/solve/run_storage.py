@@ -8,24 +8,24 @@ from greybox.files.arrays import Array
 from greybox.solve.runs import CUT_SHORT, Outcome
 
 
-class KeptRunsError(ValueError):
+class RunStorageError(ValueError):
     """Stored runs belong to another search, or cannot be read."""
 
 
-class KeptRuns:
+class RunStorage:
     """The stored runs of one problem by number of the start, negative if they began elsewhere.
 
     This class itself stores none.
     """
 
-    def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
+    def stored(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
         """Return start (p,) and outcome of the stored runs by number.
 
         `fingerprint` identifies the compiled problem and the options of its solver.
 
         Raises
         ------
-        KeptRunsError
+        RunStorageError
             If the runs are those of another problem or of other options, or cannot be read.
         """
         return {}
@@ -33,34 +33,34 @@ class KeptRuns:
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
         """Store a run as soon as it is finished, in any order."""
 
-    def look(self) -> None:
+    def write_due(self) -> None:
         """Write the runs that are due; called often."""
 
 
 class Memory:
     """The runs of an earlier search, and storage for new ones; empty without storage."""
 
-    def __init__(self, kept: KeptRuns | None = None, fingerprint: str = "") -> None:
-        self._kept = kept or KeptRuns()
-        self._known = self._kept.known(fingerprint)
+    def __init__(self, storage: RunStorage | None = None, fingerprint: str = "") -> None:
+        self._storage = storage or RunStorage()
+        self._stored = self._storage.stored(fingerprint)
         self._added: set[int] = set()
-        self.look = self._kept.look
+        self.write_due = self._storage.write_due
 
     def recall(self, number: int, start: Array) -> Outcome | None:
         """Return the stored outcome of a run; None without one.
 
         Raises
         ------
-        KeptRunsError
+        RunStorageError
             If the run of this number began at another start.
         """
-        stored_start, outcome = self._known.get(number, (start, None))
+        stored_start, outcome = self._stored.get(number, (start, None))
         if np.array_equal(stored_start, start):
             return outcome
-        # Neighbors of an end begin elsewhere if an option has changed: they are made again.
+        # Runs near an end begin elsewhere if an option has changed: they are made again.
         if number < 0:
             return None
-        raise KeptRunsError(
+        raise RunStorageError(
             f"the stored runs began at other starts, from number {number} on: "
             "give the same rule and seed."
         )
@@ -71,4 +71,4 @@ class Memory:
         is_new = number not in self._added and self.recall(number, start) is None
         if is_new and outcome.status not in CUT_SHORT:
             self._added.add(number)
-            self._kept.add(number, start, outcome)
+            self._storage.add(number, start, outcome)
