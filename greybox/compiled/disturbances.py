@@ -33,6 +33,7 @@ class DisturbedRecord:
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
         self.residuals = part.residuals(trajectory)
+        self.step = part.data.stretches[0].step
         self.weight = part.residual_weight(trajectory)
         # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)
@@ -58,10 +59,6 @@ class DisturbedRecord:
         """Return the effect of values (c, samples) that add to an output."""
         row = np.eye(len(self._slopes_of_formulas))[self.part.states + place]
         return self._by_formulas(row[:, None], values)
-
-    def by_scale(self, place: int, values: Array) -> Effect:
-        """Return the effect of the scale of an output that grows by values (c, samples)."""
-        return self.by_output(place, values * self.outputs[place])
 
     def by_parameter(self, place: int, values: Array) -> Effect:
         """Return the effect of an active parameter that changes by values (c, samples)."""

@@ -24,7 +24,7 @@ from greybox.estimate.misfit_regression import (
     regression_of_record,
     regression_of_response,
 )
-from greybox.estimate.missing_terms import Term, terms_of_record
+from greybox.estimate.missing_terms import KNOTS, Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
 from greybox.files.arrays import Array, Strings, frozen
 from greybox.modeling.added_terms import Formula
@@ -48,7 +48,6 @@ from greybox.statistics.score_test import (
 OF_RESPONSES = 0.01
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
-KNOTS = 11  # of the shape of a term over a signal
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
 
@@ -219,16 +218,19 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     """Return the misfit of a group, whose fit can change the columns of `determined` (d, k)."""
     group = replace(group, fitted=group.fitted @ determined)
     terms = _terms(group.parts, determined)
-    tried, tested = _ranked(group, [key for key, term in terms.items() if not term.is_function])
+    tried, tested = _ranked(group, [key for key, term in terms.items() if not term.knots])
     columns = np.hstack([group.residuals[:, :0], *(test.column for test in tested)])
     # Among responses, each family is as likely to be missing, whatever its number of terms.
-    tests = [tried.total() if group.outputs else len(tried) * tried[test.key[0]] for test in tested]
+    tests = [
+        tried.total() * terms[test.key].tries if group.outputs else len(tried) * tried[test.key[0]]
+        for test in tested
+    ]
     p_common = 1.0
     p_values = p_correlated = np.array([test.p_white for test in tested]) * tests
     if group.outputs:
         p_correlated = p_values = group.chances(columns) * tests
         if min(p_values, default=1.0) > FALSE_ALARMS:
-            functions = [key for key, term in terms.items() if term.is_function]
+            functions = {key: term.knots for key, term in terms.items() if term.knots}
             missing, p_of_functions = _functions(group, functions)
             tested = missing + tested
             columns = np.hstack([*(test.column for test in missing), columns])
@@ -359,9 +361,11 @@ def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
     return best
 
 
-def _on_knots(group: Group, key: Key, signals: Sequence[Array]) -> tuple[Array, Array]:
+def _on_knots(
+    group: Group, key: Key, signals: Sequence[Array], knots: int = KNOTS
+) -> tuple[Array, Array]:
     """Return the knots (c,) of signals of all parts, and columns (N, c) of functions of these."""
-    whole, shares = np.hstack(signals), np.linspace(0, 1, KNOTS)
+    whole, shares = np.hstack(signals), np.linspace(0, 1, knots)
     # As many where samples are close together as over the whole range.
     at = (np.quantile(whole, shares) + whole.min() + shares * (np.ptp(whole) + TINY)) / 2
     columns = [
@@ -396,18 +400,20 @@ def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Teste
     return tried, sorted(best.values(), key=lambda test: -round(test.decrease, 9))[:12]
 
 
-def _functions(group: Group, keys: Iterable[Key]) -> tuple[list[Tested], Array]:
+def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested], Array]:
     """Return functions of any shape that are missing, and their probabilities.
 
     The unit term is what fits best.
     """
     tested = []
-    for key in keys:
+    # More knots would fit the noise of short records, which lines and initial states leave.
+    most = max(len(group.white_residuals) // 15, 2)
+    for key, knots in functions.items():
         # Where a part has no such place, its residuals follow nothing there.
         signals = [
             part.terms[key].values if key in part.terms else np.zeros(0) for part in group.parts
         ]
-        _, columns = _on_knots(group, key, signals)
+        _, columns = _on_knots(group, key, signals, min(knots, most))
         p_value, directions = joint_test(
             group.white_residuals[:, 0], group.basis, group.white(columns), group.remains
         )

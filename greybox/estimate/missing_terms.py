@@ -10,7 +10,7 @@ import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -26,6 +26,7 @@ from greybox.modeling.functions import maximum, minimum, tanh
 from greybox.modeling.model import Names
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
+from greybox.statistics.column_space import beside
 
 # A term in words, also for a negative factor if that differs, and the code that adds it.
 TEXTS = {
@@ -206,9 +207,11 @@ TEXTS = {
 # Time constants of lags and delays, over the rms of an input over that of its rate. The first one
 # is less than a sample: the effect of the rate alone, which a delay of any size has.
 TIMES = (0.001, 0.3, 1.0, 3.0)
-# Of saturations, dead zones and backlash, over the largest input; and of rate limits, over the rate
-# that is as many times the rms of the rates.
+# Of saturations, dead zones and backlash, over the largest input.
 LEVELS = (0.2, 0.4, 0.7)
+# Of rate limits, over the mean speed of an input: with less, steps are hardly followed, and a sine
+# is nowhere faster than 1.6 times the mean. At 0.7 times a limit, backlash explains more.
+RATES = np.geomspace(0.5, 2.5, 6)
 # Share of half a step by which a delay that is due to a hold may differ from it. Its size is that
 # of first order: 3 to 9 % too large with square waves, steps and sweeps, and half as much again
 # where a fitted lag of few steps has taken a part of the delay. Both cures are named.
@@ -217,11 +220,12 @@ NEAR_HALF = 0.6
 STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
+KNOTS, FINE = 11, 41  # of functions, and of those of inputs, which an actuator may quantize
 DAMPING = 0.05  # of modes in records
 # And in responses: with the first alone, a notch of damping 0.3 is seen in half of the cases, and
 # with both in nine of ten.
 DAMPINGS = 0.05, 0.2
-MODES = 16  # frequencies of the modes that are tried in records
+MODES = 12  # frequencies of the modes that are tried in records
 # Fewest periods of such a mode in the record: a slower one looks like a drift of the errors.
 PERIODS = 5
 LARGE = 10  # states and inputs beyond which an equation is tried with its own alone
@@ -258,8 +262,11 @@ class Term:
         refine, such as a frequency and a damping.
     levels : tuple of float
         These levels, above zero.
-    is_function : bool
-        Whether any function of these values may be missing, whatever its shape.
+    knots : int
+        Number of knots of the function of these values that may be missing, whatever its shape, or
+        zero for the values themselves.
+    tries : int
+        Number of samples from which the residuals chose that of the term.
     """
 
     kind: str
@@ -276,7 +283,8 @@ class Term:
     outputs: Values = field(default_factory=dict)
     shapes: Callable[..., Sequence[ComplexArray]] | None = None
     levels: tuple[float, ...] = ()
-    is_function: bool = False
+    knots: int = 0
+    tries: int = 1
 
     @property
     def start(self) -> Array:
@@ -330,15 +338,20 @@ def terms_of_record(
 
     for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
         by_output = partial(record.by_output, k)
-        yield Term("sensor curve", y, by_output, b=b, is_function=True)
-        by_scale = partial(record.by_scale, k)
-        yield Term("sensor scale", np.arange(1.0 * len(y)), by_scale, b=b, is_function=True)
+        yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
+        for power in (2, 3):
+            yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
+        # From each sample on, the errors along the output and its squares: a jump of its scale is
+        # where the errors show it best.
+        along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
+        later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
+        yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
         if len(part.outputs) > 1:
             for row, T in _delays(record, y):
                 yield Term("sensor", row, by_output, b=b, scale=T)
         for u, a in inputs:
             # A controller responds at once: the noise of a sample is in the input at the same time.
-            past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
+            past = record.by_stretch(_delayed, u, record.step)
             yield Term("direct", past, by_output, a, b)
 
     # As an impulse that lasts half of the first step.
@@ -378,10 +391,17 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
     # Among several records, one may need different values.
     changes = [("change", samples, ""), ("own", ones, part.name)]
     changes += [("change", 1.0 * (samples > share), "") for share in JUMPS]
-    # A signal that the model does not use, such as an airspeed, may order the flights.
+    # A signal that the model does not use, such as an airspeed, may order the flights, or act.
+    motion = np.vstack([record.states, record.inputs, ones]).T
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
-        if np.ptp(log[b]) > 0:
-            changes.append(("schedule", part.data.at_samples(log[b])[0], b))
+        # Noise of a sample may be that of the output: what the signal does, it does later.
+        past = record.by_stretch(_delayed, *part.data.at_samples(log[b]), record.step)
+        # Another sensor of the motion shows gusts, too, and would look like their cause.
+        if np.var(beside(past[:, None], motion)) > np.var(past) / 2:
+            changes.append(("schedule", past, b))
+            for i in dynamic_equations(part):
+                a, place = part.system.states[i], partial(record.by_state, i)
+                yield Term("equation", past, place, b, a, code=f"u.{b}, an input")
     gains = {f"K_{state}_{output}" for state, output in part.gains}
     for place, k in enumerate(part.model.active):
         # Gains correct for what the model lacks: a gain is not itself a missing term.
@@ -403,7 +423,7 @@ def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
-    step = record.part.data.stretches[0].step
+    step = record.step
     model = record.part.model
     is_unstated = model.criterion.inputs == "record" and a not in model.record.hold
     half_step = step / 2 if is_unstated else np.inf
@@ -427,17 +447,17 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     for w in np.geomspace(2 * np.pi * PERIODS / len(u), 0.3, MODES).tolist():
         # The poles of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, where ω times the step is w.
         poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
-        yield term("flexible", record.by_stretch(_filtered, u, [4.0, -8.0, 4.0], poles), w / step)
+        # Filters s² and ω s over these: a mode is the sum of both.
+        for zeros in ([4.0, -8.0, 4.0], [2 * w, 0.0, -2 * w]):
+            yield term("flexible", record.by_stretch(_filtered, u, zeros, poles), w / step)
     if not model.between[j].held:
         # Lines through the samples of a sine are smaller by (ωh)²/12, for steps h.
         yield term("between", record.by_stretch(_filtered, u, np.array([-1.0, 2, -1]) / 12, [1.0]))
-    yield Term("characteristic", u, by_input, a, is_function=True)
+    yield Term("characteristic", u, by_input, a, knots=FINE)
     about = u - (middle := float(np.median(u)))
-    speed = np.std(record.by_stretch(_backward, u)) / np.std(u)
+    for level in np.mean(np.abs(record.by_stretch(_backward, u))) * RATES:
+        yield term("rate", record.by_stretch(_followed, u, level * step, True), level)
     for level in np.abs(about).max() * np.array(LEVELS):
-        yield term(
-            "rate", record.by_stretch(_followed, u, level * speed * step, True), level * speed
-        )
         yield term("play", record.by_stretch(_followed, u, level / 2, False), level)
         yield term("curve", np.clip(about, -level, level), level)
         yield term("side", np.maximum(about, level), middle + level)
@@ -455,7 +475,7 @@ def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
             y,
         )
         for signal, row in ((b, y), (f"{b}'", rate)):
-            yield Term("feedback function", row, by_input, signal, name, is_function=True)
+            yield Term("feedback function", row, by_input, signal, name, knots=KNOTS)
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)
 
@@ -469,34 +489,29 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
 
     prefixes = {**dict.fromkeys(x, "x."), **dict.fromkeys(u, "u."), "sign": "gb."}
 
-    # Equations of a small model have the same neighbors, and so the same functions of them.
-    @cache
-    def shapes_of(names: frozenset[str]) -> dict[str, tuple[Array, Formula]]:
-        near = [name for name in (*x, *u) if name in names]
-        formulas = {name: _formula(lambda a: a, name) for name in (*x, *u)}
-        for a, b in itertools.combinations(near, 2):
-            if a in x:
-                formulas[f"{a} * {b}"] = _formula(operator.mul, a, b)
-        for name in near:
-            forms = _forms(name, x[name]) if name in x else {}
-            formulas |= {text: _formula(form, name) for text, form in forms.items()}
-        return {
-            text: (np.zeros(record.part.samples) + formula(*signals), formula)
-            for text, formula in (formulas | {**candidates}).items()
-        }
+    # Functions by their code, with the signals that an equation must have for them.
+    formulas = {name: (set[str](), _formula(lambda a: a, name)) for name in (*x, *u)}
+    for a, b in itertools.combinations((*x, *u), 2):
+        if a in x:
+            formulas[f"{a} * {b}"] = ({a, b}, _formula(operator.mul, a, b))
+    for name, row in x.items():
+        for text, form in _forms(name, row).items():
+            formulas.setdefault(text, ({name}, _formula(form, name)))
+    formulas |= {text: (set(), formula) for text, formula in candidates.items()}
 
     for i, (names, present) in dynamic_equations(record.part).items():
         b, by_state = system.states[i], partial(record.by_state, i)
         factors = zip(record.part.outputs, record.measured_derivatives[:, i].tolist(), strict=True)
         outputs = {name: factor for name, factor in factors if factor}
-        for a, (row, formula) in shapes_of(names).items():
-            if a not in present:
+        for a, (needed, formula) in formulas.items():
+            if needed <= names and a not in present:
+                row = np.zeros(record.part.samples) + formula(*signals)
                 code = re.sub(r"\w+", lambda word: prefixes.get(word[0], "") + word[0], a)
                 yield Term(
                     "equation", row, by_state, a, b, added=formula, code=code, outputs=outputs
                 )
         for a in [name for name in x if name in names]:
-            yield Term("function", x[a], by_state, a, b, is_function=True)
+            yield Term("function", x[a], by_state, a, b, knots=KNOTS)
             for share, level in zip(STOPS, np.quantile(x[a], STOPS).tolist(), strict=True):
                 bound = maximum if share > 0.5 else minimum
                 formula = _formula(lambda a, level=level, bound=bound: bound(a - level, 0.0), a)

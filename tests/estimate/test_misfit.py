@@ -309,7 +309,7 @@ class Windy:
         return (v, a + u.gust)
 
 
-def predicted(plant, seed=0):
+def predicted(plant, seed=0, is_logged=False):
     """Fit the predictor of the spring to a flight of another plant in gusts."""
     random, n = np.random.default_rng(seed), 1000
     gust = lfilter([1.0], [1, -np.exp(-STEP / 0.5)], random.normal(size=n))
@@ -318,7 +318,10 @@ def predicted(plant, seed=0):
     flight = gb.Record(time, {"u": u, "gust": gust}, hold=dict.fromkeys(("u", "gust"), np.inf))
     model = type("Flown", (Windy, plant), {})()
     x = gb.simulate(model, {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["x"]
-    flight = flight.with_signals(x=x + 0.005 * random.normal(size=n))
+    signals = {"u": u, "x": x + 0.005 * random.normal(size=n)} | (
+        {"gust": gust} if is_logged else {}
+    )
+    flight = gb.Record(time, signals, hold={"u": np.inf})
     rule = gb.PredictionError(inputs="held")
     return gb.fit(gb.Problem(Spring(), flight, rule), starts=1, progress=False, profiles=False)
 
@@ -327,6 +330,12 @@ def test_gusts_are_no_misfit_of_a_predictor():
     fit = predicted(Spring)
     assert fit.misfit.explains
     assert any("PredictionError(disturbance={'v': 'colored'})" in text for text in fit.warnings)
+
+
+def test_a_logged_signal_that_acts_is_named():
+    misfit = predicted(Spring, is_logged=True).misfit
+    assert not misfit.explains
+    assert misfit.likely[0].text == "gust in the equation of v"
 
 
 def test_a_delay_that_a_predictor_lacks_is_named_in_gusts():

@@ -66,6 +66,44 @@ class Lag(gb.StateSpace):
         return (x.v,)
 
 
+def lagging(acting, seed=0, n=600, **signals):
+    """Fit the lag with the input `u` to a record of a lag that `acting` drives."""
+    decay = np.exp(-0.1)
+    v = lfilter([0, 1.5 * (1 - decay)], [1, -decay], acting)
+    v += 0.01 * np.random.default_rng(seed).normal(size=n)
+    record = gb.Record(0.05 * np.arange(n), {"v": v, **signals}, hold={"u": np.inf})
+    return gb.fit(gb.Problem(Lag(), record), starts=1, progress=False, profiles=False).misfit
+
+
+def test_an_input_that_an_actuator_quantizes_is_named():
+    u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 60), 10)
+    misfit = lagging(np.round(u / 0.15) * 0.15, u=u)
+    assert not misfit.explains
+    assert misfit.likely[0].text == "an input u with a curved characteristic"
+    assert lagging(u, u=u).explains
+
+
+def test_a_mode_of_the_input_is_named_whatever_its_phase():
+    random = np.random.default_rng(2)
+    u = np.repeat(random.choice([-1.0, 1.0], 60), 10)
+    for phase in (0.0, np.pi / 2):
+        after = 0.03 * np.exp(-0.02 * np.arange(400)) * np.cos(0.2 * np.arange(400) + phase)
+        misfit = lagging(u + np.convolve(u, after)[: u.size], u=u)
+        assert not misfit.explains
+        assert re.match(r"a lightly damped mode of u near (3.[5-9]|4.*)", misfit.likely[0].text)
+
+
+def test_a_logged_input_that_the_model_lacks_is_named_but_not_a_second_sensor():
+    random = np.random.default_rng(3)
+    u, second, gust = (np.repeat(random.uniform(-1, 1, 60), 10) for _ in range(3))
+    misfit = lagging(u + 0.1 * second, u=u, w=second)
+    assert misfit.likely[0].text == "w in the equation of v"
+    assert "u.w" in misfit.likely[0].code
+    moved = u + 0.3 * gust
+    sensor = lfilter([0, 1.5 * (1 - np.exp(-0.1))], [1, -np.exp(-0.1)], moved)
+    assert not any("w in" in cause.text for cause in lagging(moved, u=u, w=sensor).likely)
+
+
 @pytest.mark.parametrize("unit", [1.0, 0.01])
 def test_a_dead_zone_has_its_name_in_any_unit_of_the_time(unit):
     t = 0.05 * np.arange(480)
