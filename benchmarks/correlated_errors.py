@@ -18,7 +18,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from greybox.compiled.colored_errors import colored_errors
+from greybox.compiled.colored_errors import FEWEST_TIMES, colored_errors
+from greybox.estimate.diagnostics.records import EVIDENCE
 from greybox.files.arrays import Array, BoolArray
 
 STEP = 0.05  # s
@@ -201,7 +202,8 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
         z = error / np.sqrt(np.diag(root @ found.meat @ root.T))
         scaled.append(z)
         holds.append(np.abs(z) < student.ppf(0.975, found.dof))
-        rough.append(not found.is_long_enough)
+        evidence, time = found.slow_errors()
+        rough.append(np.any((evidence > EVIDENCE) & (time * FEWEST_TIMES > 1)))
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 
 

@@ -91,7 +91,7 @@ def colored_errors(
     if not effect.corrected:
         larger *= (remaining + paid) / remaining
     lengths = [e.shape[1] for e in residuals]
-    longest, slowest = max(lengths), max(float(effect.correlation_times.max()), 1e-300)
+    slowest = max(float(effect.correlation_times.max()), 1e-300)
     dof = 1 / (1 / remaining + effect.uncertainty / 2)
     # With less than one, spectra that are hardly possible would decide the interval.
     dof = max(min(dof, sum(lengths) / slowest / TIMES_PER_DOF), 1.0)
@@ -99,13 +99,12 @@ def colored_errors(
     return ColoredErrors(
         meat=larger * effect.meat,
         dof=dof,
-        correlation_times=effect.correlation_times * step,
-        duration=longest * step,
-        is_long_enough=longest / slowest >= FEWEST_TIMES,
+        duration=max(lengths) * step,
         spectrum=None
         if effect.spectrum is None
         else effect.spectrum.mixed(np.sqrt(larger) * mixing),
         process_noise=effect.process_noise,
+        slow_errors=effect.slow_errors,
     )
 
 

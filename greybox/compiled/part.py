@@ -126,28 +126,25 @@ class ColoredErrors:
         Middle matrix of the sandwich, for the given directions.
     dof : float
         Degrees of freedom of the variances that follow.
-    correlation_times : (outputs,) array
-        Correlation times of the errors, s.
     duration : float
         Length of the longest gapless stretch, s.
-    is_long_enough : bool
-        Whether that is long enough, against the correlation times, for the spectrum of the errors
-        to be known.
     spectrum : ErrorSpectrum or None
         Spectrum of the errors, enlarged for what the fit took from them; None where all residuals
         are zero.
     process_noise : function
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
         gusts.
+    slow_errors : function
+        Returns 2 log of the evidence for slow errors of every output, not white ones, and their
+        correlation times over the duration: (2, outputs).
     """
 
     meat: Array
     dof: float
-    correlation_times: Array
     duration: float
-    is_long_enough: bool
     spectrum: ErrorSpectrum | None
     process_noise: Callable[[], float]
+    slow_errors: Callable[[], Array]
 
 
 @frozen

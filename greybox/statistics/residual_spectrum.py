@@ -86,6 +86,9 @@ class ColoredInformation:
     process_noise : function
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
         gusts. It takes time, and is rarely needed.
+    slow_errors : function
+        Returns the evidence for slow errors of every output, and their correlation times: (2, k),
+        see `ResidualSpectra.slow_errors`.
     """
 
     meat: Array
@@ -96,6 +99,7 @@ class ColoredInformation:
     corrected: bool
     spectrum: ErrorSpectrum | None
     process_noise: Callable[[], float] = lambda: 0.0
+    slow_errors: Callable[[], Array] = lambda: np.zeros((2, 0))
 
 
 def colored_information(
@@ -150,8 +154,8 @@ def colored_information(
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
     # For a long record this frees a fifth of all memory: from here on only the power is needed.
     vars(spectra).pop("_only_transform", None)
-    times = np.zeros(k)
-    times[compared] = spectra.grid.correlation_times(mixture.typical)
+    embedded = np.eye(k)[compared]
+    times = spectra.grid.correlation_times(np.einsum("iib->ib", mixture.density).real) @ embedded
     density = np.zeros((k, k, len(spectra.grid.omega)), dtype=complex)
     density[np.ix_(compared, compared)] = mixture.density
     deviation = np.ones(k)
@@ -167,6 +171,7 @@ def colored_information(
         spectrum=ErrorSpectrum(spectra.grid.omega, density, deviation),
         # Gusts leave no residuals that look white.
         process_noise=lambda: mixture.score + (spectra.gain_of_gusts() if times.max() > 1 else 0.0),
+        slow_errors=lambda: spectra.slow_errors(corrected=corrected) @ embedded,
     )
 
 
@@ -203,8 +208,6 @@ class AveragedSpectrum:
     Attributes
     ----------
     density : (k, k, b) array, or (b,) of one output
-    typical : (k, b) array, or (b,)
-        The geometric mean.
     taken : float
         What the fit takes from such errors, the trace of their meat.
     uncertainty : float
@@ -214,15 +217,12 @@ class AveragedSpectrum:
     """
 
     density: NDArray[Any]
-    typical: Array
     taken: float
     uncertainty: float
     score: float
 
 
-def averaged(
-    score: Array, density: NDArray[Any], typical: Array, taken: Array, within: Array
-) -> AveragedSpectrum:
+def averaged(score: Array, density: NDArray[Any], taken: Array, within: Array) -> AveragedSpectrum:
     """Return the average of m spectra by their scores (m,), -2 log of their likelihoods.
 
     Their disagreement on what the fit took is part of the uncertainty, besides that `within` each.
@@ -234,7 +234,6 @@ def averaged(
     between = (logarithm - weight @ logarithm) ** 2
     return AveragedSpectrum(
         np.tensordot(weight, density, 1),
-        np.exp(np.tensordot(weight, np.log(typical), 1)),
         float(weight @ taken),
         float(weight @ (between + within)),
         evidence,
@@ -242,8 +241,8 @@ def averaged(
 
 
 def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[NDArray[Any]]:
-    """Return scores (m,), densities, geometric means, what was taken, and its uncertainties."""
-    fields = attrgetter("score", "density", "typical", "taken", "uncertainty")
+    """Return scores (m,), densities, what was taken, and its uncertainties."""
+    fields = attrgetter("score", "density", "taken", "uncertainty")
     return map(np.array, zip(*map(fields, averages), strict=True))
 
 
@@ -378,12 +377,11 @@ class ResidualSpectra:
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the joint spectrum of outputs whose errors are independent."""
-        score, density, typical, taken, uncertainty = stacked(alone)
+        score, density, taken, uncertainty = stacked(alone)
         total = float(taken.sum())
 
         return AveragedSpectrum(
             density[:, None] * np.eye(len(density), dtype=complex)[..., None],
-            typical,
             total,
             float(uncertainty @ taken**2) / max(total**2, TINY),
             float(score.sum()),
@@ -426,7 +424,6 @@ class ResidualSpectra:
 
         return AveragedSpectrum(
             density,
-            np.maximum(np.einsum("iib->ib", density).real, TINY),
             total,
             float(share @ estimated.covariance @ share),
             estimated.score + aicc_penalty(len(variance), self.counts.sum()),
@@ -527,7 +524,22 @@ class ResidualSpectra:
         shapes = [1 / np.abs(responses) ** 2, self.slow[likely[len(steps) :]]]
         spectra = scale[likely, None] * np.concatenate(shapes)
         taken = grid.mean(spectra * self.power[i, i].real)
-        return averaged(score[likely], spectra, spectra, taken, within[likely])
+        return averaged(score[likely], spectra, taken, within[likely])
+
+    def slow_errors(self, *, corrected: bool) -> Array:
+        """Return 2 log of the evidence for slow errors, not white ones, and their times: (2, k).
+
+        The times are shares of the longest stretch. Parameters may take most of a drift, and the
+        residuals then look white: if `corrected`, they are compared with those of white errors.
+        """
+        banded = self.periodogram[1] + (self.taken_power(self.white)[1] if corrected else 0.0)
+        power = np.einsum("iib->ib", banded).real
+        scale = power @ (self.grid.band_weight / self.slow).T / self.grid.mean(power)[:, None]
+        half = -self.counts[:, None] / 2 * (np.log(scale) + self._slow_level)
+        total = np.logaddexp.reduce(half, axis=1)
+        # The spectra are in the order of their times.
+        times = np.geomspace(1 / self.grid.longest, 1 / 3, half.shape[1])
+        return np.array([2 * (total - math.log(len(times))), np.exp(half - total[:, None]) @ times])
 
     def joint_outputs(
         self, apart: AveragedSpectrum, banded: ComplexArray, blocks: int
@@ -560,7 +572,7 @@ class ResidualSpectra:
         """Return what the estimate takes from errors of a spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
-    def taken_power(self, density: ComplexArray) -> tuple[Array, ComplexArray]:
+    def taken_power(self, density: NDArray) -> tuple[Array, ComplexArray]:
         """Return the periodogram of what the fit took from errors of this spectrum.
 
         Residuals r = (1 - P) e, with P = J (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ

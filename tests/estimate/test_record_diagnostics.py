@@ -406,6 +406,18 @@ def test_only_residuals_that_are_not_white_are_said_to_stay_correlated():
         assert bool(said(fit(SampledLag(), record, [{}]), "stay correlated")) == is_colored
 
 
+def test_slow_errors_that_parameters_take_are_told():
+    """A drift during one step looks like another gain and time constant, and leaves little."""
+    exact = stepped(noise=0.0, n=60)
+    told = []
+    for seed in range(5):
+        white = np.random.default_rng(seed).normal(size=160)
+        slow = lfilter([0.01], [1, -1.8, 0.81], white)
+        records = (exact.with_signals(y=exact["y"] + e[100:]) for e in (0.05 * white, slow))
+        told.append([bool(said(fit(Late(), r, [{}]), "stay correlated")) for r in records])
+    assert told == [[False, True]] * 5
+
+
 def test_white_residuals_are_not_blamed():
     random, n = np.random.default_rng(1), 500
     u = np.repeat(random.normal(size=n // 10), 10)

@@ -598,7 +598,7 @@ def test_outputs_that_share_errors_have_their_coherency_in_every_block():
     made = spectra_of([J], [white], 1 / np.einsum("kpn,kpn->p", J, J)[:, None], np.eye(2))
     banded = made.periodogram[1]
     flat = np.ones(len(made.grid.omega))
-    apart = made.independent_outputs([AveragedSpectrum(flat, flat, 1.0, 0.1, 7.0)] * 2)
+    apart = made.independent_outputs([AveragedSpectrum(flat, 1.0, 0.1, 7.0)] * 2)
     found = made.joint_outputs(apart, banded, 1)
     correlation = np.sum(white[0] * white[1]) / np.sqrt(np.prod(np.sum(white**2, axis=1)))
     assert_allclose(found.density[0, 1].real, correlation, rtol=1e-3)
@@ -638,7 +638,6 @@ def test_autoregressions_and_slow_parts_of_one_output_are_averaged_by_their_aicc
     weight /= weight.sum()
     found = made.one_output(0, r, banded)
     assert_allclose(found.density, weight @ spectra, rtol=2e-3)
-    assert_allclose(np.log(found.typical), weight @ np.log(spectra), atol=2e-3)
     assert found.score == pytest.approx(evidence, abs=2e-3)
     taken = np.array([made.taken_by(one[None, None] + 0j) for one in spectra])
     assert found.taken == pytest.approx(weight @ taken, rel=2e-3)
@@ -724,7 +723,7 @@ def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_say
     # A finite record smears every other spectrum.
     density = np.zeros((2, 2, len(made.grid.omega)), dtype=complex)
     density[[0, 1], [0, 1]] = [[1.2], [0.8]]
-    one = AveragedSpectrum(density, np.zeros((2, len(made.grid.omega))), 3.0, 0.2, 7.5)
+    one = AveragedSpectrum(density, 3.0, 0.2, 7.5)
     judged = nothing.judged_on_residuals(one, made.periodogram[1])
     assert judged.score == pytest.approx(
         7.5 + 21 * 2
@@ -739,12 +738,11 @@ def test_outputs_apart_add_what_they_take_and_its_variance():
     made = small()
     size = len(made.grid.omega)
     alone = [
-        AveragedSpectrum(np.full(size, d), np.full(size, t), taken, u, s)
-        for d, t, s, taken, u in ((2, 0.5, 11, 3, 0.2), (5, 1.5, 6, 0.5, 0.7))
+        AveragedSpectrum(np.full(size, d), taken, u, s)
+        for d, s, taken, u in ((2, 11, 3, 0.2), (5, 6, 0.5, 0.7))
     ]
     found = made.independent_outputs(alone)
     assert_allclose(found.density[:, :, 3], [[2, 0], [0, 5]])
-    assert_allclose(found.typical[:, 3], [0.5, 1.5])
     assert (found.score, found.taken) == (17, 3.5)
     assert found.uncertainty == pytest.approx(
         (0.2 * 3**2 + 0.7 * 0.5**2) / 3.5**2
@@ -764,7 +762,6 @@ def test_spectra_are_averaged_by_their_evidence():
     assert np.sort(share)[-2] > 1e-6
     found = made.others(lags, banded)
     assert_allclose(found.density, np.tensordot(share, [s.density for s in each], 1))
-    assert_allclose(found.typical, apart.typical)
     taken = np.array([spectrum.taken for spectrum in each])
     assert found.taken == pytest.approx(share @ taken)
     between = share @ (np.log(taken) - share @ np.log(taken)) ** 2
@@ -823,7 +820,6 @@ def test_process_noise_is_judged_by_the_variances_of_its_parts():
         found.density,
         sum(v * part for v, part in zip(variances.variance, densities, strict=True)),
     )
-    assert_allclose(found.typical, [found.density[i, i].real for i in (0, 1)])
     assert found.taken == pytest.approx(made.taken_by(found.density))
     assert found.score == pytest.approx(variances.score + 8 + 2 * 4 * 5 / (120 - 5))
 

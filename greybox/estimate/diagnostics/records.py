@@ -1,5 +1,6 @@
 """Whether the residuals in time look like noise, and whether all samples were compared."""
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -30,6 +31,10 @@ Pairs = Sequence[tuple[RecordPart, FittedRecord]]
 
 # Share of fits with a false alarm about feedback, and about colored prediction errors.
 FALSE_ALARMS = 0.01
+
+# 2 log of the evidence for slow errors above which these are likely. Of right fits, 0.3 % exceed
+# it; the evidence is negative in most.
+EVIDENCE = 2.0
 
 
 def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
@@ -123,26 +128,22 @@ def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
 
 
 def _short(answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
-    """Name records that are too short to show how long their errors stay correlated.
-
-    White noise of 50 to 150 samples looks so in one of twenty records: a test must reject, too.
-    """
+    """Name records that are too short to show how long their errors stay correlated."""
     outputs = sum(len(fitted.outputs) for fitted in answer.records)
     for fitted, errors in zip(answer.parts, accuracy.parts, strict=False):
         colored = errors.colored
-        if not isinstance(fitted, FittedRecord) or colored is None or colored.is_long_enough:
+        if not isinstance(fitted, FittedRecord) or colored is None:
             continue
-        time, output = max(zip(colored.correlation_times, fitted.outputs, strict=True))
-        if _looks_white(fitted, output, outputs):
-            continue
-        yield (
-            output,
-            fitted.name,
-            f"the residuals of {output} in {fitted.name!r} stay correlated for about {time:.2g} "
-            f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
-            f"that, less than {FEWEST_TIMES:g}. The standard errors are rough; use a longer "
-            "record.",
-        )
+        for output, evidence, time in zip(fitted.outputs, *colored.slow_errors(), strict=False):
+            if evidence > EVIDENCE + 2 * math.log(outputs) and time * FEWEST_TIMES > 1:
+                yield (
+                    output,
+                    fitted.name,
+                    f"the residuals of {output} in {fitted.name!r} stay correlated for about "
+                    f"{time * colored.duration:.2g} s, and the longest gap-free stretch lasts only "
+                    f"{1 / time:.2g} times that, less than {FEWEST_TIMES:g}. The standard errors "
+                    "are rough; use a longer record.",
+                )
 
 
 def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Iterator[Finding]:
@@ -238,12 +239,6 @@ def _by_piece(fitted: FittedRecord, values: Array) -> list[Array]:
     return [values[rows] for rows in fitted.data.independent_pieces]
 
 
-def _looks_white(fitted: FittedRecord, output: str, outputs: int) -> bool:
-    """Return whether the residuals of one of so many tested outputs look like white noise."""
-    test = whiteness(_by_piece(fitted, fitted.residual(output)))
-    return not test.p_value < FALSE_ALARMS / outputs
-
-
 def biased_by_feedback(pairs: Pairs, *, unstable: bool = False) -> Iterator[str]:
     """Warn where feedback responds to errors correlated in time: output error is then biased.
 
@@ -264,10 +259,11 @@ def biased_by_feedback(pairs: Pairs, *, unstable: bool = False) -> Iterator[str]
         place = _place(fitted, pairs)
         for output in fitted.outputs:
             e = fitted.residual(output)
-            # Rounding follows the inputs in advance, if these repeat.
-            if _looks_white(fitted, output, outputs) or not is_resolved(e, fitted.data[output]):
-                continue
             residuals = _by_piece(fitted, e)
+            is_white = not whiteness(residuals).p_value < FALSE_ALARMS / outputs
+            # Rounding follows the inputs in advance, if these repeat.
+            if is_white or not is_resolved(e, fitted.data[output]):
+                continue
             responding += [
                 f"{name} to {output}{place}"
                 for name, u in inputs.items()
