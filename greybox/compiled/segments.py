@@ -19,7 +19,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -43,8 +43,7 @@ class Course(NamedTuple):
     data: Array
 
 
-@frozen
-class Linearization:
+class Linearization(NamedTuple):
     """Linearization of r records: s nodes (n,), q active parameters, weighted residuals e.
 
     Attributes

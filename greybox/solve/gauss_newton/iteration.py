@@ -18,6 +18,7 @@ from greybox.solve.gauss_newton.iterate import (
     Step,
     after_failure,
 )
+from greybox.solve.gauss_newton.kinks import is_minimum_at_kink
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import (
@@ -30,6 +31,7 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE
 
 CONVERGED, STALLED = "converged", "stalled"
+AT_KINK = "converged at a kink"
 SINGULAR = "singular"  # the nodes of a record are not determined
 
 
@@ -74,7 +76,7 @@ def descend(
     nodes = [part.trajectory(iterate.z, simulated=True).nodes for part in parts.parts]
     remaining = iterations - end.iterations
     later = _attempted(parts, parts.at(iterate.z, nodes), EXACT, remaining, states_only=states_only)
-    better = later if later.status == CONVERGED else end
+    better = later if later.status.startswith(CONVERGED) else end
     return replace(better, iterations=end.iterations + later.iterations)
 
 
@@ -155,6 +157,9 @@ def _iterated(
             progress = replace(progress, delays_held=True, damping=0.0)
             continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
+            closed = parts.made_continuous(iterate, step)
+            if is_minimum_at_kink(parts, closed, states_only=nodes_alone):
+                return End(closed, AT_KINK, count)
             return End(iterate, STALLED, count)
 
         # Accept.
