@@ -36,9 +36,7 @@ def _function(
 
 exp = _function("exp", ca.exp, np.exp, "Exponential; `exp(-s * T)` is a delay")
 log = _function("log", ca.log, np.log, "Natural logarithm (of flights: `logs`)")
-sqrt = _function(
-    "sqrt", lambda x: ca.if_else(x != 0, ca.sqrt(x), 0), np.sqrt, "Square root"
-)
+sqrt = _function("sqrt", ca.sqrt, np.sqrt, "Square root")
 sin = _function("sin", ca.sin, np.sin, "Sine")
 cos = _function("cos", ca.cos, np.cos, "Cosine")
 tan = _function("tan", ca.tan, np.tan, "Tangent")

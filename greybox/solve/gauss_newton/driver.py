@@ -14,8 +14,8 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.constraints import Limits, constraints_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
-from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
-from greybox.solve.gauss_newton.iteration import CONVERGED, SINGULAR, descend
+from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed
+from greybox.solve.gauss_newton.iteration import SINGULAR, descend
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
 from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
 from greybox.solve.gauss_newton.settings import USUAL, Settings

@@ -11,14 +11,16 @@ import numpy as np
 from greybox.files.arrays import Array, frozen
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
+    CONVERGED,
     EXACT,
     LARGEST_DAMPING,
+    STALLED,
     Iterate,
     Progress,
     Step,
     after_failure,
 )
-from greybox.solve.gauss_newton.kinks import is_minimum_at_kink
+from greybox.solve.gauss_newton.kinks import status_at_kink
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import (
@@ -30,8 +32,6 @@ from greybox.solve.gauss_newton.stability import (
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE
 
-CONVERGED, STALLED = "converged", "stalled"
-AT_KINK = "converged at a kink"
 SINGULAR = "singular"  # the nodes of a record are not determined
 
 
@@ -158,9 +158,8 @@ def _iterated(
             continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
             closed = parts.made_continuous(iterate, step)
-            if is_minimum_at_kink(parts, closed, states_only=nodes_alone):
-                return End(closed, AT_KINK, count)
-            return End(iterate, STALLED, count)
+            status = status_at_kink(parts, closed, states_only=nodes_alone)
+            return End(closed, status, count)
 
         # Accept.
         gained = 0.0 if trial is None else start - merit(trial)

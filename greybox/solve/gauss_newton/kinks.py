@@ -9,11 +9,18 @@ Nondifferentiable Optimization, chapter 2.
 """
 
 from collections.abc import Sequence
+from functools import partial
+from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
+from greybox.compiled.record_group import RecordGroup
 from greybox.solve.gauss_newton.all_parts import AllParts
-from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Step
+from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, STALLED, Iterate
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
+
+AT_KINK = "converged at a kink"
 
 # Shares of a step at which the other sides are looked for: a step over one kink may end on the
 # near side of the next.
@@ -27,24 +34,25 @@ SHARES = (0, 0.02, 0.1, 0.25, 0.5, 0.75, 0.9, 0.98)
 NEGLIGIBLE = 5e-3
 
 
-def is_minimum_at_kink(parts: AllParts, iterate: Iterate, *, states_only: bool) -> bool:
-    """Return whether some combination of the linearizations beside a point promises nothing."""
+def status_at_kink(parts: AllParts, iterate: Iterate, *, states_only: bool) -> str:
+    """Return the status of a run where no step decreases the cost, and the record of the kink.
 
-    def step_by(linearizations: Sequence[Any]) -> Step:
-        return gauss_newton_step(parts, iterate, linearizations, EXACT, states_only=states_only)
-
+    It has converged if some combination of the linearizations beside it promises next to nothing.
+    """
+    step_by = partial(gauss_newton_step, parts, iterate, progress=EXACT, states_only=states_only)
     weights = parts.residual_weights(iterate)
-    mean = parts.linearize(iterate, weights)
+    first = mean = parts.linearize(iterate, weights)
+    step = step_by(mean)
     for length in LENGTHS:
-        step = step_by(mean)
-        if step.decrease <= NEGLIGIBLE:
-            return True
         beside = parts.moved(iterate, step, length)
-        if beside.finite:
+        if step.decrease > NEGLIGIBLE and beside.finite:
             other = parts.linearize(beside, weights)
             mixtures = [_mixed(mean, other, share) for share in SHARES]
-            mean = min(mixtures, key=lambda mixture: step_by(mixture).decrease)
-    return step_by(mean).decrease <= NEGLIGIBLE
+            step = min(map(step_by, mixtures), key=attrgetter("decrease"))
+            mean = step.linearizations
+    if not step.decrease <= NEGLIGIBLE:
+        return STALLED
+    return CONVERGED if mean is first else f"{AT_KINK} of {_kinked(parts, first, mean)!r}"
 
 
 def _mixed(first: Sequence[Any], second: Sequence[Any], share: float) -> list[Any]:
@@ -53,3 +61,12 @@ def _mixed(first: Sequence[Any], second: Sequence[Any], share: float) -> list[An
         tuple.__new__(type(a), [(1 - share) * u + share * v for u, v in zip(a, b, strict=True)])
         for a, b in zip(first, second, strict=True)
     ]
+
+
+def _kinked(parts: AllParts, first: Sequence[Any], second: Sequence[Any]) -> str:
+    """Return the name of the part whose gradients differ most, or of its record."""
+    changes = [np.abs(a[-1] - b[-1]).max(axis=-1) for a, b in zip(first, second, strict=True)]
+    place = int(np.argmax([change.max() for change in changes]))
+    part = parts.parts[place]
+    records = part.parts if isinstance(part, RecordGroup) else (part,)
+    return records[int(np.argmax(changes[place])) % len(records)].name
