@@ -64,7 +64,7 @@ def walk(
 
 
 def with_finite_slopes(formula: ca.SX) -> ca.SX:
-    """Return `formula` (k, 1) with a slope of zero, not infinite, where a root or power is zero.
+    """Return `formula` (k, 1) with a slope of zero where a guarded root or power is zero.
 
     Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity. Of
     60 fits of two tanks that run empty, 26 did not converge for that, some after 2100 iterations.
@@ -72,7 +72,8 @@ def with_finite_slopes(formula: ca.SX) -> ca.SX:
 
     def operate(operation: int, terms: list[ca.SX]) -> ca.SX:
         value = applied(operation, terms)
-        if operation not in ROOTS:
+        # The slope of a root without a guard is infinite: initial states avoid its zero.
+        if operation not in ROOTS or not has_switches(terms[0]):
             return value
         exponent = terms[1] if len(terms) > 1 else 0.5
         return ca.if_else(ca.logic_or(terms[0] != 0, exponent <= 0), value, 0)
