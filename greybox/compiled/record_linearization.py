@@ -1,7 +1,6 @@
 """The linearization of records beyond their segments: steady filters, known initial states."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +16,7 @@ def with_filter_covariance(
     rows = filter_information(steady, weight, count, b.parameter_hessian.shape[1])
     # Zero where the residuals have the covariance that the filter predicts.
     excess = (np.eye(len(weight)) - weight @ products @ weight.T / count).ravel()
-    return replace(
-        b,
+    return b._replace(
         parameter_hessian=b.parameter_hessian + rows.T @ rows,
         parameter_gradient=b.parameter_gradient + math.sqrt(count / 2) * rows.T @ excess,
     )

@@ -19,7 +19,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -43,8 +43,7 @@ class Course(NamedTuple):
     data: Array
 
 
-@frozen
-class Linearization:
+class Linearization(NamedTuple):
     """Linearization of r records: s nodes (n,), q active parameters, weighted residuals e.
 
     Attributes
@@ -318,41 +317,7 @@ class Segments:
         Not finite from where the simulation is not.
         """
         A, C, _ = self._evaluate("output_derivatives", at)
-        # The sums are finite if all entries are, which costs less than testing each.
-        if not math.isfinite(A.sum() + C.sum()):
-            simulated = np.isfinite(at.states).all(axis=0)
-            lost = simulated & ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0))
-            A[:, lost], C[:, lost] = self._differences(at, np.flatnonzero(lost))
         return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
-
-    def _differences(self, at: Course, columns: IntArray) -> tuple[Array, Array]:
-        """Return derivatives of next states and outputs for some columns, by central differences.
-
-        Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity,
-        though the step is smooth there. The relative step, the cube root of the machine's
-        precision, has as much truncation as rounding.
-        """
-        relative_step = float(np.finfo(float).eps) ** (1 / 3)
-        states, q, data = at
-        size = np.max(np.abs(states), axis=1, initial=0.0, where=np.isfinite(states))
-        x, d = states[:, columns], data[:, columns]
-        q = q[:, columns % self.count] if self._own else q
-        sizes = size, np.abs(q).reshape(len(q), -1).max(axis=1, initial=0.0)
-        slopes = []
-        for place, rows in enumerate((range(self.n), self.active.tolist())):
-            for row in rows:
-                h = relative_step * (float(sizes[place][row]) or 1.0)
-                moved = []
-                for change in (h, -h):
-                    point = [x.copy(), q.copy()]
-                    point[place][row] += change
-                    beside = Course(point[0], point[1], d)
-                    [end] = self._evaluate("advance", beside)
-                    moved.append([end, self.outputs(beside)])
-                slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
-
-        A, C = map(np.concatenate, zip(*slopes, strict=True))
-        return A, C
 
     def propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through the segments.

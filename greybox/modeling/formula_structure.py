@@ -12,6 +12,7 @@ import casadi as ca
 
 SWITCHES = {ca.OP_SIGN, ca.OP_LT, ca.OP_LE, ca.OP_FMIN, ca.OP_FMAX}
 KINKS = {ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX}
+ROOTS = {ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW}
 JUMPS = {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN}
 # Operations by their terms; of a switch also by the mean sign, or magnitude, of a, or of a - b.
 MEANS: dict[int, Callable[..., ca.SX]] = {
@@ -60,6 +61,26 @@ def walk(
             registers[targets[0]] = operate(operation, [registers[i] for i in sources])
 
     return results
+
+
+def with_finite_slopes(formula: ca.SX) -> ca.SX:
+    """Return `formula` (k, 1) with a slope of zero where a guarded root or power is zero.
+
+    Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity. Of
+    60 fits of two tanks that run empty, 26 did not converge for that, some after 2100 iterations.
+    """
+
+    def operate(operation: int, terms: list[ca.SX]) -> ca.SX:
+        value = applied(operation, terms)
+        # The slope of a root without a guard is infinite: initial states avoid its zero.
+        if operation not in ROOTS or not has_switches(terms[0]):
+            return value
+        exponent = terms[1] if len(terms) > 1 else 0.5
+        return ca.if_else(ca.logic_or(terms[0] != 0, exponent <= 0), value, 0)
+
+    symbols = ca.symvar(formula)
+    program = ca.Function("formula", [ca.vertcat(*symbols)], [ca.densify(formula)])
+    return ca.vertcat(*walk(program, [symbols], operate=operate))
 
 
 def has_switches(formula: ca.SX) -> bool:

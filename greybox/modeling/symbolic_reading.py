@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import by_name
+from greybox.modeling.formula_structure import with_finite_slopes
 from greybox.modeling.model import Model, Names, ParameterFormula
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
@@ -144,4 +145,4 @@ def traced_column(
             f"{', '.join(names)}."
         )
 
-    return column(owner, values)
+    return with_finite_slopes(column(owner, values))

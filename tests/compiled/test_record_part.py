@@ -253,12 +253,12 @@ def test_states_may_jump_by_what_moves_the_outputs_of_a_segment_by_three_spreads
     curvature = np.mean([np.diag(H) for H in linear.node_hessian], axis=0)
     wanted = 30.0**2 * part.data.segment_length * len(part.outputs) / curvature
     assert_allclose(part.continuity_variance(linear), wanted)
-    unseen = replace(linear, node_hessian=linear.node_hessian * np.diag([1.0, 0.0]))
+    unseen = linear._replace(node_hessian=linear.node_hessian * np.diag([1.0, 0.0]))
     # What a state moves in the next segment counts where it moves nothing in its own.
     first, later = part.continuity_variance(unseen)
     passed_on = np.mean(linear.transition[:, 0, 1] ** 2)
     assert_allclose([first, later], [wanted[0], wanted[0] / passed_on], rtol=0.3)
-    apart = replace(unseen, transition=linear.transition * np.eye(2))
+    apart = unseen._replace(transition=linear.transition * np.eye(2))
     assert 0 < part.continuity_variance(apart)[1] < np.inf
 
 

@@ -16,6 +16,7 @@ from greybox.estimate.diagnostics.frequency_correlation import (
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
     few_agreeing_starts,
+    minimum_at_kink,
     rival_minima,
     several_estimates_of_one_response,
     unfinished_runs,
@@ -94,6 +95,7 @@ def warnings(
         *at_bounds(nlp, best, accuracy),
         *few_agreeing_starts(search, answer.agreeing),
         *unfinished_runs(search),
+        *minimum_at_kink(search),
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(answer.responses),

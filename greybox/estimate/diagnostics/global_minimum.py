@@ -8,6 +8,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.files.arrays import Array
 from greybox.files.text_table import listed, number
+from greybox.solve.gauss_newton.kinks import AT_KINK
 from greybox.solve.minima import RIVAL, Multistart, best_unfinished, likelihood_unit
 
 
@@ -41,6 +42,16 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
             f"run {lowest.index} ended at a lower cost, {lowest.cost:.6g} instead of {best:.6g}, "
             f"but did not converge ({lowest.status}): give it more iterations "
             "(the option max_iter of the solver), or start there."
+        )
+
+
+def minimum_at_kink(search: Multistart) -> Iterator[str]:
+    """Warn where the cost has a kink at the minimum."""
+    run = search.runs[search.minima[0].runs[0]]
+    if run.status.startswith(AT_KINK):
+        yield (
+            f"run {run.index} {run.status}: a state or an input switches there, and no side has a "
+            "gradient of zero. The standard errors hold on one side only: use the profiles."
         )
 
 

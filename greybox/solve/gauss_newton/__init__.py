@@ -10,6 +10,7 @@ Begin with `iteration`.
 | `iterate` | an iterate, a step, damping, and the stages in which continuity is tightened |
 | `normal_equations` | the step: a quadratic program in the parameters |
 | `line_search` | the merit function, and the share of a step that does not increase it |
+| `kinks` | minima where no side has a gradient of zero |
 | `stability` | Kalman gains to begin with, and predictors that must be stable |
 | `polishing` | steps beyond the tolerance, and in directions that the Hessian lost in rounding |
 | `screening` | the promising ones among many starts |
@@ -42,8 +43,10 @@ shrinks in stages to zero; the first iterations move the nodes alone.
 **Many starts.** Of the default starts only the promising ones are run, from where short segments,
 evaluated for all starts at once, have led. Starts whose number the user chose are all run.
 
-**Where Newton steps fail**, delays at which the cost jumps are held, and a run without Kalman gains
-that fails begins once more at its start, with simulated nodes. `settings` has the limits of a run.
+**Where Newton steps fail**, delays at which the cost jumps are held. A run that no step decreases
+has converged if some combination of the linearizations beside it has a gradient of zero: the
+minimum lies at a kink. A run without Kalman gains that fails begins once more at its start, with
+simulated nodes. `settings` has the limits of a run.
 `greybox.solve.multistart` has the search over the runs.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is

@@ -14,8 +14,8 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.constraints import Limits, constraints_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
-from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
-from greybox.solve.gauss_newton.iteration import CONVERGED, SINGULAR, descend
+from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed
+from greybox.solve.gauss_newton.iteration import SINGULAR, descend
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
 from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
 from greybox.solve.gauss_newton.settings import USUAL, Settings
@@ -101,9 +101,9 @@ class GaussNewton(LocalSolver):
         is_inexact = status == CONVERGED and is_blurred(end.hessian)
         if is_inexact and all(part.travels_whole for part in nlp.parts):
             iterate = sharpened(nlp, self._parts, iterate)
-        if status == CONVERGED and self.limits.violation(iterate.z) > 0:
+        if status.startswith(CONVERGED) and self.limits.violation(iterate.z) > 0:
             status = "constraints violated"
-        if status == CONVERGED and not are_stable(self._parts, iterate):
+        if status.startswith(CONVERGED) and not are_stable(self._parts, iterate):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
         return Outcome(
@@ -111,7 +111,7 @@ class GaussNewton(LocalSolver):
             status,
             end.iterations,
             time.perf_counter() - began,
-            status == CONVERGED and math.isfinite(cost),
+            status.startswith(CONVERGED) and math.isfinite(cost),
             cost,
             self._parts.signature(iterate),
             tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
@@ -186,7 +186,7 @@ class GaussNewton(LocalSolver):
             most = self.settings.max_iter
             end = descend(self._parts, first, progress, most, states_only=True)
             iterate = end.iterate
-            converged = end.status == CONVERGED
+            converged = end.status.startswith(CONVERGED)
 
         # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)

@@ -18,6 +18,8 @@ from typing import Any
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.files.arrays import Array, frozen
 
+CONVERGED, STALLED = "converged", "stalled"
+
 Nodes = Sequence[Array]
 """The nodes (s, n) of every part."""
 

@@ -11,13 +11,16 @@ import numpy as np
 from greybox.files.arrays import Array, frozen
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
+    CONVERGED,
     EXACT,
     LARGEST_DAMPING,
+    STALLED,
     Iterate,
     Progress,
     Step,
     after_failure,
 )
+from greybox.solve.gauss_newton.kinks import status_at_kink
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import (
@@ -29,7 +32,6 @@ from greybox.solve.gauss_newton.stability import (
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE
 
-CONVERGED, STALLED = "converged", "stalled"
 SINGULAR = "singular"  # the nodes of a record are not determined
 
 
@@ -74,7 +76,7 @@ def descend(
     nodes = [part.trajectory(iterate.z, simulated=True).nodes for part in parts.parts]
     remaining = iterations - end.iterations
     later = _attempted(parts, parts.at(iterate.z, nodes), EXACT, remaining, states_only=states_only)
-    better = later if later.status == CONVERGED else end
+    better = later if later.status.startswith(CONVERGED) else end
     return replace(better, iterations=end.iterations + later.iterations)
 
 
@@ -155,7 +157,9 @@ def _iterated(
             progress = replace(progress, delays_held=True, damping=0.0)
             continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
-            return End(iterate, STALLED, count)
+            closed = parts.made_continuous(iterate, step)
+            status = status_at_kink(parts, closed, states_only=nodes_alone)
+            return End(closed, status, count)
 
         # Accept.
         gained = 0.0 if trial is None else start - merit(trial)
