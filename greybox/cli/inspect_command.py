@@ -2,7 +2,7 @@
 
 import argparse
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from greybox.cli.options import option_words
@@ -10,7 +10,7 @@ from greybox.cli.output import Answer, attributes, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
-from greybox.files.arrays import by_name
+from greybox.files.arrays import Named, by_name
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
@@ -108,7 +108,7 @@ def about(recording: Recording) -> str:
     return "\n".join(lines)
 
 
-def contents(messages: Sequence[Mapping[str, Any]]) -> str:
+def contents(messages: Sequence[Named]) -> str:
     """Return the table of the messages."""
     rows = []
     for message in messages:

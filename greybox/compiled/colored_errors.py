@@ -6,12 +6,12 @@ covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals coun
 numbers: as many white ones as would lose the same share of their variance to the parameters.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from greybox.compiled.part import ColoredErrors
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Arrays
 from greybox.statistics.residual_spectrum import colored_information
 
 # Least number of correlation times in the longest stretch: below it, the spectrum is not known well
@@ -30,14 +30,14 @@ TIMES_PER_DOF = 2.0
 
 
 def colored_errors(
-    weighted: Sequence[Array],
+    weighted: Arrays,
     directions: Array,
-    residuals: Sequence[Array],
+    residuals: Arrays,
     weight: Array,
     initial_states: int,
     step: float,
     *,
-    initial: Sequence[Array],
+    initial: Arrays,
     shocks: Callable[[], Array],
 ) -> ColoredErrors:
     """Return the effect of correlated residuals on the accuracy of an estimate.

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, Strings, all_finite, frozen
+from greybox.files.arrays import Array, NamedArrays, Strings, all_finite, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
@@ -215,7 +215,7 @@ class Information:
     numbers: int
     spread: Callable[[float], tuple[float, Array]]
     reach: Array
-    initial: Mapping[str, Array] = field(default_factory=dict)
+    initial: NamedArrays = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None

@@ -19,7 +19,7 @@ from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.files.arrays import Array, IntArray, of_diagonal
+from greybox.files.arrays import Array, Arrays, IntArray, of_diagonal
 from greybox.files.grouping import grouped
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
@@ -112,11 +112,11 @@ class Groups:
         lots = [[self._all[k] for k in lot] for lot in self._lots]
         self.parts = [RecordGroup(lot) if len(lot) > 1 else lot[0] for lot in lots]
 
-    def joined(self, nodes: Sequence[Array]) -> list[Array]:
+    def joined(self, nodes: Arrays) -> list[Array]:
         """Return the nodes of every group, given those of every part."""
         return [np.concatenate([nodes[k] for k in lot]) for lot in self._lots]
 
-    def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
+    def nodes_by_part(self, nodes: Arrays) -> list[Array]:
         """Return the nodes of every part, given those of every group."""
         result: dict[int, Array] = {}
         for lot, group, of_group in zip(self._lots, self.parts, nodes, strict=True):
@@ -141,7 +141,7 @@ def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[T
     return [replace(t, products=p) for t, p in zip(trajectories, products, strict=True)]
 
 
-def shared_products(parts: Sequence[Part], products: Sequence[Array]) -> list[Array]:
+def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
     """Return the products of the residuals of parts; those of few samples are means of all records.
 
     With a variance of its own, a record of few samples that chances to be fitted well would decide

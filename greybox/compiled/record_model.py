@@ -1,7 +1,7 @@
 """A record with its model, compiled independently of segments and substeps."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -13,7 +13,7 @@ from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, Named, Strings, frozen
 from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
@@ -120,7 +120,7 @@ SharedFunctions = tuple[Dynamics, ca.Function, InitialStates, dict[Any, SampleSt
 
 def record_model(
     problem: Problem,
-    expressions: Mapping[str, Any],
+    expressions: Named,
     z: ca.SX,
     method: Transcription,
     shared: list[tuple[Any, SharedFunctions]],

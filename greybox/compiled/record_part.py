@@ -21,7 +21,7 @@ from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
-from greybox.files.arrays import Array, Strings, by_name
+from greybox.files.arrays import Array, Arrays, Named, Strings, by_name
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -66,7 +66,7 @@ class RecordPart(SegmentedPart):
         data = self.data.excerpts(samples)
         return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
 
-    def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
+    def with_outputs(self, outputs: Arrays) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
@@ -261,7 +261,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
 
 
 def compile_records(
-    problems: Sequence[Problem], expressions: Mapping[str, Any], z: ca.SX, method: Transcription
+    problems: Sequence[Problem], expressions: Named, z: ca.SX, method: Transcription
 ) -> list[RecordPart]:
     """Compile records for the point z.
 

@@ -1,6 +1,6 @@
 """Derivatives of the weighted residuals by the parameters, with the initial states fitted too."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -11,7 +11,7 @@ from greybox.compiled.record_linearization import filter_information
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Linearization
-from greybox.files.arrays import Array, frozen, of_diagonal
+from greybox.files.arrays import Array, NamedArrays, frozen, of_diagonal
 from greybox.statistics.column_space import triangle_of
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 
@@ -46,7 +46,7 @@ class Sensitivity:
     by_initial: Array
     shocks: Callable[[], Array]
     reach: Array
-    initial: Mapping[str, Array]
+    initial: NamedArrays
 
 
 def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> Sensitivity:

@@ -12,7 +12,7 @@ those of small problems with equal models and options are not traced again.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import groupby
 from typing import Any
@@ -32,7 +32,7 @@ from greybox.compiled.shared_response import (
 )
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Named, frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
@@ -46,7 +46,6 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.symbolic_reading import entries_by_name, traced
 from greybox.modeling.trim import Trimmed
 
-Named = Mapping[str, Any]
 ChooseCriterion = Callable[[Problem], Criterion]
 
 

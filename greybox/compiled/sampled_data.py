@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import JITTER, Record
-from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
+from greybox.files.arrays import Array, Arrays, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -116,7 +116,7 @@ class SampledData:
 
         return SampledData(tuple(pieces), self.segment_length)
 
-    def padded(self, values: Sequence[Array], fill: float | None = None) -> Array:
+    def padded(self, values: Arrays, fill: float | None = None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).
 
         Without a `fill` the last value is repeated: zero may be outside of a model's domain, as an

@@ -19,7 +19,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, Arrays, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -98,7 +98,7 @@ class Segments:
     # --- compiled functions
 
     @one_thread_at_a_time
-    def _columns(self, name: str) -> Callable[..., Sequence[Array]]:
+    def _columns(self, name: str) -> Callable[..., Arrays]:
         """Return a function of x, q and data, the same for all segments with this step.
 
         "advance" gives the next state, "output" residual and simulated output, "derivatives" those
@@ -137,7 +137,7 @@ class Segments:
             built[key] = Columns(function, shared=shared)
         return built[key]
 
-    def _evaluate(self, name: str, at: Course) -> Sequence[Array]:
+    def _evaluate(self, name: str, at: Course) -> Arrays:
         """Evaluate the function of this name for columns of the segments that q is given for."""
         if self._own:
             at = at._replace(q=np.tile(at.q, at.data.shape[1] // at.q.shape[1]))
@@ -366,7 +366,7 @@ def _product(slopes: Array, S: Array) -> Array:
     return (matrices @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
 
 
-def _finite(values: Sequence[Array]) -> list[Array]:
+def _finite(values: Arrays) -> list[Array]:
     """Return derivatives with zeros for non-finite ones, as 0 · inf of sqrt(max(h, 0))."""
     return [
         v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0)

@@ -13,7 +13,7 @@ small where the residuals are, and may be indefinite far away from a minimum.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +26,7 @@ from greybox.files.arrays import (
     BoolArray,
     ComplexArray,
     IntArray,
+    Named,
     frozen,
     real_and_imaginary,
 )
@@ -263,7 +264,7 @@ def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Com
 
 
 def shared_systems(
-    parts: Sequence[Problem], point: ca.SX, named: Mapping[str, Any]
+    parts: Sequence[Problem], point: ca.SX, named: Named
 ) -> list[SharedSystem | SineTest] | None:
     """Return the state spaces and sine tests of all parts; None if one is not shared.
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Arrays
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -50,7 +50,7 @@ class SubstepDerivatives:
             )
         )
 
-    def __call__(self, states: Array, q: Array, data: Array) -> Sequence[Array]:
+    def __call__(self, states: Array, q: Array, data: Array) -> Arrays:
         """Return the derivatives (n v, columns) and (k v, columns), and the residuals."""
         n, columns = states.shape
         slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))

@@ -17,7 +17,7 @@ which depends on the parameters.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import casadi as ca
@@ -29,6 +29,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,
     ComplexArray,
+    Named,
     Strings,
     all_finite,
     frozen,
@@ -109,7 +110,7 @@ class TransientPart(Part):
 
     has_states = True  # the states at both ends are unknown
 
-    def __init__(self, problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> None:
+    def __init__(self, problem: Problem, expressions: Named, z: ca.SX) -> None:
         """Compile the matrices of the model; `expressions` are all parameters by outside name."""
         super().__init__(problem)
         assert isinstance(problem.data, TransientSpectrum)
@@ -398,7 +399,7 @@ class TransientPart(Part):
         )
 
 
-def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Function:
+def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
     """Return the function from z to the declared parameters and their derivatives."""
     q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
     return ca.Function("locate", [z], [q, dense_jacobian(q, z)])

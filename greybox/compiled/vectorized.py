@@ -6,13 +6,13 @@ are done once.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Arrays
 from greybox.files.rebuilt import Rebuilt
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
@@ -88,7 +88,7 @@ class Columns(Rebuilt):
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._layouts: dict[int, _Mapped | _Registers] = {}
 
-    def __call__(self, *inputs: Array) -> Sequence[Array]:
+    def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = inputs[self._first].shape[1]
         outputs = [np.empty((size, m)) for size in self._sizes]
@@ -161,7 +161,7 @@ class _Mapped:
             buffer.set_res(k, value.data)
         self._references = mapped, buffer  # CasADi does not keep them alive
 
-    def run(self, inputs: Sequence[Array]) -> Sequence[Array]:
+    def run(self, inputs: Arrays) -> Arrays:
         """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
         for memory, value in zip(self._inputs, inputs, strict=True):
             memory[...] = value.T
@@ -199,7 +199,7 @@ class _Registers:
                 self._calls.append((_OPERATIONS[operation], (*arguments, out)))
                 current[targets[0]] = out
 
-    def run(self, inputs: Sequence[Array]) -> Sequence[Array]:
+    def run(self, inputs: Arrays) -> Arrays:
         """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
         for source, row, register in self._reads:
             register[...] = inputs[source][row]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array, Named, Strings
 from greybox.files.heading import heading
 from greybox.files.optional_package import required
 
@@ -20,7 +20,7 @@ def frame_of(
     columns: Mapping[str, Sequence[Any] | NDArray[Any]],
     index: Any,
     index_name: str,
-    attributes: Mapping[str, Any],
+    attributes: Named,
 ) -> Frame:
     """Return a data frame with an index of this name; `attributes` go to its `attrs`."""
     pd = required("pandas", "pandas", "to_pandas()")

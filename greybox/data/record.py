@@ -18,7 +18,17 @@ from greybox.data.checked_array import (
 )
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import Array, IntArray, Interval, NamedStrings, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    IntArray,
+    Interval,
+    Named,
+    NamedArrays,
+    NamedStrings,
+    Strings,
+    Values,
+    frozen,
+)
 from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
@@ -82,12 +92,12 @@ class Record:
     """
 
     time: Array
-    signals: Mapping[str, Array]
+    signals: NamedArrays
     units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
     checksum: str = field(default="", repr=False)
-    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False, metadata=NOT_STORED)
+    metadata: Named = field(default_factory=dict, repr=False, metadata=NOT_STORED)
     filters: Mapping[str, tuple[Any, ...]] = field(
         default_factory=dict, repr=False, metadata=NOT_STORED
     )
@@ -338,7 +348,7 @@ class Recording(Mapping[str, Record]):
     records: Mapping[str, Record]
     source: str = ""
     checksum: str = ""
-    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    metadata: Named = field(default_factory=dict, repr=False)
     findings: Strings = ()
 
     def __post_init__(self) -> None:
@@ -469,7 +479,7 @@ def _read_only(values: ArrayLike, name: str) -> Array:
     return checked_array(name, values)
 
 
-def _digest(time: Array, signals: Mapping[str, Array]) -> str:
+def _digest(time: Array, signals: NamedArrays) -> str:
     digest = hashlib.sha256(time.tobytes())
     for name, values in signals.items():
         digest.update(name.encode())

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.magnitude_phase import angular_frequency, complex_response
-from greybox.files.arrays import Array, NamedStrings
+from greybox.files.arrays import NamedArrays, NamedStrings
 from greybox.files.heading import heading
 from greybox.files.text_table import alternatives
 
@@ -98,7 +98,7 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
 
 
 def assembled(
-    values: Mapping[str, Array], columns: Mapping[str, Column], **others: Any
+    values: NamedArrays, columns: Mapping[str, Column], **others: Any
 ) -> FrequencyResponse:
     """Return the response of these columns (n,) by role; `others` are names and the like.
 
@@ -116,7 +116,7 @@ def assembled(
     return FrequencyResponse(omega, response, **extras(values), **others)
 
 
-def extras(values: Mapping[str, Array]) -> dict[str, Any]:
+def extras(values: NamedArrays) -> dict[str, Any]:
     """Return coherence, variance, dof and common errors if they are among the columns, (n,).
 
     Raises

@@ -34,7 +34,7 @@ from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
-from greybox.files.arrays import by_name
+from greybox.files.arrays import Named, by_name
 from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted
 from greybox.formulation.prior_part import stated_priors
@@ -75,7 +75,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     *,
     method: Transcription | None = None,
     search: str = BATCHED,
-    solver_options: Mapping[str, Any] = MappingProxyType({}),
+    solver_options: Named = MappingProxyType({}),
     executor: Executor | None = None,
     seconds: float | None = None,
     profiles: bool = True,
@@ -179,7 +179,7 @@ class SolverChoice:
 
     method: Transcription | None = None
     search: str = BATCHED
-    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    options: Named = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         """Check all of them."""

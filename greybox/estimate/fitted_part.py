@@ -10,7 +10,15 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, NamedStrings, Strings, Values
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    Named,
+    NamedArrays,
+    NamedStrings,
+    Strings,
+    Values,
+)
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.input_assumptions import Inputs, described_inputs
@@ -51,7 +59,7 @@ class FittedPart:
     name: str
     criterion: str
     criterion_class: str
-    settings: Mapping[str, Any]
+    settings: Named
     is_likelihood: bool
     rule: str
     condition: str
@@ -61,7 +69,7 @@ class FittedPart:
     rename: NamedStrings
     tied: NamedStrings
     constraints: Strings
-    model: Mapping[str, Any]
+    model: Named
     label: str
     equation: str
     nuisances: int = 0
@@ -193,7 +201,7 @@ class FittedRecord(FittedPart):
     simulated: Record
     outputs: Strings
     noise: Array
-    initial: Mapping[str, Array]
+    initial: NamedArrays
     method: str
     inputs: Inputs = "record"
     biases: Strings = ()

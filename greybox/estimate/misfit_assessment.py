@@ -26,7 +26,7 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import KNOTS, Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, Strings, frozen
+from greybox.files.arrays import Array, Arrays, Strings, frozen
 from greybox.modeling.added_terms import Formula
 from greybox.statistics.autoregressive_test import (
     Outputs,
@@ -64,7 +64,7 @@ class Group:
     residuals: Array
     fitted: Array
     outputs: Outputs
-    filters: Sequence[Array]
+    filters: Arrays
 
     def white(self, values: Array) -> Array:
         """Return values (N, c) in the rows (M, c) in which residuals are white."""
@@ -361,9 +361,7 @@ def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
     return best
 
 
-def _on_knots(
-    group: Group, key: Key, signals: Sequence[Array], knots: int = KNOTS
-) -> tuple[Array, Array]:
+def _on_knots(group: Group, key: Key, signals: Arrays, knots: int = KNOTS) -> tuple[Array, Array]:
     """Return the knots (c,) of signals of all parts, and columns (N, c) of functions of these."""
     whole, shares = np.hstack(signals), np.linspace(0, 1, knots)
     # As many where samples are close together as over the whole range.

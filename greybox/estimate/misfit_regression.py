@@ -21,7 +21,15 @@ from greybox.estimate.missing_terms import (
     signals_of_record,
     terms_of_response,
 )
-from greybox.files.arrays import Array, BoolArray, ComplexArray, frozen, real_and_imaginary
+from greybox.files.arrays import (
+    Array,
+    Arrays,
+    BoolArray,
+    ComplexArray,
+    NamedArrays,
+    frozen,
+    real_and_imaginary,
+)
 from greybox.statistics.autoregressive_test import Outputs
 from greybox.statistics.column_space import DEPENDENT, beside, column_basis, outside
 from greybox.statistics.score_test import REMAINS, chance, score_tests
@@ -55,7 +63,7 @@ class Regression:
     is_unstable: bool = False
     remains: float = REMAINS
     lost: int = 0
-    signals: Callable[[], Mapping[str, Array]] = dict
+    signals: Callable[[], NamedArrays] = dict
 
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
@@ -104,7 +112,7 @@ def regression_of_record(
     ]
     starts = [*map(column_basis, starts)]
 
-    def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
+    def rows(values: Array, taken: Arrays = drifts) -> Array:
         stretches = map(rows_of_stretch, data.unpadded(values), present)
         # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(outside, stretches, taken)])

@@ -18,6 +18,8 @@ from greybox.estimate.undetermined import Combination, invisible_groups
 from greybox.files.arrays import (
     Array,
     BoolArray,
+    Named,
+    NamedArrays,
     Strings,
     Values,
     all_finite,
@@ -115,7 +117,7 @@ def structural_identifiability(
     fixed: Values | None = None,
     free: Sequence[str] = (),
     tied: Mapping[str, ParameterFormula] | None = None,
-    initial: Mapping[str, Any] | None = None,
+    initial: Named | None = None,
 ) -> StructuralIdentifiability:
     """Return which parameters inputs and outputs could determine, before there are any data.
 
@@ -214,7 +216,7 @@ class _Sensitivity:
 
     nlp: CompiledProblem
     seen: KnownDirections
-    initial: Mapping[str, Array]
+    initial: NamedArrays
 
 
 def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
@@ -237,7 +239,7 @@ def _of_responses(
     outputs: Sequence[str],
     values: Values,
     at: Values,
-    options: Mapping[str, Any],
+    options: Named,
     random: np.random.Generator,
 ) -> _Sensitivity | None:
     """Return the sensitivity of the responses of all pairs; None if not finite."""
@@ -265,8 +267,8 @@ def _of_record(
     model: Model,
     outputs: Sequence[str],
     values: Values,
-    initial: Mapping[str, Any],
-    options: Mapping[str, Any],
+    initial: Named,
+    options: Named,
     random: np.random.Generator,
 ) -> _Sensitivity | None:
     """Return the sensitivity of a record with random inputs; None if not finite."""

@@ -1,12 +1,12 @@
 """Combinations of parameters that the data do not determine, or determine poorly."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array, NamedArrays, Strings
 from greybox.statistics.column_space import triangle_of
 
 BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
@@ -38,7 +38,7 @@ class Combination:
 
 
 def invisible_groups(
-    invisible: Array, size: Array, names: Strings, initial: Sequence[Mapping[str, Array]]
+    invisible: Array, size: Array, names: Strings, initial: Sequence[NamedArrays]
 ) -> tuple[Combination, ...]:
     """Return the groups of parameters that move without effect in `invisible` directions (p, b).
 

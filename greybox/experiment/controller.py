@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.arrays import NamedStrings, Strings, Values, by_name
+from greybox.files.arrays import Named, NamedStrings, Strings, Values, by_name
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -148,7 +148,7 @@ class Controller(ABC):
         return f"{type(self).__name__}({', '.join(arguments)})"
 
 
-def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.SX, ca.SX]:
+def updated(controller: Controller, x: ca.SX, u: Named) -> tuple[ca.SX, ca.SX]:
     """Evaluate `update` on expressions: the next states (n,) and the outputs (m,).
 
     `u` maps the controller's own inputs and setpoints to expressions.
@@ -233,9 +233,9 @@ def connected(
 def run_controllers(
     controllers: Sequence[Controller],
     memory: Sequence[ca.SX],
-    measured: Mapping[str, Any],
+    measured: Named,
     signals: dict[str, Any],
-    added: Mapping[str, Any],
+    added: Named,
 ) -> list[ca.SX]:
     """Run controllers in their order, and return their next states.
 

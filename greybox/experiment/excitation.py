@@ -1,15 +1,15 @@
 """A test signal to be flown: its samples and its maneuvers."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import field
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, NamedStrings, Values, frozen
+from greybox.files.arrays import Array, Named, NamedArrays, NamedStrings, Values, frozen
 from greybox.files.text_table import one_line
 
 NOTHING: Values = MappingProxyType({})  # where no noise, limit or start is given
@@ -50,11 +50,11 @@ class Excitation:
     """
 
     time: Array
-    signals: Mapping[str, Array]
+    signals: NamedArrays
     units: NamedStrings
     rate: float
     schedule: tuple[Maneuver, ...]
-    settings: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    settings: Named = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""

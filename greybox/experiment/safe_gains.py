@@ -20,7 +20,7 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
-from greybox.files.arrays import Array, BoolArray, Interval, Strings, Values, frozen
+from greybox.files.arrays import Array, BoolArray, Interval, NamedArrays, Strings, Values, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Names, require_known
@@ -68,7 +68,7 @@ class SafeGains:
     notes : tuple of str
     """
 
-    values: Mapping[str, Array]
+    values: NamedArrays
     confidence: Array = field(repr=False)
     bandwidth: Array = field(repr=False)
     today: Values

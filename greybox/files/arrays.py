@@ -1,6 +1,6 @@
 """Types of arrays and of named numbers; tests, parts and divisors of arrays."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, dataclass_transform
 
@@ -13,6 +13,9 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
 Values = Mapping[str, float]  # by the names of parameters or signals
 NamedStrings = Mapping[str, str]  # by the names of signals, columns or facts
+NamedArrays = Mapping[str, Array]  # by the names of signals
+Named = Mapping[str, Any]  # by the names of parameters, signals, settings or facts
+Arrays = Sequence[Array]
 Interval = tuple[float, float]  # its low and its high end
 Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, NamedStrings, Strings, frozen
+from greybox.files.arrays import Array, Named, NamedStrings, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
@@ -66,7 +66,7 @@ class NormalPrior:
 
 def normal_priors(
     declared: Mapping[str, Parameter],
-    tied: Mapping[str, Any],
+    tied: Named,
     prior: Any,
     outside: NamedStrings,
 ) -> list[NormalPrior]:

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Interval, NamedStrings, Values, frozen
+from greybox.files.arrays import Interval, Named, NamedStrings, Values, frozen
 from greybox.files.text_table import as_names, one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
@@ -461,7 +461,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """Return the name of a parameter in the answer."""
         return self.rename.get(name, name)
 
-    def local_values(self, values: Mapping[str, Any]) -> Names:
+    def local_values(self, values: Named) -> Names:
         """Return the parameters by inside name, ties evaluated, from values by outside name."""
         local = {name: values[self.outside(name)] for name in self._stated}
         for name, tie in self.tied.items():

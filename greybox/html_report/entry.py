@@ -1,13 +1,11 @@
 """One result on a page."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import field
 from functools import cached_property
-from typing import Any
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Named, frozen
 
 
 @frozen
@@ -28,11 +26,11 @@ class Entry:
 
     label: str
     fit: Fit | None
-    numbers: Mapping[str, Any] = field(default_factory=dict)
+    numbers: Named = field(default_factory=dict)
     error: str = ""
 
     @cached_property
-    def answer(self) -> Mapping[str, Any]:
+    def answer(self) -> Named:
         """`Fit.to_dict` of the result; empty if there is none."""
         return self.numbers if self.fit is None else self.fit.to_dict()
 

@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Interval, Strings, Values, frozen
+from greybox.files.arrays import Interval, Named, Strings, Values, frozen
 from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
@@ -220,7 +220,7 @@ def _candidate(
     structure: Structure,
     responses: Sequence[FrequencyResponse],
     series: Sequence[TransferFunction],
-    stated: Mapping[str, Any],
+    stated: Named,
     starts: int,
     seed: int,
 ) -> Candidate:

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray, Strings, Values
+from greybox.files.arrays import Array, ComplexArray, Named, Strings, Values
 from greybox.files.text_table import counted
 from greybox.identification.selection import (
     UNSTABLE,
@@ -273,7 +273,7 @@ def _candidate(
     orders: Orders,
     starts: Sequence[Values],
     through: Sequence[TransferFunction],
-    stated: Mapping[str, Any],
+    stated: Named,
 ) -> Candidate:
     """Fit a structure by maximum likelihood."""
     polynomial: Any = included_model("greybox.models.polynomial", "Polynomial")

@@ -7,7 +7,7 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Interval, Values
+from greybox.files.arrays import Interval, Named, Values
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
@@ -49,7 +49,7 @@ def problem_of_structure(
     return parts[0] if len(parts) == 1 else Sum(parts)
 
 
-def stated_for(model: Model, stated: Mapping[str, Any]) -> dict[str, Any]:
+def stated_for(model: Model, stated: Named) -> dict[str, Any]:
     """Return the options, limited to the parameters that a model has."""
     unknown = [name for name in stated if name not in STATED]
     if unknown:
@@ -67,7 +67,7 @@ def fit_within_far_bounds(
     points: Sequence[Values],
     *,
     bounds: Mapping[str, Interval],
-    stated: Mapping[str, Any],
+    stated: Named,
 ) -> Fit:
     """Fit a structure, and widen a bound that holds a parameter, unless it is zero or `stated`.
 

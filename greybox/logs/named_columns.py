@@ -1,18 +1,18 @@
 """Columns of a table under the user's names, and signals in SI."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 
 from greybox.data.record import Record
 from greybox.data.response_columns import find_column
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, NamedStrings
+from greybox.files.arrays import Array, NamedArrays, NamedStrings
 
 HOLDS = (" held", " sampled")  # end a unit, see `table_columns.table`
 
 
 def renamed(
-    columns: Mapping[str, Array], units: NamedStrings, stated: NamedStrings, source: str
+    columns: NamedArrays, units: NamedStrings, stated: NamedStrings, source: str
 ) -> tuple[dict[str, Array], dict[str, str]]:
     """Return the columns of a table, the stated ones first under their new names, and the units.
 

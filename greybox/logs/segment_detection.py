@@ -1,7 +1,7 @@
 """Finds the tests in a flight: those of System Identification mode, and sines and sweeps."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array, IntArray, NamedStrings, Strings, Values
+from greybox.files.arrays import Array, IntArray, NamedArrays, NamedStrings, Strings, Values
 from greybox.files.text_table import as_names
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
@@ -178,7 +178,7 @@ def _announced(
     return segments
 
 
-def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
+def _tests(time: Array, columns: NamedArrays) -> list[IntArray]:
     """Return the rows of each test, which ends if a field changes or the message pauses."""
     if time.size < 2:
         return []

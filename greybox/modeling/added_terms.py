@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Named
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter, start_values
 from greybox.modeling.realization import dynamics
@@ -34,7 +34,7 @@ class ExtendedModel(StateSpace):
         self.delays, self.units = model.delays, model.units
         self.parameters = {**model.parameters, **parameters}
 
-    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
+    def additions(self, x: Any, u: Any, p: Any) -> Named:
         """Return what adds to derivatives of the model, by state."""
         return {}
 
@@ -115,7 +115,7 @@ class AddedTerms(ExtendedModel):
         """The model and what is added."""
         return f"{self.model.label} with {', '.join(self.terms)}"
 
-    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
+    def additions(self, x: Any, u: Any, p: Any) -> Named:
         """Return the terms of every derivative."""
         sums: dict[str, Any] = {}
         for name, (state, formula, _) in self.terms.items():

@@ -8,17 +8,17 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from greybox.files.arrays import Interval, NamedStrings, Strings, Values
+from greybox.files.arrays import Interval, Named, NamedStrings, Strings, Values
 from greybox.files.text_table import alternatives
 from greybox.modeling.parameter import Parameter
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
 
 
-class Names(Mapping[str, Any]):
+class Names(Named):
     """Values by name, ``p.a1`` or ``p["a1"]``: the arguments of a formula."""
 
-    def __init__(self, values: Mapping[str, Any], what: str = "it") -> None:
+    def __init__(self, values: Named, what: str = "it") -> None:
         self.__dict__.update(values)
         self.__dict__["_what"] = what
 

@@ -1,11 +1,11 @@
 """Ordinary differential equations, x' = f(x, u, p), and static models, which have no states."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.files.arrays import NamedStrings, Strings
+from greybox.files.arrays import Named, NamedStrings, Strings
 from greybox.modeling.model import Model, require_known, require_signal_names
 
 
@@ -47,7 +47,7 @@ class StateSpace(Model):
     outputs: Sequence[str] = ("y",)
     delays: NamedStrings = MappingProxyType({})
 
-    trim: Callable[[Any, Any], Mapping[str, Any]] | None = None
+    trim: Callable[[Any, Any], Named] | None = None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Check the signal names of the declaration."""

@@ -1,13 +1,12 @@
 """The residuals of a fitted record: where they are large, and what they are correlated with."""
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, NamedArrays
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -140,7 +139,7 @@ def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
     )
 
 
-def _coherence(part: FittedRecord, output: str, inputs: Mapping[str, Array]) -> Figure:
+def _coherence(part: FittedRecord, output: str, inputs: NamedArrays) -> Figure:
     from scipy.signal import coherence  # noqa: PLC0415  (takes a tenth of a second to import)
 
     piece = max(part.data.independent_pieces, key=len)

@@ -1,6 +1,6 @@
 """Runs a model over stretches or windows: outputs, states and their standard errors."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -11,7 +11,16 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
-from greybox.files.arrays import Array, BoolArray, IntArray, Strings, all_finite, by_name, frozen
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    IntArray,
+    NamedArrays,
+    Strings,
+    all_finite,
+    by_name,
+    frozen,
+)
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -66,7 +75,7 @@ class WindowSimulations:
     in_lead: BoolArray
     slopes: Array
     segments: Segments
-    data: Mapping[str, Array]
+    data: NamedArrays
 
     @property
     def not_finite(self) -> BoolArray:
@@ -333,12 +342,12 @@ class Simulator:
         return self._steps[substeps]
 
 
-def diverged(signals: Mapping[str, Array]) -> BoolArray:
+def diverged(signals: NamedArrays) -> BoolArray:
     """Return at which samples a signal is not finite or larger than any physical one."""
     return ~np.all([np.abs(values) < DIVERGED for values in signals.values()], axis=0)
 
 
-def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) -> Array:
+def _columns(segments: Segments, data: NamedArrays, present: BoolArray) -> Array:
     """Return the data of all windows, up to the length of the segments; `present` are measured."""
     rows = [
         data["whole"],

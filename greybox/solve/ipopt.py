@@ -1,14 +1,13 @@
 """IPOPT on one program: its options, what ends a run early, and variants with other options."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.response_programs import CostProgram
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Named
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.interruption import reason_to_end
@@ -56,7 +55,7 @@ class StopCheck(ca.Callback):
         constraints.
     """
 
-    def __init__(self, expressions: Mapping[str, Any]) -> None:
+    def __init__(self, expressions: Named) -> None:
         ca.Callback.__init__(self)
         self._sizes = {name: value.numel() for name, value in expressions.items()}
         self._sizes |= {f"lam_{name}": size for name, size in self._sizes.items()}
@@ -122,8 +121,8 @@ class Ipopt:
 
     def __init__(
         self,
-        statement: Mapping[str, Any],
-        options: Mapping[str, Any],
+        statement: Named,
+        options: Named,
         derivatives: dict[str, ca.Function] | None = None,
     ) -> None:
         self._statement, self._options = dict(statement), options
@@ -132,7 +131,7 @@ class Ipopt:
         self._check = StopCheck(statement)  # a reference, since CasADi holds only its address
 
     @classmethod
-    def of(cls, program: CostProgram, options: Mapping[str, Any]) -> "Ipopt":
+    def of(cls, program: CostProgram, options: Named) -> "Ipopt":
         """Return IPOPT on a program; its p are the smoothing and the data."""
         # Problems with the same formulas share it: building it takes as long as a run.
         key = repr(options)
@@ -175,7 +174,7 @@ class Ipopt:
                 self._derivatives[option] = solver.get_function(name)
         return solver
 
-    def solve(self, x: Array, p: Any, bounds: Mapping[str, Any]) -> tuple[Array, str, int]:
+    def solve(self, x: Array, p: Any, bounds: Named) -> tuple[Array, str, int]:
         """Return the end of a run from x, its status and iterations.
 
         The end of a run that was stopped is its lowest point.
@@ -190,7 +189,7 @@ class Ipopt:
             status, end = self._check.reason, end if self._check.best is None else self._check.best
         return np.asarray(end).ravel(), status, int(stats["iter_count"])
 
-    def variant(self, options: Mapping[str, Any]) -> "Ipopt":
+    def variant(self, options: Named) -> "Ipopt":
         """Return IPOPT on the same problem with more `options`, made at the first call."""
         key = tuple(options.items())
         if key not in self._variants:
@@ -199,9 +198,7 @@ class Ipopt:
         return self._variants[key]
 
 
-def _solver(
-    statement: Mapping[str, Any], options: Mapping[str, Any], settings: Mapping[str, Any]
-) -> ca.Function:
+def _solver(statement: Named, options: Named, settings: Named) -> ca.Function:
     """Return a silent solver with these options of IPOPT and `settings` of CasADi."""
     silent = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
     return ca.nlpsol("ipopt", "ipopt", statement, {**silent, "ipopt": dict(options), **settings})

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, Arrays, IntArray, frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Outcome, Runs
@@ -79,7 +79,7 @@ class LocalSolver(Runner):
     promising: ClassVar[tuple[int, ...]] = (4, 3)
 
     @abstractmethod
-    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+    def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
 
     def is_finite_at(self, start: Array) -> bool:

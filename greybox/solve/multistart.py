@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array, by_name, frozen
+from greybox.files.arrays import Array, Named, by_name, frozen
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
@@ -34,7 +34,7 @@ SEARCHES = (BATCHED, "multistart")
 
 @one_thread_at_a_time
 def solver_for(
-    nlp: CompiledProblem, options: Mapping[str, Any] = NO_OPTIONS, search: str = BATCHED
+    nlp: CompiledProblem, options: Named = NO_OPTIONS, search: str = BATCHED
 ) -> LocalSolver:
     """Return the solver of a problem.
 

@@ -7,7 +7,7 @@ conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems f
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from types import MappingProxyType
@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import fits_a_batch, instructions
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Arrays, Named
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
@@ -49,7 +49,7 @@ ITERATIONS = 300
 AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches looser tolerances only
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 FEW = 10  # iterations that suffice for the last digits where no residual is zero
-NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
+NO_OPTIONS: Named = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
 
@@ -67,7 +67,7 @@ class ResponseSolver(LocalSolver):
     def __init__(
         self,
         problem: CompiledProblem,
-        options: Mapping[str, Any] = NO_OPTIONS,
+        options: Named = NO_OPTIONS,
         *,
         batched: bool = True,
     ) -> None:
@@ -105,9 +105,7 @@ class ResponseSolver(LocalSolver):
         """Solve by IPOPT from the parameters `start` (p,)."""
         return self._solved(start, SMOOTHING)
 
-    def _solved(
-        self, start: Array, smoothing: float, options: Mapping[str, Any] = NO_OPTIONS
-    ) -> Outcome:
+    def _solved(self, start: Array, smoothing: float, options: Named = NO_OPTIONS) -> Outcome:
         began = time.perf_counter()
         problem, stages, p = self.problem, self._stages, np.append(smoothing, self.problem.data)
         if options:
@@ -130,7 +128,7 @@ class ResponseSolver(LocalSolver):
         seconds = time.perf_counter() - began
         return Outcome(problem.estimate_at(z), status, iterations, seconds, converged)
 
-    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
+    def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
         """Return the point x (p,): there are no hidden unknowns."""
         z = self.problem.scaling.to_solver(x)
         trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
@@ -254,9 +252,7 @@ class ResponseSolver(LocalSolver):
         problem = self.problem
         return bool(problem.constraint(problem.all_values(x)).full().min(initial=0) >= 0)
 
-    def again(
-        self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
-    ) -> Outcome:
+    def again(self, x: Array, earlier: Outcome | Run, options: Named = NO_OPTIONS) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
         return spent(self._solved(x, SMOOTHING, options), earlier)
 

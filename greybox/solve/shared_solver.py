@@ -7,14 +7,14 @@ IPOPT need not confirm it. Constraints do not guide the search: most bounds of t
 where it ends, and IPOPT continues where one does not.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.shared_response import SineTest
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Named
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.minima import Minimum
 from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
@@ -95,9 +95,7 @@ class SharedSolver(ResponseSolver):
             ends, super().improved(ends.z[:, lowest], **limits, from_near=True), lowest
         )
 
-    def again(
-        self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
-    ) -> Outcome:
+    def again(self, x: Array, earlier: Outcome | Run, options: Named = NO_OPTIONS) -> Outcome:
         """Return a run that did not arrive, since IPOPT would take minutes, or IPOPT's end.
 
         IPOPT leads a minimum that misses a constraint back to it.

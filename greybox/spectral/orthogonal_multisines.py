@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Arrays, ComplexArray
 from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import measured_in
 from greybox.spectral.multisine_lines import EXCITED, period_spectra
@@ -118,7 +118,7 @@ def response_matrix(
     )
 
 
-def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array]) -> ComplexArray:
+def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Arrays) -> ComplexArray:
     """Return the responses (lines, outputs) from inputs (m, lines) and outputs (k, lines)."""
     system = np.concatenate(
         [u[:, None] * matrix for u, matrix in zip(inputs, between, strict=True)], axis=1

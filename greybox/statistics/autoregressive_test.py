@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, Arrays, IntArray
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance
 
@@ -44,7 +44,7 @@ TINY = 1e-300
 Outputs = Sequence[Sequence[IntArray]]
 
 
-def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array:
+def whitened(values: Array, filters: Arrays, outputs: Outputs) -> Array:
     """Return rows (M, c) of values (N, c) less what the samples before them predict.
 
     Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders. Without
@@ -61,7 +61,7 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
     return np.vstack([values[:0], *pieces])
 
 
-def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: int) -> Array:
+def _shared(columns: Array, filters: Arrays, outputs: Outputs, width: int) -> Array:
     """Return by how much errors that outputs share raise the variances (c,) of factors on terms.
 
     The columns (N, 1 + c) are those of the errors and of the terms. The filters make the errors of
@@ -165,7 +165,7 @@ def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     ]
 
 
-def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
+def _products(pieces: Arrays) -> tuple[int, Array]:
     """Return the number of windows of pieces (n, c), and the sums (c, c, q + 1, q + 1) of products.
 
     Windows are of q + 1 samples, the last one first. Sums are the Toeplitz ones of pieces between

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Arrays, frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -129,7 +129,7 @@ def cross_correlation(
     return _tested(statistic, used.sum() / alike, r, NORMAL_99 / math.sqrt(pairs[1]))
 
 
-def _alike(series: Sequence[Array], shifts: int) -> float:
+def _alike(series: Arrays, shifts: int) -> float:
     """Return how many of these shifts of a series count as one: 1 for a white series."""
     sums, pairs = _lagged(series, series, shifts - 1)
     # By chance, a squared correlation is the inverse of the number of samples.
@@ -170,7 +170,7 @@ def _present(values: ArrayLike) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
+def _lagged(e: Arrays, u: Arrays, lags: int) -> tuple[Array, Array]:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and the numbers of pairs."""
     sums = np.zeros((2, lags + 1))
     for pair in zip(e, u, strict=True):

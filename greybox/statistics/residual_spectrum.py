@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, Arrays, ComplexArray, frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
@@ -103,11 +103,11 @@ class ColoredInformation:
 
 
 def colored_information(
-    weighted: Sequence[Array],
+    weighted: Arrays,
     directions: Array,
-    residuals: Sequence[Array],
+    residuals: Arrays,
     noise: Array,
-    initial: Sequence[Array],
+    initial: Arrays,
     shocks: Callable[[], Array],
 ) -> ColoredInformation:
     """Return Σ J' Σ_e J (r, r), the middle of the sandwich, for the spectrum of the residuals.
@@ -258,11 +258,11 @@ class ResidualSpectra:
     The parameters are those of `colored_information`, for outputs with residuals alone.
     """
 
-    weighted: Sequence[Array]
+    weighted: Arrays
     directions: Array
-    residuals: Sequence[Array]
+    residuals: Arrays
     noise: Array
-    initial: Sequence[Array]
+    initial: Arrays
     shocks: Callable[[], Array]
 
     @cached_property
@@ -644,7 +644,7 @@ def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> Compl
     return _positive(density)
 
 
-def remaining_products(stretches: Sequence[Array]) -> Array:
+def remaining_products(stretches: Arrays) -> Array:
     """Return the share (k,) of sample products in which none is missing, at the best lag.
 
     It is near 1 if blocks are missing, or if every n-th sample is measured, and less if samples are

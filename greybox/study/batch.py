@@ -5,7 +5,7 @@ Begin with `batch`.
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import field, fields
@@ -20,7 +20,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Named, frozen
 from greybox.files.error_place import error_place
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable
@@ -77,7 +77,7 @@ class Member:
     starts: AnyStarts | None = None
     seed: int | None = None
     method: Transcription | None = None
-    solver_options: Mapping[str, Any] = field(default_factory=dict)
+    solver_options: Named = field(default_factory=dict)
     name: str = ""
     search: str = BATCHED
     held: Sequence[Any] = ()

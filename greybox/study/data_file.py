@@ -1,6 +1,6 @@
 """A data file: a frequency response, or a record."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.files.arrays import NamedStrings, Strings
+from greybox.files.arrays import Named, NamedStrings, Strings
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
@@ -28,7 +28,7 @@ def read_data(
     output: str = "",
     columns: NamedStrings | None = None,
     rate: float | None = None,
-    prepare: Mapping[str, Any] | None = None,
+    prepare: Named | None = None,
 ) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record:
     """Return a response, or the only record with the model's signals.
 

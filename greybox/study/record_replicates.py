@@ -12,7 +12,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.estimate.covariance import Accuracy
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Arrays, frozen
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.runs import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
@@ -105,7 +105,7 @@ def _drawn_record(
     return DrawnRecord(measured, fitted, white, spectrum.of_draws(white))
 
 
-def _centered(stretches: Sequence[Array]) -> Array:
+def _centered(stretches: Arrays) -> Array:
     """Return the values (k, n) of stretches side by side, minus their means."""
     values = np.hstack(stretches)
     counts = np.isfinite(values).sum(axis=1, keepdims=True)

@@ -16,6 +16,7 @@ from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import Named
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -56,7 +57,7 @@ CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
 
 
 def stated_problem(
-    stated: Mapping[str, Any], read: Callable[..., Any] = read_data
+    stated: Named, read: Callable[..., Any] = read_data
 ) -> tuple[AnyProblem, dict[str, Any]]:
     """Return the problem of options by name, and its settings: starts, seed and method, if any.
 
@@ -111,7 +112,7 @@ def _method(method: Any) -> Any:
     return METHODS[method]()
 
 
-def _problem_of_model(options: Mapping[str, Any], read: Callable[..., Any]) -> AnyProblem:
+def _problem_of_model(options: Named, read: Callable[..., Any]) -> AnyProblem:
     if "data" not in options:
         raise ValueError("model=... needs data=..., a frequency response or a record.")
     model = options["model"]
@@ -231,7 +232,7 @@ def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | Ti
     return replace(criterion, **shared)
 
 
-def with_parameter_options(problem: AnyProblem, options: Mapping[str, Any]) -> AnyProblem:
+def with_parameter_options(problem: AnyProblem, options: Named) -> AnyProblem:
     """Return the problem with the options applied to every part that has the parameters."""
     changes: dict[str, dict[str, Any]] = {}
     for name, field in OF_PARAMETERS.items():
@@ -251,7 +252,7 @@ def with_parameter_options(problem: AnyProblem, options: Mapping[str, Any]) -> A
     return problem.with_parts([_restated(part, changes) for part in problem.parts])
 
 
-def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Problem:
+def _restated(part: Problem, changes: Mapping[str, Named]) -> Problem:
     """Return a part with the changes of its parameters, which it may name differently."""
     # Options use the names of the answer. A tied parameter has no value of its own to change.
     inside = {part.outside(name): name for name in part.declared if name not in part.tied}

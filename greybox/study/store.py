@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
-from greybox.files.arrays import Array, Strings, frozen
+from greybox.files.arrays import Array, Named, Strings, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
@@ -134,7 +134,7 @@ class StudyMember:
     folder: Path
     number: int
     name: str
-    answer: Mapping[str, Any]
+    answer: Named
     stored_runs: int
     models: Sequence[Any] = ()
 
@@ -231,7 +231,7 @@ def read_members(folder: Path) -> list[StudyMember]:
         ]
 
 
-class _StoredAnswer(Mapping[str, Any]):
+class _StoredAnswer(Named):
     """An answer that is unpacked when it is read: as values ten thousand take 300 MB."""
 
     def __init__(self, folder: Path, checksum: int, answer: Any, *others: Any) -> None:
@@ -329,7 +329,7 @@ class StoredRuns(RunStorage):
         self._work += outcome.seconds
         self.write_due()
 
-    def finish(self, answer: Mapping[str, Any], fit: bytes = b"") -> None:
+    def finish(self, answer: Named, fit: bytes = b"") -> None:
         """Store the answer of the member, which is then done, and its fit."""
         text = json.dumps(answer, allow_nan=False).encode()
         values = packed(text), packed(fit, text)

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array, Arrays, Strings
 from greybox.files.text_table import counted, listed, number
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
@@ -162,7 +162,7 @@ def prediction_verdict(
     return f"{better} predicts {data} better than {worse}, in {share:.0f} % of {windows} ({test})."
 
 
-def _sign_test(differences: Sequence[Array], error: float) -> float:
+def _sign_test(differences: Arrays, error: float) -> float:
     """Return the p-value of equally many differences of either sign.
 
     `error` is the standard error of their mean: correlated differences count as fewer.

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import GAP, Record
-from greybox.files.arrays import Array, IntArray, NamedStrings, Strings, Values, frozen
+from greybox.files.arrays import Array, IntArray, NamedArrays, NamedStrings, Strings, Values, frozen
 from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
 
@@ -39,7 +39,7 @@ class Messages:
     name: str
     order: IntArray
     time: Array | None
-    columns: Mapping[str, Array]
+    columns: NamedArrays
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
     units: NamedStrings = field(default_factory=dict)
     instance: str = ""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.time_column import seconds, tick, times_in_seconds
-from greybox.files.arrays import Array, NamedStrings, Strings
+from greybox.files.arrays import Array, NamedArrays, NamedStrings, Strings
 from greybox.files.text_table import some
 from greybox.logs.readers.messages import Messages
 
@@ -18,7 +18,7 @@ WIDEST = 64
 
 
 def table(
-    name: str, columns: Mapping[str, Array], units: NamedStrings, rate: float | None = None
+    name: str, columns: NamedArrays, units: NamedStrings, rate: float | None = None
 ) -> tuple[Messages, Strings]:
     """Make messages of columns that share a time, and findings on those that were left out.
 

@@ -8,7 +8,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
-from greybox.files.arrays import Array, by_name
+from greybox.files.arrays import Array, NamedArrays, by_name
 from greybox.logs.readers.ardupilot_metadata import mode_name, vehicle_in
 from greybox.logs.readers.telemetry_packets import Kind
 
@@ -30,7 +30,7 @@ class Heartbeats(NamedTuple):
     """
 
     sender: int
-    fields: Mapping[str, Array]
+    fields: NamedArrays
     time: Array
 
     @property
@@ -39,7 +39,7 @@ class Heartbeats(NamedTuple):
         return int(self.fields["autopilot"][0]) if len(self.time) else mavlink.MAV_AUTOPILOT_INVALID
 
 
-def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str, Any]:
+def metadata(kinds: Mapping[str, Kind], times: NamedArrays) -> dict[str, Any]:
     """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
     beats = heartbeats(kinds, times)
     texts = ()
@@ -56,7 +56,7 @@ def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str,
     return {key: value for key, value in about.items() if value}
 
 
-def heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartbeats:
+def heartbeats(kinds: Mapping[str, Kind], times: NamedArrays) -> Heartbeats:
     """Return the heartbeats of the first autopilot in the log; their times are zero by default."""
     nobody = Heartbeats(-1, {}, np.empty(0))
     if "HEARTBEAT" not in kinds:

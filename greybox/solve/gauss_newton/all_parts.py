@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import SMOOTHING, Part
 from greybox.compiled.record_group import Groups, sharing
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Arrays
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
 from greybox.solve.gauss_newton.settings import Settings
@@ -101,14 +101,12 @@ class AllParts:
             return math.inf
         return float(sum(part.weight * part.cost(t, smoothing) for part, t in self.along(iterate)))
 
-    def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
+    def gap_cost(self, iterate: Iterate, multipliers: Arrays) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
         pairs = self.along(iterate, multipliers)
         return sum(part.weight * float((np.abs(t.gaps) * m).sum()) for part, t, m in pairs)
 
-    def squared_cost(
-        self, iterate: Iterate, residual_weights: Sequence[Array], variances: Sequence[Array]
-    ) -> float:
+    def squared_cost(self, iterate: Iterate, residual_weights: Arrays, variances: Arrays) -> float:
         """Return half the weighted squares of residuals and gaps of a finite iterate.
 
         The variances (n,) of the gaps are those of every state. Gaps whose variance is zero do
@@ -126,7 +124,7 @@ class AllParts:
 
     # --- linearization and steps
 
-    def linearize(self, iterate: Iterate, weights: Sequence[Array]) -> list[Any]:
+    def linearize(self, iterate: Iterate, weights: Arrays) -> list[Any]:
         """Return the linearization of every part."""
         return [part.linearize(t, weight) for part, t, weight in self.along(iterate, weights)]
 

@@ -16,11 +16,11 @@ from dataclasses import replace
 from typing import Any
 
 from greybox.compiled.part import Condensed, Trajectory
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Arrays, frozen
 
 CONVERGED, STALLED = "converged", "stalled"
 
-Nodes = Sequence[Array]
+Nodes = Arrays
 """The nodes (s, n) of every part."""
 
 
@@ -74,7 +74,7 @@ class Step:
     distance: float
     gradient: Array
     hessian: Array
-    multipliers: Sequence[Array]
+    multipliers: Arrays
     constraint_penalty: float
 
 
@@ -144,8 +144,8 @@ class Progress:
 
     stages: tuple[float, ...] = (0.0,)
     state_iterations: int = 0
-    gap_variance: Sequence[Array] = ()
-    multipliers: Sequence[Array] = ()
+    gap_variance: Arrays = ()
+    multipliers: Arrays = ()
     constraint_penalty: float = 1e3
     damping: float = 0.0
     # The line search has already damped a shortened step: a hundredth of the first damping is

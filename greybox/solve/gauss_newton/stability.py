@@ -1,12 +1,12 @@
 """Kalman gains within an iteration: good ones to begin with, and predictors that must be stable."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from greybox.compiled.kalman_gain import KalmanGain
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import Array, Arrays, all_finite
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate
 
@@ -15,7 +15,7 @@ from greybox.solve.gauss_newton.iterate import Iterate
 DECADES = 10.0 ** np.arange(-12, 1)
 
 
-def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) -> Array:
+def best_gains(parts: AllParts, iterate: Iterate, variances: Arrays) -> Array:
     """Return z (p,) with the best gains: those of the iterate, or of a steady Kalman filter.
 
     `variances` (n,) for every part are the variances of the gaps; the process noise of the filters
