@@ -1,7 +1,7 @@
 """Sampled controllers, declared like models: named signals, parameters with units, equations."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -15,7 +15,7 @@ from greybox.modeling.model import (
     require_signal_names,
     require_usable,
 )
-from greybox.modeling.parameter import Parameter, is_finite_number
+from greybox.modeling.parameter import Parameters, is_finite_number
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import column, entries_by_name, traced
 
@@ -70,7 +70,7 @@ class Controller(ABC):
     setpoints: Sequence[str] = ("reference",)
     outputs: Sequence[str] = ("u",)
     units: ClassVar[NamedStrings] = MappingProxyType({})
-    parameters: ClassVar[Mapping[str, Parameter]] = MappingProxyType({})
+    parameters: ClassVar[Parameters] = MappingProxyType({})
     rate: float = 400.0
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

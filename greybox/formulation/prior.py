@@ -10,7 +10,7 @@ from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import require_known
-from greybox.modeling.parameter import Parameter, normal_prior
+from greybox.modeling.parameter import Parameters, normal_prior
 
 Knowledge = tuple[float, float] | HeldEstimate
 """Mean and standard deviation of a parameter, or an earlier fit with estimate and covariance."""
@@ -65,7 +65,7 @@ class NormalPrior:
 
 
 def normal_priors(
-    declared: Mapping[str, Parameter],
+    declared: Parameters,
     tied: Named,
     prior: Any,
     outside: NamedStrings,

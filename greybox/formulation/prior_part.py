@@ -1,6 +1,5 @@
 """A prior as one more part of a sum: a measurement of the parameters, with its own errors."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +9,7 @@ from greybox.data.record import Record
 from greybox.formulation.prior import NormalPrior, Prior
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameters
 from greybox.modeling.state_space import StateSpace
 
 NAME = "a-priori knowledge"
@@ -49,7 +48,7 @@ def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
     return priors
 
 
-def _part(priors: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Problem:
+def _part(priors: list[NormalPrior], parameters: Parameters) -> Problem:
     """Return the part that measures the parameters along directions with independent errors."""
     # Multiplied by these roots, the errors of a correlated prior are independent.
     roots = [np.linalg.inv(np.linalg.cholesky(prior.covariance)) for prior in priors]

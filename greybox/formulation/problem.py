@@ -28,7 +28,7 @@ from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
 from greybox.modeling.model import Model, Names, ParameterFormula, pick_signals, require_known
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.parameter import Parameter, is_finite_number
+from greybox.modeling.parameter import Parameter, Parameters, is_finite_number
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import called, require_no_nan
@@ -232,7 +232,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             pair = _pair(data) if has_several and isinstance(data, FrequencyResponse) else ""
             vars(self)["name"] = data.name or pair or model.label
 
-    def _added_by_criterion(self) -> Mapping[str, Parameter]:
+    def _added_by_criterion(self) -> Parameters:
         """Check model, data and criterion; return the parameters that the criterion adds."""
         if isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
             self.criterion.check(self.data)
@@ -382,17 +382,17 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             require_no_nan(what, ca.SX(_call(function, symbols, what)))
 
     @cached_property
-    def _as_declared(self) -> Mapping[str, Parameter]:
+    def _as_declared(self) -> Parameters:
         return {**self.model.parameters, **self._added_by_criterion()}
 
     @cached_property
-    def declared(self) -> Mapping[str, Parameter]:
+    def declared(self) -> Parameters:
         """Parameters of model and criterion by their inner names, with their bounds and starts."""
         self._check_names()
         return {name: self._restated(name, p) for name, p in self._as_declared.items()}
 
     @cached_property
-    def _stated(self) -> Mapping[str, Parameter]:
+    def _stated(self) -> Parameters:
         """Parameters by inside name, fixed or free as in this problem, without tied ones."""
         return {
             name: self._as_stated(name, p)

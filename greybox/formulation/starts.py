@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, Values
 from greybox.files.text_table import counted, one_line
-from greybox.modeling.parameter import Parameter, is_finite_number, require_whole
+from greybox.modeling.parameter import Parameters, is_finite_number, require_whole
 
 # Starts of a rule: a million of ten parameters take 80 MB, and their runs ten times as much.
 MOST = 2**20
@@ -24,7 +24,7 @@ class Starts(ABC):
     seed: int | None = None
 
     @abstractmethod
-    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
+    def draw(self, parameters: Parameters) -> Array:
         """Return the starts, (number, p), for the free parameters in their order."""
 
     @abstractmethod
@@ -55,7 +55,7 @@ class Sobol(Starts):
     def __str__(self) -> str:
         return f"{self.number} by Sobol, seed {self.seed}"
 
-    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
+    def draw(self, parameters: Parameters) -> Array:
         """Return the points, spread over the boxes."""
         # Not before: in a study, too large a number is the failure of this member alone.
         if self.number > MOST:
@@ -103,7 +103,7 @@ class Listed(Starts):
         is_declared = list(self.points) == [{}]
         return "the declared values" if is_declared else f"{len(self.points)} listed"
 
-    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
+    def draw(self, parameters: Parameters) -> Array:
         """Return the listed points, (number, p)."""
         if not self.points:
             raise ValueError(
@@ -154,7 +154,7 @@ class Chained(Starts):
     def __str__(self) -> str:
         return " + ".join(map(str, self.rules))
 
-    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
+    def draw(self, parameters: Parameters) -> Array:
         """Return the starts of every rule in turn."""
         return np.concatenate([rule.draw(parameters) for rule in self.rules])
 

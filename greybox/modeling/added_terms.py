@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, Named
 from greybox.modeling.one_thread import once
-from greybox.modeling.parameter import Parameter, start_values
+from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list
@@ -25,9 +25,7 @@ class ExtendedModel(StateSpace):
     accelerations.
     """
 
-    def __init__(
-        self, model: StateSpace, states: Sequence[str], parameters: Mapping[str, Parameter]
-    ) -> None:
+    def __init__(self, model: StateSpace, states: Sequence[str], parameters: Parameters) -> None:
         self.model, self.derived = model, model.derived  # type: ignore[misc]
         self.states = (*model.states, *states)
         self.inputs, self.outputs = tuple(model.inputs), tuple(model.outputs)

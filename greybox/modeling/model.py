@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 
 from greybox.files.arrays import Interval, Named, NamedStrings, Strings, Values
 from greybox.files.text_table import alternatives
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, Parameters
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
 
@@ -108,7 +108,7 @@ class Model(ABC):
         refused.
     """
 
-    parameters: Mapping[str, Parameter] = MappingProxyType({})
+    parameters: Parameters = MappingProxyType({})
     units: NamedStrings = MappingProxyType({})
     derived: ClassVar[Mapping[str, ParameterFormula]] = MappingProxyType({})
     arguments: tuple[tuple[Any, ...], dict[str, Any]]

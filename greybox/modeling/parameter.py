@@ -130,12 +130,15 @@ class Parameter:
         return np.clip(values, low, high)
 
 
-def start_values(parameters: Mapping[str, Parameter]) -> Array:
+Parameters = Mapping[str, Parameter]  # by name
+
+
+def start_values(parameters: Parameters) -> Array:
     """Return the declared starts of parameters, (p,)."""
     return np.array([parameter.start for parameter in parameters.values()], dtype=float)
 
 
-def parameter_table(parameters: Mapping[str, Parameter]) -> str:
+def parameter_table(parameters: Parameters) -> str:
     """Return the declarations of parameters as a table of text."""
     rows = []
     for name, p in parameters.items():

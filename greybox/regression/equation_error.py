@@ -7,7 +7,7 @@ Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 a
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ from greybox.formulation.input_assumptions import (
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError, modeled_outputs
 from greybox.modeling.model import Model
-from greybox.modeling.parameter import Parameter, start_values
+from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.least_squares import undetermined
@@ -80,7 +80,7 @@ class EquationErrorEstimate:
     missing: NamedStrings
     at_bound: Strings
     states: Strings
-    parameters: Mapping[str, Parameter]
+    parameters: Parameters
     warnings: Strings
     inputs: NamedStrings
 

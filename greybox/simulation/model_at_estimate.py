@@ -11,7 +11,7 @@ from greybox.files.arrays import Array, IntArray, Strings, Values, frozen
 from greybox.formulation.input_assumptions import Inputs, between_samples
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
-from greybox.modeling.parameter import Parameter, is_finite_number
+from greybox.modeling.parameter import Parameters, is_finite_number
 from greybox.modeling.realization import Dynamics, dynamics
 
 
@@ -62,7 +62,7 @@ class ModelAtEstimate:
     covariance: Array | None
     criterion: TimeCriterion
     part: Any
-    declared: Mapping[str, Parameter] = field(default_factory=dict)
+    declared: Parameters = field(default_factory=dict)
     own: Strings = ()
     held: tuple[bool, ...] = ()
 

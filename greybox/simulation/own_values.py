@@ -21,7 +21,7 @@ from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameters
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.simulator import Simulator
 from greybox.simulation.state_estimation import whitening
@@ -93,7 +93,7 @@ def with_own_values(
 
 def _note(
     values: Mapping[str, tuple[float, float]],
-    parameters: Mapping[str, Parameter],
+    parameters: Parameters,
     numbers: int,
     record: str,
 ) -> str:
@@ -178,7 +178,7 @@ def _determined(
     simulator: Simulator,
     model: ModelAtEstimate,
     windows: Windows,
-    parameters: Mapping[str, Parameter],
+    parameters: Parameters,
 ) -> _Estimate:
     """Estimate those of the `parameters` that the windows determine; the others stay."""
     while True:
@@ -214,7 +214,7 @@ def _minimized(
     simulator: Simulator,
     model: ModelAtEstimate,
     windows: Windows,
-    parameters: Mapping[str, Parameter],
+    parameters: Parameters,
 ) -> _Estimate:
     """Return the best values of the parameters, within their bounds."""
     # Bounds keep a value finite that the windows determine badly.
@@ -287,7 +287,7 @@ def _linearized(
     return _Estimate(model, windows, places, gram[:a, :a], gram[:a, a], float(gram[a, a]), numbers)
 
 
-def _not_determined(estimate: _Estimate, parameters: Mapping[str, Parameter]) -> str:
+def _not_determined(estimate: _Estimate, parameters: Parameters) -> str:
     """Return the name of the least determined value if it is undetermined, else ""."""
     # The share of a value in combinations that change no sample.
     blind = 1 - np.diag(estimate.inverse @ estimate.matrix)
