@@ -27,8 +27,7 @@ def write_answer(result: dict[str, Any], text: str, as_json: bool, status: int =
 
     By default the status follows from the error.
     """
-    error = result.get("error")
-    if error:
+    if error := result.get("error"):
         status = status or (INTERRUPTED if error.startswith("interrupted") else FAILED)
         write(printable(f"greybox: {error}", keep="\n"), sys.stderr)
 

@@ -392,7 +392,8 @@ def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Teste
             # The probability is NaN where nothing of a term is left.
             if test[1] <= 1:
                 tried[key[0]] += 1
-                if key[0] not in best or test[0] > best[key[0]].decrease:
+                # Of two records, either may have a value of its own: the first has, not rounding.
+                if key[0] not in best or test[0] > best[key[0]].decrease * (1 + 1e-9):
                     best[key[0]] = Tested(key, columns[:, [k]], *test)
     # The best twelve are tested together with the color of the errors.
     return tried, sorted(best.values(), key=lambda test: -round(test.decrease, 9))[:12]

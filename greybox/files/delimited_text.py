@@ -149,7 +149,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         return DelimitedText(path, ",", (), (), (), {})
 
     header = body[0]
-    matches = [*map(FACT.fullmatch, lines[:header])]
+    matches = map(FACT.fullmatch, lines[:header])
     _, separator = _split(lines[header])
     cells = lines[body[-1]].split()
     if separator not in lines[header] and len(cells) > 1 and are_numbers(cells):
