@@ -11,7 +11,6 @@ from typing import Any, Literal, get_args
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
 from greybox.files.arrays import Values
-from greybox.files.text_table import number
 
 Inputs = Literal["record", "linear", "held"]
 """How inputs vary between their samples: as the record says, or all of them in one way."""
@@ -55,7 +54,7 @@ def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> di
         who = "as the record says"
         if inputs != "record" or name not in record.hold:
             who = "as assumed without a hold" if inputs == "record" else "as stated"
-            who += f"; if wrong, delays change by half a step, {number(500 * record.step, 3)} ms"
+            who += f"; if wrong, delays change by half a step, {500 * record.step:.5g} ms"
         result[name] = f"{between}, {who}"
 
     return result

@@ -141,7 +141,7 @@ def _short(answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
                     fitted.name,
                     f"the residuals of {output} in {fitted.name!r} stay correlated for about "
                     f"{time * colored.duration:.2g} s, and the longest gap-free stretch lasts only "
-                    f"{1 / time:.2g} times that, less than {FEWEST_TIMES:g}. The standard errors "
+                    f"{1 / time:.3g} times that, less than {FEWEST_TIMES:g}. The standard errors "
                     "are rough; use a longer record.",
                 )
 
