@@ -105,16 +105,18 @@ class DisturbedRecord:
         of it.
         """
         segments, n = self.part.segments, self.part.states
-        derivatives, outputs = np.split(slopes * values[:, None], [n], axis=1)
-        # Terms have values at samples, and a step lasts until the next sample.
-        later = np.concatenate([derivatives[..., 1:], derivatives[..., -1:]], axis=2)
-        later = derivatives if self.is_predicted or is_held else later
-        mean = segments.columns((derivatives + later) / 2)
         # Most terms add to a single state: with 20 states, multiplying the zeros of the others
         # would take a quarter of the test's time.
-        moved = mean.any(axis=(0, 2))
-        change = np.einsum("jac,vjc->vac", self._slopes[0][:n][moved], mean[:, moved])
-        return self._placed.data[-1] / 2 * (mean + change), segments.columns(-outputs)
+        moved = slopes[:n].any(axis=1)
+        mean = slopes[:n][moved] * values[:, None]
+        if not (self.is_predicted or is_held):
+            # Terms have values at samples, and a step lasts until the next sample.
+            mean[..., :-1] += mean[..., 1:]
+            mean[..., :-1] /= 2
+        mean = segments.columns(mean)
+        change = np.einsum("jac,vjc->vac", self._slopes[0][:n][moved], mean)
+        change[:, moved] += mean
+        return self._placed.data[-1] / 2 * change, segments.columns(slopes[n:] * -values[:, None])
 
     def followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
         """Return how outputs (k, c, samples) follow changes, with initial states fitted too.

@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
-from greybox.compiled.vectorized import Columns
+from greybox.compiled.vectorized import Columns, Remembering
 from greybox.files.arrays import Array, Arrays, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
@@ -110,9 +110,10 @@ class Segments:
         built = self.step.built
         shared = () if self._own else (1,)
         if key not in built and self.step.repeats and name not in ("advance", "output"):
-            built[key] = SubstepDerivatives(
+            derivatives = SubstepDerivatives(
                 self.step, self.active.tolist(), simulated=name != "derivatives", shared=shared
             )
+            built[key] = Remembering(derivatives)
         if key not in built:
             x, q, d = self.step.symbols()
             if name == "output":
@@ -133,8 +134,9 @@ class Segments:
                 derivatives = [dense_jacobian(slope, free) for slope in slopes]
                 at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
                 results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
-            function = ca.Function(name, [x, q, d], results, {"cse": True})
-            built[key] = Columns(function, shared=shared)
+            columns = Columns(ca.Function(name, [x, q, d], results, {"cse": True}), shared=shared)
+            # A minimum is polished, judged and tested along one trajectory.
+            built[key] = columns if name == "advance" else Remembering(columns)
         return built[key]
 
     def _evaluate(self, name: str, at: Course) -> Arrays:

@@ -46,9 +46,9 @@ def substeps_and_segment(
         return integrator.substeps, method.segment
 
     # At twenty samples, the shortest time constant of an igniting reactor is missed, and two of
-    # three runs stall. The poles of 100 states take as long as those of 20 at 125 times as many
+    # three runs stall. The poles of 60 states take as long as those of 15 at 64 times as many
     # samples.
-    samples = int(np.clip(100 * (20 / max(len(system.states), 1)) ** 3, 3, 100))
+    samples = int(np.clip(100 * (15 / max(len(system.states), 1)) ** 3, 3, 100))
     outputs, inputs = at_samples(data, max(data.segments // samples, 1), spread=True)
     counts: list[int] = []
     growth_rates: list[float] = []

@@ -1,9 +1,10 @@
 """The test of a fit: whether its residuals follow terms that the model does not have."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from itertools import chain
 from operator import itemgetter
 from typing import Any
 
@@ -65,6 +66,10 @@ class Group:
     fitted: Array
     outputs: Outputs
     filters: Arrays
+
+    def columns(self, terms: Iterable[Sequence[Term | None]]) -> Array:
+        """Return the columns (N, c) of c terms, as each part has them."""
+        return np.vstack([part.columns(each) for part, each in zip(self.parts, terms, strict=True)])
 
     def white(self, values: Array) -> Array:
         """Return values (N, c) in the rows (M, c) in which residuals are white."""
@@ -345,10 +350,10 @@ def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
         return None
     best, least = None, np.inf
     for name in by_part[0]:
-        at, columns = _on_knots(group, test.key, [signals[name] for signals in by_part])
+        at, functions = _on_knots(group, test.key, [signals[name] for signals in by_part])
         # What the parameters explain is determined neither here nor in the shape of the term, nor
         # are knots with too few samples.
-        both = np.hstack([columns, cause.value * test.column])
+        both = np.hstack([group.columns(functions), cause.value * test.column])
         effects = outside(group.white(both), group.basis)
         inverse = np.linalg.pinv(effects[:, :-1], rcond=0.02)
         values = inverse @ group.white_residuals
@@ -361,15 +366,15 @@ def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
     return best
 
 
-def _on_knots(group: Group, key: Key, signals: Arrays, knots: int = KNOTS) -> tuple[Array, Array]:
-    """Return the knots (c,) of signals of all parts, and columns (N, c) of functions of these."""
+def _on_knots(
+    group: Group, key: Key, signals: Arrays, knots: int = KNOTS
+) -> tuple[Array, list[list[Term | None]]]:
+    """Return the knots (c,) of signals of all parts, and for each part c functions of its own."""
     whole, shares = np.hstack(signals), np.linspace(0, 1, knots)
     # As many where samples are close together as over the whole range.
     at = (np.quantile(whole, shares) + whole.min() + shares * (np.ptp(whole) + TINY)) / 2
-    columns = [
-        part.on_knots(key, signal, at) for part, signal in zip(group.parts, signals, strict=True)
-    ]
-    return at, np.vstack(columns)
+    pairs = zip(group.parts, signals, strict=True)
+    return at, [part.on_knots(key, signal, at) for part, signal in pairs]
 
 
 def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
@@ -382,12 +387,8 @@ def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
 def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Tested]]:
     """Return the number of terms by family, and the best of each."""
     best, tried = dict[Any, Tested](), Counter[Any]()
-    # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
-    # time and 370 MB.
-    size = 300_000 // (len(group.residuals) + 1) + 1
-    for first in range(0, len(keys), size):
-        chosen = keys[first : first + size]
-        columns = np.vstack([part.columns(chosen) for part in group.parts])
+    for chosen in _batches(group, keys):
+        columns = group.columns([*map(part.terms.get, chosen)] for part in group.parts)
         for k, (key, test) in enumerate(zip(chosen, group.score_tests(columns), strict=True)):
             # The probability is NaN where nothing of a term is left.
             if test[1] <= 1:
@@ -399,6 +400,14 @@ def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Teste
     return tried, sorted(best.values(), key=lambda test: -round(test.decrease, 9))[:12]
 
 
+def _batches(group: Group, keys: Sequence[Key], columns: int = 1) -> Iterator[Sequence[Key]]:
+    """Yield the keys of terms, each of some columns, that are tested at a time."""
+    # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
+    # time and 370 MB.
+    size = 300_000 // (columns * len(group.residuals) + 1) + 1
+    return (keys[first : first + size] for first in range(0, len(keys), size))
+
+
 def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested], Array]:
     """Return functions of any shape that are missing, and their probabilities.
 
@@ -407,17 +416,23 @@ def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested]
     tested = []
     # More knots would fit the noise of short records, which lines and initial states leave.
     most = max(len(group.white_residuals) // 15, 2)
-    for key, knots in functions.items():
-        # Where a part has no such place, its residuals follow nothing there.
-        signals = [
-            part.terms[key].values if key in part.terms else np.zeros(0) for part in group.parts
-        ]
-        _, columns = _on_knots(group, key, signals, min(knots, most))
-        p_value, directions = joint_test(
-            group.white_residuals[:, 0], group.basis, group.white(columns), group.remains
-        )
-        if directions.size:
-            tested.append((p_value, key, columns @ directions))
+    # One by one, functions take twice as long.
+    for keys in _batches(group, [*functions], KNOTS):
+        by_key = []
+        for key in keys:
+            # Where a part has no such place, its residuals follow nothing there.
+            signals = [
+                part.terms[key].values if key in part.terms else np.zeros(0) for part in group.parts
+            ]
+            by_key.append(_on_knots(group, key, signals, min(functions[key], most))[1])
+        columns = group.columns([*chain(*terms)] for terms in zip(*by_key, strict=True))
+        ends = np.cumsum([len(each[0]) for each in by_key])
+        for key, each in zip(keys, np.split(columns, ends[:-1], axis=1), strict=True):
+            p_value, directions = joint_test(
+                group.white_residuals[:, 0], group.basis, group.white(each), group.remains
+            )
+            if directions.size:
+                tested.append((p_value, key, each @ directions))
     if not tested:
         return [], np.array([])
     # Only the best two are tested together with the color of the errors, which takes most of the

@@ -65,24 +65,23 @@ class Regression:
     lost: int = 0
     signals: Callable[[], NamedArrays] = dict
 
-    def columns(self, keys: Sequence[Key]) -> Array:
-        """Return the columns (N, c) of terms, zero for those that this part does not have."""
-        present = [k for k, key in enumerate(keys) if key in self.terms]
-        values = np.zeros((len(keys), len(self.residuals)))
+    def columns(self, terms: Sequence[Term | None]) -> Array:
+        """Return the columns (N, c) of terms, zero in the place of those that are missing."""
+        present = [k for k, term in enumerate(terms) if term]
+        values = np.zeros((len(terms), len(self.residuals)))
         if present:
-            values[present] = self.changes([self.terms[keys[k]] for k in present]).T
+            values[present] = self.changes([*filter(None, terms)]).T
         # Samples of a column are neighbors in memory, as filters need them.
         return values.T
 
-    def on_knots(self, key: Key, signal: Array, at: Array) -> Array:
-        """Return the columns (N, c) of functions of a signal in the place of a term.
+    def on_knots(self, key: Key, signal: Array, at: Array) -> list[Term | None]:
+        """Return c functions of a signal in the place of a term, None if this part has no such one.
 
         Each is one at one of c knots, and linear in between.
         """
-        if key not in self.terms:
-            return np.zeros((len(self.residuals), len(at)))
-        hats = [np.interp(signal, at, hat) for hat in np.eye(len(at))]
-        return self.changes([replace(self.terms[key], values=hat) for hat in hats])
+        term = self.terms.get(key)
+        hats = np.eye(len(at))
+        return [term and replace(term, values=np.interp(signal, at, hat)) for hat in hats]
 
 
 def regression_of_record(

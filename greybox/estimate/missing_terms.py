@@ -521,7 +521,7 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
 
 def _formula(form: Callable[..., Any], *names: str) -> Formula:
     """Return a function of these states and inputs as a term of a model."""
-    return lambda x, u, p: form(*({**x, **u}[name] for name in names))
+    return lambda x, u, p: form(*((x if name in x else u)[name] for name in names))
 
 
 def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:

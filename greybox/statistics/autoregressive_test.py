@@ -142,7 +142,7 @@ def autoregressive_p_values(
             squares[:, i, j] = np.sum(added, axis=0)
             earlier, factors = factors, _least(squares, used)
             # At a maximum, the likelihood changes with the square of a change of the factors.
-            if np.allclose(factors, earlier):
+            if np.allclose(factors, earlier, atol=1e-4):
                 break
         filters = [*map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)]
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])

@@ -108,14 +108,18 @@ def joint_test(
     basis : (N, r) array
         Orthonormal, of what the fit can absorb.
     """
-    vectors, lengths, axes = np.linalg.svd(outside(terms, basis), full_matrices=False)
+    effects, residuals = outside(terms, basis), outside(residuals, basis)
+    # The product of the effects with themselves takes a third of the time of their singular values,
+    # and only those beyond a fifth of the largest matter.
+    squares, axes = np.linalg.eigh(effects.T @ effects)
+    lengths = np.sqrt(np.maximum(squares, 0.0))
     longest = max(np.linalg.norm(terms, axis=0), default=0.0)
     kept = lengths > max(PRINCIPAL * max(lengths, default=0.0), remains * longest)
-    residuals = outside(residuals, basis)
-    share = np.sum((residuals @ vectors[:, kept]) ** 2) / (residuals @ residuals + TINY)
+    directions = axes[:, kept] / lengths[kept]
+    share = np.sum((residuals @ effects @ directions) ** 2) / (residuals @ residuals + TINY)
     remaining = len(residuals) - basis.shape[1] - np.sum(kept)
     p_value = chance(max(1 - share, 0.0), remaining, max(np.sum(kept), 1))
-    return float(p_value), axes[kept].T / lengths[kept]
+    return float(p_value), directions
 
 
 def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array) -> Fits:
