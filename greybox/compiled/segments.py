@@ -135,8 +135,9 @@ class Segments:
                 at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
                 results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
             columns = Columns(ca.Function(name, [x, q, d], results, {"cse": True}), shared=shared)
-            # A minimum is polished, judged and tested along one trajectory.
-            built[key] = columns if name == "advance" else Remembering(columns)
+            # A minimum is polished, judged and tested along one trajectory. The outputs of a long
+            # record would stay in memory.
+            built[key] = Remembering(columns) if name == "derivatives" else columns
         return built[key]
 
     def _evaluate(self, name: str, at: Course) -> Arrays:
