@@ -108,37 +108,42 @@ class Segments:
         # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
         built = self.step.built
-        shared = () if self._own else (1,)
-        if key not in built and self.step.repeats and name not in ("advance", "output"):
-            derivatives = SubstepDerivatives(
-                self.step, self.active.tolist(), simulated=name != "derivatives", shared=shared
-            )
-            built[key] = Remembering(derivatives)
         if key not in built:
-            x, q, d = self.step.symbols()
-            if name == "output":
-                x, q, d = self.step.measurement.sx_in()
-                results: Any = self.step.measurement(x, q, d)[3:]
-            elif name == "advance":
-                results = [self.step.function(x, q, d)[0]]
+            shared = () if self._own else (1,)
+            function: Any
+            if self.step.repeats and name not in ("advance", "output"):
+                function = SubstepDerivatives(
+                    self.step, self.active.tolist(), simulated=name != "derivatives", shared=shared
+                )
             else:
-                # One vector of all free variables: an integrator repeats its steps for every
-                # Jacobian, not for every column.
-                places = self.active.tolist()
-                free = type(x).sym("free", self.n + len(places))
-                values = type(x)(q)
-                if places:
-                    values[places] = free[self.n :]
-                of_free = self.step.function.call([free[: self.n], values, d], True, False)
-                slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
-                derivatives = [dense_jacobian(slope, free) for slope in slopes]
-                at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
-                results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
-            columns = Columns(ca.Function(name, [x, q, d], results, {"cse": True}), shared=shared)
-            # A minimum is polished, judged and tested along one trajectory. The outputs of a long
+                function = Columns(self._of_sample(name), shared=shared)
+            # A minimum is polished, judged and tested along one trajectory. Outputs of a long
             # record would stay in memory.
-            built[key] = Remembering(columns) if name == "derivatives" else columns
+            built[key] = Remembering(function) if name == "derivatives" else function
         return built[key]
+
+    def _of_sample(self, name: str) -> ca.Function:
+        """Return the function of a sample with this name."""
+        x, q, d = self.step.symbols()
+        if name == "output":
+            x, q, d = self.step.measurement.sx_in()
+            results: Any = self.step.measurement(x, q, d)[3:]
+        elif name == "advance":
+            results = [self.step.function(x, q, d)[0]]
+        else:
+            # One vector of all free variables: an integrator repeats its steps for every
+            # Jacobian, not for every column.
+            places = self.active.tolist()
+            free = type(x).sym("free", self.n + len(places))
+            values = type(x)(q)
+            if places:
+                values[places] = free[self.n :]
+            of_free = self.step.function.call([free[: self.n], values, d], True, False)
+            slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
+            derivatives = [dense_jacobian(slope, free) for slope in slopes]
+            at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
+            results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
+        return ca.Function(name, [x, q, d], results, {"cse": True})
 
     def _evaluate(self, name: str, at: Course) -> Arrays:
         """Evaluate the function of this name for columns of the segments that q is given for."""
