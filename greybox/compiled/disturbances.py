@@ -1,7 +1,7 @@
 """How the outputs of a record would follow terms that its model does not have.
 
-The outputs follow a term to first order, with the initial states fitted too, as they follow a
-parameter. No other model is compiled, and models that are unstable without feedback are served.
+The outputs follow a term to first order, from some initial states, which are fitted afterwards. No
+other model is compiled, and models that are unstable without feedback are served.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,9 @@ from greybox.files.arrays import Array
 from greybox.modeling.added_terms import factors_of_derivatives
 
 Effect = tuple[Array, Array]
-"""What c terms add to the next states (c, n, columns) and to the residuals (c, k, columns)."""
+"""What c terms add to next states (length, s, n, c) and residuals (length, s, k, c) of segments."""
+
+LARGE = 4.6  # logarithm of the growth of an error over a record that counts as unstable
 
 
 class DisturbedRecord:
@@ -29,7 +31,14 @@ class DisturbedRecord:
         self.part, self.trajectory, self._placed = part, trajectory, trajectory.detail
         segments, data = part.segments, self._placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        self._slopes = segments.sample_derivatives(self._placed.along(trajectory.states))
+        slopes = segments.sample_derivatives(self._placed.along(trajectory.states))
+        # Of the next states (length, s, n, v) and of the residuals (length, s, k, v).
+        self._slopes = [
+            slope.reshape(*slope.shape[:2], segments.length, segments.count)
+            .transpose(2, 3, 1, 0)
+            .copy()
+            for slope in slopes
+        ]
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
         self.residuals = part.residuals(trajectory)
@@ -41,10 +50,10 @@ class DisturbedRecord:
         self.present = segments.in_order(data[-1 - k : -1])
         self.parameters = self._placed.q
 
-    @property
+    @cached_property
     def growth(self) -> float:
         """The logarithm of how much errors of the states grow over the record without inputs."""
-        A = self._slopes[0][: self.part.states].mean(axis=2)
+        A = self._slopes[0][..., : self.part.states].mean(axis=(0, 1))
         growth = np.abs(np.linalg.eigvals(A)).max(initial=1.0)
         return float(self.part.samples * np.log(growth))
 
@@ -58,27 +67,27 @@ class DisturbedRecord:
     def by_output(self, place: int, values: Array) -> Effect:
         """Return the effect of values (c, samples) that add to an output."""
         row = np.eye(len(self._slopes_of_formulas))[self.part.states + place]
-        return self._by_formulas(row[:, None], values)
+        return self._by_formulas(row, values)
 
     def by_parameter(self, place: int, values: Array) -> Effect:
         """Return the effect of an active parameter that changes by values (c, samples)."""
-        change = self.part.segments.columns(values)[:, None]
-        following, residuals = (slope[self.part.states + place] for slope in self._slopes)
+        change = self._by_sample(values)[:, :, None]
+        following, residuals = (slope[..., [self.part.states + place]] for slope in self._slopes)
         return following * change, residuals * change
 
     def by_state(self, place: int, values: Array) -> Effect:
         """Return the effect of values (c, samples) that add to the derivative of a state."""
         row = np.append(np.eye(self.part.states)[place], self.measured_derivatives[:, place])
-        return self._by_formulas(row[:, None], values)
+        return self._by_formulas(row, values)
 
     def by_input(self, place: int, values: Array) -> Effect:
         """Return the effect of values (c, samples) that add to an input."""
         slopes = self._slopes_of_formulas[:, place - self.inputs.shape[0]]
-        return self._by_formulas(slopes, values, self.part.model.between[place].held)
+        return self._by_formulas(slopes.T, values, self.part.model.between[place].held)
 
     def by_constant(self, place: int, values: Array) -> Effect:
         """Return the effect of values (c, samples) that add to a parameter, also a fixed one."""
-        return self._by_formulas(self._slopes_of_formulas[:, place], values)
+        return self._by_formulas(self._slopes_of_formulas[:, place].T, values)
 
     @cached_property
     def measured_derivatives(self) -> Array:
@@ -99,12 +108,13 @@ class DisturbedRecord:
         return system.slopes(self.states, self.inputs, np.where(q == 0, 1e-12, q))[rows]
 
     def _by_formulas(self, slopes: Array, values: Array, is_held: bool = False) -> Effect:
-        """Return the effect of values (c, samples) times the slopes (n + k, samples) of formulas.
+        """Return the effect of values (c, samples) times the slopes (samples, n + k) of formulas.
 
         The next states get the mean of the additional derivatives over a step, propagated over half
         of it.
         """
-        segments, n = self.part.segments, self.part.states
+        n = self.part.states
+        slopes = np.broadcast_to(slopes, (self.part.samples, slopes.shape[-1])).T
         # Most terms add to a single state: with 20 states, multiplying the zeros of the others
         # would take a quarter of the test's time.
         moved = slopes[:n].any(axis=1)
@@ -113,13 +123,21 @@ class DisturbedRecord:
             # Terms have values at samples, and a step lasts until the next sample.
             mean[..., :-1] += mean[..., 1:]
             mean[..., :-1] /= 2
-        mean = segments.columns(mean)
-        change = np.einsum("jac,vjc->vac", self._slopes[0][:n][moved], mean)
-        change[:, moved] += mean
-        return self._placed.data[-1] / 2 * change, segments.columns(slopes[n:] * -values[:, None])
+        mean = self._by_sample(mean)
+        change = np.einsum("lsnj,lsjc->lsnc", self._slopes[0][..., :n][..., moved], mean)
+        change[:, :, moved] += mean
+        change *= self._by_sample(self.part.data.steps)[..., None] / 2
+        outputs = self._by_sample(slopes[n:])[..., None] * -self._by_sample(values)[:, :, None]
+        return change, outputs
+
+    def _by_sample(self, values: Array) -> Array:
+        """Return values (c, r, samples) as (length, s, r, c): sample by sample of all segments."""
+        segments = self.part.segments
+        by_segment = values.reshape(*values.shape[:-1], segments.count, segments.length)
+        return np.ascontiguousarray(by_segment.T)
 
     def followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
-        """Return how outputs (k, c, samples) follow changes, with initial states fitted too.
+        """Return how outputs (k, c, samples) follow changes, up to what initial states can do.
 
         Changes are pairs of a function of values (c, samples) that returns their effect, and of
         values (samples,). Those of the same function are best neighbors.
@@ -128,37 +146,64 @@ class DisturbedRecord:
         # MB.
         size = max(5_000_000 // max(self.states.size, 1), 1)
         batches = [changes[k : k + size] for k in range(0, len(changes), size)]
-        return np.concatenate([self._followed_by(batch) for batch in batches], axis=1)
+        rows = np.concatenate([self._followed_by(batch) for batch in batches], axis=2)
+        return rows.transpose(1, 2, 0)
 
     def _followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
-        part, n = self.part, self.part.states
-        A, C = ([slope[:n]] for slope in self._slopes)
+        part = self.part
         # Residuals are measured less simulated outputs: they follow what is subtracted as outputs
         # follow what is added.
-        for place, group in groupby(changes, itemgetter(0)):
-            following, residuals = place(-np.array([values for _, values in group]))
-            A.append(following)
-            # No residual follows where nothing was measured.
-            C.append(residuals * part.segments.columns(self.present))
-        ends, J = part.segments.propagated(
-            np.concatenate(A), np.concatenate(C), part.segments.count
-        )
-        J = J.transpose(3, 2, 0, 1).reshape(*J.shape[:1:-1], -1)
-        ends = ends.transpose(2, 0, 1)
-        if n:
-            # Known initial states cannot compensate for a term.
-            J[:, :n][part.known_states] = 0
-            ends.swapaxes(1, 2)[:, :n][part.known_states] = 0
-            weighted = J[:, :n].reshape(-1, len(self.weight)) @ (self.weight.T @ self.weight)
-            products = weighted.reshape(len(J), n, -1) @ J.swapaxes(1, 2)
-            moved, _ = solve_continuity(
-                products[:, :, :n],
-                ends[:, :, :n],
-                part.data.coupled,
-                -products[:, :, n:],
-                -ends[:, :, n:],
-                np.zeros(n),
-            )
-            J[:, n:] += moved.swapaxes(1, 2) @ J[:, :n]
-        J = J[:, n:].swapaxes(0, 1).reshape(J.shape[1] - n, -1, len(self.weight))
-        return J.transpose(2, 0, 1)
+        effects = [
+            place(-np.array([values for _, values in group]))
+            for place, group in groupby(changes, itemgetter(0))
+        ]
+        at_nodes = np.zeros((part.segments.count, part.states, len(changes)))
+        ends, rows = self._carried(at_nodes, effects)
+        if part.states:
+            rows += self._by_nodes[1] @ self._nodes(ends, rows)
+        return rows.reshape(part.samples, -1, len(changes))
+
+    def _nodes(self, ends: Array, rows: Array) -> Array:
+        """Return the nodes (s, n, c) that follow such ends and residuals from zero ones."""
+        transition, J, weighted = self._by_nodes
+        coupled, nodes = self.part.data.coupled, np.zeros_like(ends)
+        if self.growth > LARGE:
+            # Simulated from zero, they would lose their digits: fitted, they remain small.
+            exact = np.zeros(self.part.states)
+            return solve_continuity(
+                weighted @ J, transition, coupled, -weighted @ rows, -ends, exact
+            )[0]
+        for j in np.flatnonzero(coupled).tolist():
+            nodes[j + 1] = transition[j] @ nodes[j] + ends[j]
+        return nodes
+
+    @cached_property
+    def _by_nodes(self) -> tuple[Array, Array, Array]:
+        """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
+        part, n = self.part, self.part.states
+        nodes = np.tile(np.eye(n), (part.segments.count, 1, 1))
+        following, residuals = (0 * slope[..., :n] for slope in self._slopes)
+        ends, J = self._carried(nodes, [(following, residuals)])
+        # Known initial states cannot compensate for a term.
+        unknown = ~part.known_states[:, None]
+        ends, J = ends * unknown, J * unknown
+        weighted = (self.weight.T @ self.weight) @ J.reshape(len(J), -1, len(self.weight), n)
+        return ends, J, weighted.reshape(J.shape).swapaxes(1, 2)
+
+    def _carried(self, S: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
+        """Carry derivatives S (s, n, c) of nodes through the segments, with the effects of c terms.
+
+        Returns those of ends (s, n, c) and of residuals (s, length · k, c). With many terms,
+        products of matrices take less time than the sums of `Segments.propagated`.
+        """
+        # No residual follows where nothing was measured.
+        present = self._by_sample(self.present)[..., None]
+        J = np.empty((len(S), len(present), len(self.weight), S.shape[2]))
+        for i, measured in enumerate(present):
+            A, C = (slope[i, ..., : S.shape[1]] for slope in self._slopes)
+            # Of one sample after the other, they remain in the processor's cache.
+            of_sample = zip(*((following[i], e[i]) for following, e in effects), strict=True)
+            following, residuals = (np.concatenate(each, axis=2) for each in of_sample)
+            J[:, i] = (C @ S + residuals) * measured
+            S = A @ S + following
+        return S, J.reshape(len(S), -1, S.shape[2])

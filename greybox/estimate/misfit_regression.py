@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.disturbances import DisturbedRecord
+from greybox.compiled.disturbances import LARGE, DisturbedRecord
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
@@ -100,8 +100,8 @@ def regression_of_record(
     present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
-        result = np.where(measured.T, values.transpose(1, 2, 0) @ weight.T, 0.0)
-        return result.reshape(len(result), measured.size).T
+        result = np.where(measured.T[..., None], weight @ values.transpose(2, 0, 1), 0.0)
+        return result.reshape(measured.size, -1)
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
@@ -142,8 +142,7 @@ def regression_of_record(
         lambda terms: rows(followed(terms)),
         outputs=outputs,
         causes=tuple(offsets),
-        # A hundredfold growth of errors of the states over the record.
-        is_unstable=record.growth > 4.6,
+        is_unstable=record.growth > LARGE,
         # From known initial states, terms grow as parameters do, and differ by what does not grow.
         remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
         lost=sum(basis.shape[1] for basis in drifts),
