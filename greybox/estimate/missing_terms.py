@@ -329,8 +329,8 @@ class Term:
             f", and so does the output {name}" + f", {factor:.3g} times" * (f"{factor:.3g}" != "1")
             for name, factor in self.outputs.items()
         ]
-        text = texts[-1 if factor < 0 else 0].format(**values)
-        return text, code.format(**values) + "".join(also)
+        text = texts[-1 if factor < 0 else 0]
+        return text.format(**values), code.format(**values) + "".join(also)
 
 
 def terms_of_record(
@@ -347,7 +347,8 @@ def terms_of_record(
         if np.ptp(u) > 0:
             yield from _of_input(record, j, u, a)
 
-    for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
+    outputs = [*zip(record.outputs, part.outputs, strict=True)]
+    for k, (y, b) in enumerate(outputs):
         by_output = partial(record.by_output, k)
         yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
         for power in (2, 3):
@@ -357,18 +358,18 @@ def terms_of_record(
         along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
         later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
         yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
-        for row, T in _delays(record, y) if len(part.outputs) > 1 else ():
+        for row, T in _delays(record, y) if len(outputs) > 1 else ():
             yield Term("sensor", row, by_output, b=b, scale=T)
-        others = zip(record.outputs, part.outputs, strict=True)
-        yield from (Term("cross", row, by_output, a, b) for row, a in others if a != b)
+        yield from (Term("cross", row, by_output, a, b) for row, a in outputs if a != b)
         for u, a in inputs:
             # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, record.step)
             yield Term("direct", past, by_output, a, b)
 
     # As an impulse that lasts half of the first step.
-    still = np.zeros(part.samples)
-    impulse = record.by_stretch(lambda row, step: 2 / step * (np.arange(len(row)) == 0), still)
+    impulse = record.by_stretch(
+        lambda row, step: 2 / step * (np.arange(len(row)) == 0), np.zeros(part.samples)
+    )
     for i in np.flatnonzero(part.known_states.any(axis=0)).tolist():
         yield Term("initial", impulse, partial(record.by_state, i), b=part.system.states[i])
 
