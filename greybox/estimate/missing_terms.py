@@ -157,7 +157,7 @@ TEXTS = {
     "fixed": (
         "a value of {a} that is larger by {size} ± {error} than its fixed one",
         "a value of {a} that is smaller by {size} ± {error} than its fixed one",
-        "free=['{a}'] in the problem, and no fixed value of it",
+        "free=['{a}'] in the problem, no fixed value of it, and finite bounds in the model",
     ),
     "bound": (
         "a value of {a} that is larger by {size} ± {error} than its bound",
