@@ -33,7 +33,8 @@ TEXTS = {
     "timing": (
         "a delay of {a} by {size} s",
         "a lead of {a} by {size} s",
-        "delays = {{'{a}': 'T_delay'}}, or * gb.exp(-s * p.T_delay)",
+        "delays = {{'{a}': 'T_delay'}}, or * gb.exp(-s * p.T_delay); for a lead, {a} moved earlier "
+        "in the record, if its clock is late",
     ),
     "hold": (
         "a delay of {a} by {size} s, about half a step, as if it were held between samples",
@@ -55,22 +56,24 @@ TEXTS = {
     "curve": (
         "a saturation of {a} near ±{level}",
         "a dead zone of {a} near ±{level}",
-        "gb.minimum(gb.maximum(u.{a}, -p.limit), p.limit), or u.{a} less that",
+        "in place of u.{a}, gb.minimum(gb.maximum(u.{a}, -p.limit), p.limit) for a saturation, or "
+        "u.{a} less that for a dead zone",
     ),
     "rate": (
         "a rate limit of {a} near ±{level} per second",
-        "a state {a}_moved in place of u.{a}, with the derivative "
-        "gb.minimum(gb.maximum((u.{a} - x.{a}_moved) / T_short, -p.limit), p.limit)",
+        "a state {a}_moved in place of u.{a}, with the derivative gb.minimum(gb.maximum((u.{a} - "
+        "x.{a}_moved) / T_short, -p.limit), p.limit), T_short a few samples",
     ),
     "play": (
         "a backlash of {a} of about {level}",
         "a state {a}_moved in place of u.{a}, with the derivative (gb.maximum(u.{a} - x.{a}_moved "
-        "- p.play / 2, 0) + gb.minimum(u.{a} - x.{a}_moved + p.play / 2, 0)) / T_short",
+        "- p.play / 2, 0) + gb.minimum(u.{a} - x.{a}_moved + p.play / 2, 0)) / T_short, a few "
+        "samples",
     ),
     "side": (
         "a gain of {a} that is larger beyond {level}",
         "a gain of {a} that is smaller beyond {level}, as with a saturation of one side",
-        "gb.minimum(u.{a}, p.limit) or gb.maximum",
+        "u.{a} + p.c * gb.maximum(u.{a} - p.limit, 0) in place of u.{a}, or gb.minimum below it",
     ),
     "between": (
         "{a} runs in curves between its samples, not in straight lines",
@@ -84,10 +87,15 @@ TEXTS = {
         "a direct effect of {a} on {b}, one more zero",
         "the output {b} gets + p.direct * u.{a}",
     ),
+    "cross": (
+        "an effect of {a} on the sensor of {b}",
+        "the output {b} gets + p.cross times the output {a}",
+    ),
     "sensor": (
         "a sensor of {b} that is late by {size} s",
         "a sensor of {b} that is early by {size} s",
-        "a state {b}_late with the derivative (h - x.{b}_late) / p.T_late for the output h of {b}",
+        "a state {b}_late as the output {b}, with the derivative (h - x.{b}_late) / p.T_late for "
+        "the output h of now; of an early one, {b} moved later in the record",
     ),
     "offset": (
         "an offset of {b} by {size}",
@@ -149,7 +157,7 @@ TEXTS = {
     "fixed": (
         "a value of {a} that is larger by {size} ± {error} than its fixed one",
         "a value of {a} that is smaller by {size} ± {error} than its fixed one",
-        "free=['{a}'] in the problem, and no fixed value of it",
+        "free=['{a}'] in the problem, no fixed value of it, and finite bounds in the model",
     ),
     "bound": (
         "a value of {a} that is larger by {size} ± {error} than its bound",
@@ -311,15 +319,18 @@ class Term:
         if factor < 0 and f"negative {kind}" in TEXTS:
             kind = f"negative {kind}"
         *texts, code = TEXTS[kind]
-        size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
-        values = {"a": self.a, "b": self.b, "code": self.code, "level": number(self.level, 2)}
-        values |= {"size": size, "error": deviation}
+        values = {
+            **vars(self),
+            "level": number(self.level, 2),
+            "size": number(abs(factor) * self.scale, 2),
+            "error": number(error * self.scale, 2),
+        }
         also = [
             f", and so does the output {name}" + f", {factor:.3g} times" * (f"{factor:.3g}" != "1")
             for name, factor in self.outputs.items()
         ]
-        text = texts[-1 if factor < 0 else 0].format(**values)
-        return text, code.format(**values) + "".join(also)
+        text = texts[-1 if factor < 0 else 0]
+        return text.format(**values), code.format(**values) + "".join(also)
 
 
 def terms_of_record(
@@ -336,7 +347,8 @@ def terms_of_record(
         if np.ptp(u) > 0:
             yield from _of_input(record, j, u, a)
 
-    for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
+    outputs = [*zip(record.outputs, part.outputs, strict=True)]
+    for k, (y, b) in enumerate(outputs):
         by_output = partial(record.by_output, k)
         yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
         for power in (2, 3):
@@ -346,17 +358,18 @@ def terms_of_record(
         along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
         later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
         yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
-        if len(part.outputs) > 1:
-            for row, T in _delays(record, y):
-                yield Term("sensor", row, by_output, b=b, scale=T)
+        for row, T in _delays(record, y) if len(outputs) > 1 else ():
+            yield Term("sensor", row, by_output, b=b, scale=T)
+        yield from (Term("cross", row, by_output, a, b) for row, a in outputs if a != b)
         for u, a in inputs:
             # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, record.step)
             yield Term("direct", past, by_output, a, b)
 
     # As an impulse that lasts half of the first step.
-    still = np.zeros(part.samples)
-    impulse = record.by_stretch(lambda row, step: 2 / step * (np.arange(len(row)) == 0), still)
+    impulse = record.by_stretch(
+        lambda row, step: 2 / step * (np.arange(len(row)) == 0), np.zeros(part.samples)
+    )
     for i in np.flatnonzero(part.known_states.any(axis=0)).tolist():
         yield Term("initial", impulse, partial(record.by_state, i), b=part.system.states[i])
 
@@ -389,8 +402,8 @@ def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator
     part, log = record.part, record.part.model.record
     samples, ones = np.linspace(-0.5, 0.5, part.samples), np.ones(part.samples)
     # Among several records, one may need different values.
-    changes = [("change", samples, ""), ("own", ones, part.name)]
-    changes += [("change", 1.0 * (samples > share), "") for share in JUMPS]
+    jumps = [1.0 * (samples > share) for share in JUMPS]
+    changes = [("own", ones, part.name), *(("change", row, "") for row in (samples, *jumps))]
     # A signal that the model does not use, such as an airspeed, may order the flights, or act.
     motion = np.vstack([record.states, record.inputs, ones]).T
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):

@@ -102,8 +102,9 @@ def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[tuple[st
     mean = number(sum(cost for cost, _ in costs) / len(costs), 3)
     by_pair = some([f"{name} {number(cost, 3)}" for cost, name in costs], 3)
     average, pairs = (" on average", f"; {by_pair} (200)") if len(costs) > 1 else ("", "")
-    text = f"{mean}{average} by magnitude and phase (guideline: at most 100){pairs}"
-    return [("agreement", text)]
+    return [
+        ("agreement", f"{mean}{average} by magnitude and phase (guideline: at most 100){pairs}")
+    ]
 
 
 def closeness(fit: Any) -> list[tuple[str, str]]:

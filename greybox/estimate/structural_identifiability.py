@@ -316,8 +316,7 @@ def _of_trajectory(
 
     scale = nlp.scaling.slope(x)
     initial = {state: follow * scale for state, follow in slopes.initial.items()}
-    seen = _directions(x, np.vstack(rows) * scale, slopes.reach * scale)
-    return _Sensitivity(nlp, seen, initial)
+    return _Sensitivity(nlp, _directions(x, np.vstack(rows) * scale, slopes.reach * scale), initial)
 
 
 @one_thread_at_a_time

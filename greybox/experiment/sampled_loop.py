@@ -210,8 +210,7 @@ class SampledLoop:
     @cached_property
     def poles(self) -> ComplexArray:
         """The poles (plants, states) of the closed loops, in z."""
-        closed = self.closed(self.inputs[0], self.inputs[0])[0]
-        return np.linalg.eigvals(closed).astype(complex)
+        return np.linalg.eigvals(self.closed(self.inputs[0], self.inputs[0])[0]).astype(complex)
 
     @property
     def is_stable(self) -> BoolArray:

@@ -345,8 +345,7 @@ def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | No
             f"{', '.join(map(str, shapes)) or 'none'}: give arrays of one length with finite "
             "numbers."
         )
-    time = np.arange(*shapes.pop()) / rate
-    return Excitation(time, arrays, dict.fromkeys(arrays, ""), rate, ())
+    return Excitation(np.arange(*shapes.pop()) / rate, arrays, dict.fromkeys(arrays, ""), rate, ())
 
 
 def _checked(

@@ -81,8 +81,7 @@ def _sobol_points(dimensions: int, power: int, seed: int) -> Array:
     """Return the first 2^`power` points of a scrambled sequence."""
     from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
-    sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
-    return sequence.random_base2(power)
+    return qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random_base2(power)
 
 
 @dataclass(frozen=True)
@@ -194,8 +193,9 @@ def as_starts(starts: AnyStarts, seed: int | None = None) -> Starts:
         if all(isinstance(item, Mapping) for item in points):
             return Listed(tuple(points))
         if all(isinstance(item, Mapping | Starts) for item in points):
-            rules = (item if isinstance(item, Starts) else Listed((item,)) for item in points)
-            return Chained(tuple(rules))
+            return Chained(
+                tuple(item if isinstance(item, Starts) else Listed((item,)) for item in points)
+            )
 
     raise TypeError(
         f"starts is {starts!r:.80}: give a number, a rule such as Sobol(200), or a list "

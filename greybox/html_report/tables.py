@@ -78,8 +78,7 @@ def _interval(low: float, high: float) -> str:
     if not (math.isfinite(low) and math.isfinite(high)):
         return "–"
     # A quarter of a 95 % interval is about one standard error, which decides the digits.
-    ends = (with_error(end, (high - low) / 4)[0] for end in (low, high))
-    return " to ".join(ends)
+    return " to ".join(with_error(end, (high - low) / 4)[0] for end in (low, high))
 
 
 def _cell(cell: Cell, is_number: bool) -> Element:

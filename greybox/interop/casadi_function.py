@@ -49,5 +49,6 @@ def to_casadi(
     x, u, _ = system.symbols
     outputs = [system.derivative(x, u, p), system.output(x, u, p)]
     # CasADi accepts only names that C accepts.
-    name = identifier(source.model.label)
-    return ca.Function(name, [x, u], outputs, ["x", "u"], ["derivative", "y"])
+    return ca.Function(
+        identifier(source.model.label), [x, u], outputs, ["x", "u"], ["derivative", "y"]
+    )

@@ -273,8 +273,7 @@ class ResidualSpectra:
     @cached_property
     def counts(self) -> Array:
         """Measured samples (k,) of every output."""
-        counts = sum(np.count_nonzero(e, axis=1) for e in self.residuals)
-        return np.maximum(counts, 1)
+        return np.maximum(sum(np.count_nonzero(e, axis=1) for e in self.residuals), 1)
 
     @cached_property
     def deviation(self) -> Array:

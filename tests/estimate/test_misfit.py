@@ -567,6 +567,29 @@ def test_a_sensor_whose_scale_changes_is_named():
     assert any("changes along the record" in cause.text for cause in misfit.likely)
 
 
+class BothSensors(Spring):
+    """Position and speed, each with a sensor of its own."""
+
+    outputs = ("x", "v")
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_a_sensor_that_also_feels_another_output_is_named(share):
+    flight = problem().data
+    motion = gb.simulate(BothSensors(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)
+    x, v = motion["x"], motion["v"]
+    random = np.random.default_rng(4)
+    errors = 0.02 * random.normal(size=(2, SAMPLES))
+    flight = flight.with_signals(x=x + share * v + errors[0], v=v + errors[1])
+    misfit = gb.fit(gb.Problem(BothSensors(), flight), starts=1).misfit
+    assert misfit.explains == (share == 0)
+    if share:
+        assert misfit.likely[0].text == "an effect of v on the sensor of x"
+
+
 def test_the_shape_is_drawn_with_the_best_term(tmp_path):
     fit = fitted(Cubic)
     page = tmp_path / "page.html"
