@@ -345,3 +345,20 @@ def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:
     is_free = all(part.data.constant_inputs and not part.is_static for part in records)
     if names and is_free and len(records) == len(nlp.parts):
         yield f"the inputs never change ({names}): only the free response is informative."
+
+
+def rounded_outputs(records: Sequence[FittedRecord]) -> Iterator[str]:
+    """Note outputs whose noise is smaller than half of their resolution."""
+    return once(
+        (
+            f"{output} rounded",
+            fitted.name,
+            f"{output} in {fitted.name!r} is rounded more coarsely than its noise: rounding errors "
+            "follow the signal, so that 95 % intervals cover 88 to 95 %.",
+        )
+        for fitted in records
+        for output in fitted.outputs
+        for values in [fitted.data[output]]
+        if 2 * np.unique(values).size < values.size
+        and not is_resolved(fitted.residual(output), values)
+    )
