@@ -8,7 +8,7 @@ only. So standard errors and intervals are averaged over all these correlations,
 restricted likelihoods, which take account of what the fitted parameters took from the errors.
 Before the data, independent errors are as likely as correlated ones. If they are four times as
 likely afterwards, the errors count as independent. Errors that are independent are recognized in
-nine of ten fits of 48 points, and in two of three fits of 12. Errors of another shape get intervals
+nine of ten fits of 48 points, and in two of five fits of 12. Errors of another shape get intervals
 that are too wide: at 30 points, standard errors were 3 times too large for errors of alternating
 sign, because a negative correlation is not considered. `benchmarks/neighbor_coverage.py` shows what
 this costs.
