@@ -187,14 +187,14 @@ def _other_correlations(n: int) -> tuple[Array, list[Array], Array, Array]:
     bands = [*np.repeat(means[..., None], n, 2), *inverses.swapaxes(0, 1)]
 
     factors = [cholesky_banded(band, lower=True) for band in bands]
+    none = np.zeros(len(means))
+    shares = np.array([np.append(none, 1 / (1 - s)), np.append(none + 1, s / (s - 1))])
+    logarithms = [2 * np.log(factor[0]).sum() for factor in factors]
+    logarithms += np.append(none, (n - 1) * np.log(1 - rho**2))
     powers = np.zeros((len(bands), n))
-    powers[: len(means), : means.shape[1]] = means
+    powers[: len(means), : len(LAGS[0])] = means
     powers[len(means) :] = s * rho ** np.arange(n)
     powers[:, 0] = 1.0
-    shares = np.repeat([[0.0], [1.0]], len(bands), 1)
-    shares[:, len(means) :] = np.array([1 + 0 * s, -s])[..., 0] / (1 - s[:, 0])
-    logarithms = np.array([2 * np.log(factor[0]).sum() for factor in factors])
-    logarithms[len(means) :] += (n - 1) * np.log(1 - rho[:, 0] ** 2)
     return powers, factors, shares[..., None, None], logarithms
 
 

@@ -136,10 +136,8 @@ def _carried_over(pairs: Pairs) -> Iterator[Finding]:
     """
     from scipy.special import bdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    timed = [(part, fitted) for part, fitted in pairs if fitted.data.has_time]
-    count = sum(len(fitted.outputs) for _, fitted in timed)
-    for _, fitted in timed:
-        for output in fitted.outputs:
+    for _, fitted in pairs:
+        for output in fitted.outputs if fitted.data.has_time else ():
             values = fitted.data[output]
             changes, moves = np.abs(np.diff([values, fitted.simulated[output]]))
             # Values that occur again after others are rounded, by steps that may differ.
@@ -150,7 +148,7 @@ def _carried_over(pairs: Pairs) -> Iterator[Finding]:
             changes = changes[moves > step]
             same = np.count_nonzero(changes == 0)
             next_values = np.count_nonzero(changes < 1.5 * step) - same
-            if bdtrc(same - 1, same + next_values, 0.5) < FALSE_ALARMS / count:
+            if bdtrc(same - 1, same + next_values, 0.5) < FALSE_ALARMS:
                 yield (
                     f"{output} carried",
                     fitted.name,
