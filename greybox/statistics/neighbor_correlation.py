@@ -178,7 +178,8 @@ def _other_correlations(n: int) -> tuple[Array, list[Array], Array, Array]:
 
     # Errors that are alike over half of the points look like a gain.
     means = LAGS[np.count_nonzero(LAGS > 1e-3, axis=1) <= max(n / 2, 2), :n]
-    share, times = np.meshgrid(SHARES, np.geomspace(2.0, n, 8))
+    # Those over fewer points look like exponential correlations.
+    share, times = np.meshgrid(SHARES, np.geomspace(n / 3, n, 3))
     s, rho = share.reshape(-1, 1), np.exp(-1 / times.reshape(-1, 1))
     inverses = np.repeat(np.array([1 + rho**2, -rho]), n, 2)
     inverses[0, :, [0, -1]] = 1.0
