@@ -190,7 +190,7 @@ def _other_correlations(n: int) -> tuple[Array, list[Array], Array, Array]:
     factors = [cholesky_banded(band, lower=True) for band in bands]
     none = np.zeros(len(means))
     shares = np.array([np.append(none, 1 / (1 - s)), np.append(none + 1, s / (s - 1))])
-    logarithms = [2 * np.log(factor[0]).sum() for factor in factors]
+    logarithms = np.array([2 * np.log(factor[0]).sum() for factor in factors])
     logarithms += np.append(none, (n - 1) * np.log(1 - rho**2))
     powers = np.zeros((len(bands), n))
     powers[: len(means), : len(LAGS[0])] = means
