@@ -28,7 +28,7 @@ from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
 from greybox.estimate.diagnostics.noise_level import better_weights, unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
-from greybox.estimate.diagnostics.records import resting_inputs
+from greybox.estimate.diagnostics.records import resting_inputs, rounded_outputs
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
@@ -424,6 +424,7 @@ def assemble(
             *unused_noise(nlp.problem),
             *(better_weights(nlp, accuracy) if explains else ()),
             *resting_inputs(nlp),
+            *(() if misfit is not None and misfit.is_exact else rounded_outputs(answer.records)),
             *together,
         ),
     )

@@ -94,6 +94,7 @@ def record_warnings(
         *(colored_predictions(pairs, explained=misfit is None or misfit.explains) if noisy else ()),
         *once(_bounded(nlp, trajectories)),
         *once(_flattened_inputs(pairs)),
+        *once(_carried_over(pairs)),
     )
 
 
@@ -124,6 +125,36 @@ def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
                     "higher rate (interpolated by its band, as by scipy.signal.resample), with "
                     "outputs NaN in between, or state its hold; inputs='linear' states that it "
                     "varies in straight lines.",
+                )
+
+
+def _carried_over(pairs: Pairs) -> Iterator[Finding]:
+    """Name outputs that repeat values while the model moves, as where missing samples are filled.
+
+    Where the model moves by more than the resolution, rounding leads to the next value at least as
+    often as to the same one, whatever the noise.
+    """
+    from scipy.special import bdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    for _, fitted in pairs:
+        for output in fitted.outputs if fitted.data.has_time else ():
+            values = fitted.data[output]
+            changes, moves = np.abs(np.diff([values, fitted.simulated[output]]))
+            # Values that occur again after others are rounded, by steps that may differ.
+            changed = values[np.append(True, changes > 0)]
+            share = 0.0 if np.unique(changed).size == changed.size else 0.05
+            steps = changes[changes > 0]
+            step = np.quantile(steps, share, method="lower") if steps.size else np.inf
+            changes = changes[moves > step]
+            same = np.count_nonzero(changes == 0)
+            next_values = np.count_nonzero(changes < 1.5 * step) - same
+            if bdtrc(same - 1, same + next_values, 0.5) < FALSE_ALARMS:
+                yield (
+                    f"{output} carried",
+                    fitted.name,
+                    f"{output} in {fitted.name!r} repeats its previous value at {same} samples "
+                    "where the model moves, as if missing samples were filled. Filled samples are "
+                    "late, which biases the estimates: make them NaN.",
                 )
 
 
@@ -312,3 +343,20 @@ def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:
     is_free = all(part.data.constant_inputs and not part.is_static for part in records)
     if names and is_free and len(records) == len(nlp.parts):
         yield f"the inputs never change ({names}): only the free response is informative."
+
+
+def rounded_outputs(records: Sequence[FittedRecord]) -> Iterator[str]:
+    """Note outputs whose noise is smaller than half of their resolution."""
+    return once(
+        (
+            f"{output} rounded",
+            fitted.name,
+            f"{output} in {fitted.name!r} is rounded more coarsely than its noise: rounding errors "
+            "follow the signal, so that 95 % intervals cover 88 to 95 %.",
+        )
+        for fitted in records
+        for output in fitted.outputs
+        for values in [fitted.data[output]]
+        if 2 * np.unique(values).size < values.size
+        and not is_resolved(fitted.residual(output), values)
+    )
