@@ -26,6 +26,7 @@ from greybox.files.arrays import (
     Arrays,
     BoolArray,
     ComplexArray,
+    IntArray,
     NamedArrays,
     frozen,
     real_and_imaginary,
@@ -126,8 +127,9 @@ def regression_of_record(
     firsts = np.cumsum([0, *(row.size for row in present)])
     outputs = [
         [
-            first + k + len(row) * np.flatnonzero(row[k])
+            first + k + len(row) * places
             for first, row in zip(firsts, present, strict=False)
+            for places in _between_gaps(row[k])
         ]
         for k in range(len(present[0]))
     ]
@@ -148,6 +150,21 @@ def regression_of_record(
         lost=sum(basis.shape[1] for basis in drifts),
         signals=partial(signals_of_record, record),
     )
+
+
+def _between_gaps(measured: BoolArray) -> list[IntArray]:
+    """Return the places of measured samples (n,), by pieces between the longest gaps.
+
+    Slow errors jump over a long gap, and the jumps would look like a missing term: of right models
+    with four gaps of 5 to 30 samples in slow errors, half were called wrong. Every piece loses its
+    first samples: on average one has 80 at least.
+    """
+    places = np.flatnonzero(measured)
+    steps = np.diff(places)
+    longest = np.sort(np.argsort(-steps, kind="stable")[: len(places) // 80])
+    # An output with a rate of its own has no gaps.
+    is_gap = steps[longest] * len(places) > 2 * len(measured)
+    return np.split(places, 1 + longest[is_gap])
 
 
 def _offsets(
