@@ -1,6 +1,6 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import field
 from typing import Any, TypeVar
 
@@ -92,7 +92,15 @@ class CompiledProblem(Portable):
 
     def parts_of(self, kind: type[PartKind]) -> list[PartKind]:
         """Return the parts of one class."""
-        return [part for part in self.parts if isinstance(part, kind)]
+        return [part for (part,) in self.rows_of(kind)]
+
+    def rows_of(
+        self, kind: type[PartKind], *beside: Sequence[Any]
+    ) -> list[tuple[PartKind, *tuple[Any, ...]]]:
+        """Return the parts of one class, each with its entries of other sequences."""
+        # Without degrees of freedom the parts have no accuracy, and no row.
+        rows: Any = zip(self.parts, *beside, strict=False)
+        return [row for row in rows if isinstance(row[0], kind)]
 
     @property
     def has_states(self) -> bool:

@@ -309,6 +309,8 @@ class Part(Portable, ABC):
         Initial states that are estimated with the parameters.
     gains : tuple of (str, str)
         State and output of every estimated entry of a Kalman gain.
+    is_logarithm : bool
+        Whether the cost is N/2 times the logarithm of a sum of squares, whose size is not known.
     """
 
     numbers: int
@@ -319,6 +321,7 @@ class Part(Portable, ABC):
     is_static: bool = False
     unknown_initial_states: int = 0
     gains: tuple[tuple[str, str], ...] = ()
+    is_logarithm: bool = False
 
     def __init__(self, problem: Problem) -> None:
         """Store the problem, and the facts that are needed without it."""
@@ -328,6 +331,11 @@ class Part(Portable, ABC):
         self.is_likelihood = problem.criterion.is_likelihood
 
     # --- for the Gauss-Newton driver
+
+    @property
+    def group(self) -> Any:
+        """Equal for parts that can be evaluated together; None for a part by itself."""
+        return None
 
     @property
     def travels_whole(self) -> bool:
@@ -407,6 +415,10 @@ class Part(Portable, ABC):
 
     def refined(self, factor: int) -> "Part":
         """Return the part with `factor` times the steps per sample."""
+        return self
+
+    def with_bounded_errors(self, trajectory: Trajectory) -> "Part":
+        """Return the part with pseudo-values as data, if its large errors are bounded."""
         return self
 
     # --- what IPOPT asks

@@ -106,9 +106,9 @@ class Groups:
     """The parts of a problem as a solver takes them: similar records are one."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        """Group the parts; a record with a Kalman gain stays alone, because it must be stable."""
+        """Group the parts."""
         self._all: Any = tuple(parts)
-        self._lots = grouped(range(len(parts)), lambda k: _kind(parts[k], k))
+        self._lots = grouped(range(len(parts)), lambda k: parts[k].group or k)
         lots = [[self._all[k] for k in lot] for lot in self._lots]
         self.parts = [RecordGroup(lot) if len(lot) > 1 else lot[0] for lot in lots]
 
@@ -163,12 +163,3 @@ def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
             change = short[k].few * variance - own
             result[k] = products[k] + diagonal(change * (short[k].few > 0))
     return result
-
-
-def _kind(part: Part, number: int) -> Any:
-    """Return a key that records have in common if they can be evaluated together."""
-    if not isinstance(part, RecordPart) or part.gains:
-        return number
-    # Records in a group share the step and its derivatives; one weight multiplies them all.
-    active = tuple(part.model.active.tolist())
-    return (id(part.step), part.data.segment_length, active, part.weight, part.model.has_time)

@@ -58,6 +58,7 @@ class RecordPart(SegmentedPart):
         self.gains = model.gains
         # Outputs depend only on the inputs of the same sample.
         self.is_static = not self.states and not self.system.delayed
+        self.is_logarithm = self.covariance.known is None and not model.driven
 
     # --- parts made of this one
 
@@ -89,6 +90,15 @@ class RecordPart(SegmentedPart):
         return RecordPart(self.model, self.data, substeps, covariance=self.covariance)
 
     # --- facts
+
+    @property
+    def group(self) -> Any:
+        """Equal for records that can be evaluated together."""
+        if self.gains:  # each must be stable by itself
+            return None
+        # Records in a group share the step and its derivatives; one weight multiplies them all.
+        active = tuple(self.model.active.tolist())
+        return id(self.step), self.data.segment_length, active, self.weight, self.model.has_time
 
     @cached_property
     @one_thread_at_a_time

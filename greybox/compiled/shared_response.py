@@ -36,7 +36,6 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
-from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.modeling.trim import trim_of
 
@@ -281,7 +280,7 @@ def shared_systems(
             balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
             systems.append(SineTest(k, balance, local[k]))
             continue
-        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
+        if not part.model.state_names or part.delay != "exact":
             return None
         key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
         groups.setdefault(key, []).append(k)

@@ -42,7 +42,6 @@ from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
 from greybox.statistics.column_space import beside
@@ -424,15 +423,12 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
     equations = ca.vertcat(rates, -g / time, h)
     matrix = dense_jacobian(equations, ca.vertcat(x, g, u))
     linear = ca.Function("linear", [q, time, x, u], [matrix, ca.densify(system.delay(q))])
-    point = ca.DM.zeros(x.numel()), ca.DM.zeros(u.numel())
+    states, inputs = trim_of(model, problem.at).closed()(p)
+    # The states of a Padé delay, or of a realized transfer function, follow those of the model.
+    # They are linear and have no operating point.
+    states = ca.vertcat(states, ca.DM.zeros(x.numel() - states.numel()))
 
-    if isinstance(model, StateSpace):
-        states, inputs = trim_of(model, problem.at).closed()(p)
-        # The states of a Padé delay follow those of the model, and the linear delay has no
-        # operating point.
-        point = ca.vertcat(states, ca.DM.zeros(x.numel() - len(model.states))), inputs
-
-    results = linear(p, times, *point)
+    results = linear(p, times, states, inputs)
     slopes = [dense_jacobian(ca.vec(result), declared) for result in results]
     return ca.Function("matrices", [declared], [*results, *slopes])
 

@@ -275,6 +275,21 @@ class FrequencyResponse:
         """Divide by jω, e.g. from a rate to its angle; `output` names the new signal."""
         return self.times(1 / (1j * self.omega), output, "*s")
 
+    def is_same_as(self, other: "FrequencyResponse") -> bool:
+        """Return whether another response has the same data, or is a derivative of this one.
+
+        The response of a rate is that of its angle times s. All criteria for responses without
+        variances take errors relative to the response, which a factor does not change.
+        """
+        if self.checksum == other.checksum:
+            return True
+        has_variances = self.variance is not None or other.variance is not None
+        if has_variances or not np.array_equal(self.omega, other.omega):
+            return False
+        factors = ((1j * self.omega) ** power for power in range(-2, 3))
+        values = other.response
+        return any(np.allclose(self.response * factor, values, rtol=1e-9) for factor in factors)
+
     def without_hold(self) -> "FrequencyResponse":
         """Return the response to the continuous input, as a fit compares it with a model.
 

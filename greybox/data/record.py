@@ -4,7 +4,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -91,6 +91,7 @@ class Record:
     4
     """
 
+    noun: ClassVar = "record"
     time: Array
     signals: NamedArrays
     units: NamedStrings = field(default_factory=dict)
@@ -209,6 +210,15 @@ class Record:
             return [np.arange(len(self))]
         # Relative to the median step: the mean would grow with the gaps.
         return runs_between_gaps(self.time, GAP * self.step if self.has_time else 0)
+
+    def is_same_as(self, other: "Record") -> bool:
+        """Return whether another record has the same times, and values of the signals of both."""
+        # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
+        is_same = self.checksum == other.checksum and np.array_equal(self.time, other.time)
+        shared = self.signals.keys() & other.signals.keys()
+        return is_same and all(
+            np.array_equal(self[name], other[name], equal_nan=True) for name in shared
+        )
 
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with start <= time <= end, s on the record's clock."""

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping
 from dataclasses import field
+from typing import ClassVar
 
 import numpy as np
 
@@ -44,6 +45,7 @@ class TransientSpectrum:
         For frequencies off the grid, different lengths, or numbers that are not finite.
     """
 
+    noun: ClassVar = "spectrum"
     omega: Array
     inputs: Mapping[str, ComplexArray]
     outputs: Mapping[str, ComplexArray]
@@ -118,6 +120,10 @@ class TransientSpectrum:
         for values in (self.omega, *self.inputs.values(), *self.outputs.values(), np.array(ends)):
             digest.update(np.ascontiguousarray(values).tobytes())
         return digest.hexdigest()
+
+    def is_same_as(self, other: "TransientSpectrum") -> bool:
+        """Return whether another spectrum has the same data."""
+        return self.checksum == other.checksum
 
     def change(self, name: str) -> float:
         """Return the last less the first value of an input."""

@@ -1,15 +1,17 @@
 """Each part of a fit as plain values: data, model, criterion and fitted values."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
+from greybox.data.record import NOT_STORED, Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.estimate.stored_values import require
 from greybox.files.arrays import (
     Array,
     ComplexArray,
@@ -30,7 +32,7 @@ PRIOR = Prior(noise={}).class_path
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FittedPart:
+class FittedPart(ABC):
     """One problem of the sum with its data, as plain values.
 
     Attributes
@@ -54,6 +56,9 @@ class FittedPart:
         The model's reference (module, class, arguments), see `greybox.modeling.model_reference`.
     label, equation : str
         Name and docstring of the model.
+    at, sine, outputs
+        Operating point, sine of finite amplitude, and compared outputs by name; empty for kinds of
+        data that do not have them.
     """
 
     name: str
@@ -73,6 +78,11 @@ class FittedPart:
     label: str
     equation: str
     nuisances: int = 0
+    at: Values = field(default_factory=dict, metadata=NOT_STORED)
+    sine: Sine | None = field(default=None, metadata=NOT_STORED)
+    outputs: Strings = field(default=(), metadata=NOT_STORED)
+    # What the data consist of, singular and plural, and what they are.
+    nouns: ClassVar[Any]
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), self.label, self.criterion)
@@ -86,9 +96,62 @@ class FittedPart:
         """Return the name in the estimate of a parameter of the model."""
         return self.rename.get(name, name)
 
+    @property
+    def added(self) -> Strings:
+        """Names of the parameters that the criterion added to those of the model."""
+        return ()
+
+    @property
+    def compared(self) -> int:
+        """Number of points, lines or samples that are compared with the model."""
+        return len(self.data)
+
+    @property
+    @abstractmethod
+    def signal_path(self) -> str:
+        """Inputs and outputs, ``u → theta``."""
+
+    @property
+    @abstractmethod
+    def extent(self) -> str:
+        """Band or duration of the data."""
+
+    def check(self) -> None:
+        """Require that the values agree with one another, for a fit from a file of a stranger.
+
+        Raises
+        ------
+        ValueError
+            The message names what does not agree.
+        """
+        kinds = {"class": str, "arguments": list, "keywords": dict}
+        is_reference = all(isinstance(self.model[name], kind) for name, kind in kinds.items())
+        require(is_reference, "its model is not a class with arguments")
+
     def has_criterion_of(self, other: "FittedPart") -> bool:
         """Return whether both have the same criterion: one class with the same settings."""
         return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)
+
+
+def require_shapes(value: Any, axes_of: NamedStrings, sizes: Mapping[str, int]) -> None:
+    """Require the shapes of arrays: a letter of `sizes` for each axis, "*" for any length."""
+    for name, axes in axes_of.items():
+        array = getattr(value, name)
+        if array is not None:
+            required = [sizes.get(axis, -1) for axis in axes]
+            is_right = array.ndim == len(axes) and all(
+                size in (-1, length) for size, length in zip(required, array.shape, strict=True)
+            )
+            require(is_right, f"{name} has another shape")
+
+
+def _require_outputs(part: FittedPart, *signals: Mapping[str, Any]) -> None:
+    """Require that the data and the fitted values have every output."""
+    require(all({*part.outputs} <= {*names} for names in signals), "an output is not in the data")
+
+
+def _band(omega: Array) -> str:
+    return f"{omega.min():.3g} to {omega.max():.3g} rad/s"
 
 
 class Curve:
@@ -126,10 +189,11 @@ class FittedResponse(FittedPart):
         Number of variances of the errors that were estimated too.
     """
 
+    nouns = "point", "points", "frequency response"
     data: FrequencyResponse
     response: ComplexArray
     curve: FrequencyResponse | None = Curve()  # type: ignore[assignment]
-    at: Values
+    at: Values = field(default_factory=dict)
     pade_error: float | None
     sine: Sine | None = None
 
@@ -148,6 +212,27 @@ class FittedResponse(FittedPart):
     def compared_numbers(self) -> int:
         """Number of real numbers in the data that are compared with the model."""
         return 2 * len(self.data)
+
+    @property
+    def signal_path(self) -> str:
+        """Input and output, those of the model where the data have no names."""
+        named = self.curve or self.data
+        return f"{named.input or 'input'} → {named.output or 'output'}"
+
+    @property
+    def extent(self) -> str:
+        """Band of the data."""
+        return _band(self.data.omega)
+
+    def check(self) -> None:
+        """Require that the values agree with one another."""
+        super().check()
+        # Arrays of other shapes would be broadcast silently, and printed as if they belonged
+        # together.
+        count = len(self.data)
+        require_shapes(self, {"response": "n"}, {"n": count})
+        amplitudes = 1 if self.sine is None else np.size(self.sine.amplitude)
+        require(amplitudes in (1, count), "an amplitude is missing")
 
     @property
     def magnitude_phase_cost(self) -> float:
@@ -199,7 +284,7 @@ class FittedRecord(FittedPart):
 
     data: Record
     simulated: Record
-    outputs: Strings
+    outputs: Strings = ()
     noise: Array
     initial: NamedArrays
     method: str
@@ -251,6 +336,36 @@ class FittedRecord(FittedPart):
         """Number of measured values that are compared with the model."""
         return int(np.isfinite(self.residuals).sum())
 
+    @property
+    def nouns(self) -> tuple[str, str, str]:  # type: ignore[override]
+        """Samples or rows, and a record."""
+        if self.data.has_time:
+            return "sample", "samples", "record"
+        return "row without a time", "rows without a time", "record"
+
+    @property
+    def signal_path(self) -> str:
+        """Inputs and outputs."""
+        return f"{', '.join(self.input_names) or 'no input'} → {', '.join(self.outputs)}"
+
+    @property
+    def extent(self) -> str:
+        """Duration and rate of the data."""
+        if not self.data.has_time:
+            return "rows without a time"
+        return f"{self.data.duration:.4g} s at {self.data.rate:.4g} Hz"
+
+    def check(self) -> None:
+        """Require that the values agree with one another."""
+        super().check()
+        sizes = {"o": len(self.outputs), "g": len(self.gains)}
+        require_shapes(self, {"noise": "oo", "gain": "g", "gain_slope": "g*"}, sizes)
+        is_same_time = np.array_equal(self.data.time, self.simulated.time)
+        require(is_same_time, "the simulated record and its data have different times")
+        is_list = all(states.ndim == 1 for states in self.initial.values())
+        require(is_list, "an initial state is not a list")
+        _require_outputs(self, self.data.signals, self.simulated.signals)
+
     def residual(self, output: str) -> Array:
         """Return measured less fitted values of an output, (n,)."""
         return self.data[output] - self.simulated[output]
@@ -279,12 +394,13 @@ class FittedSpectrum(FittedPart):
         Number of end values, variances and covariances of the noise that were estimated too.
     """
 
+    nouns = "line", "lines", "manoeuvre"
     data: TransientSpectrum
     fitted: Mapping[str, ComplexArray]
-    outputs: Strings
+    outputs: Strings = ()
     noise: Array
     ends: Values
-    at: Values
+    at: Values = field(default_factory=dict)
 
     @property
     def residuals(self) -> ComplexArray:
@@ -295,6 +411,24 @@ class FittedSpectrum(FittedPart):
     def compared_numbers(self) -> int:
         """Number of real numbers in the data that are compared with the model."""
         return 2 * len(self.data) * len(self.outputs)
+
+    @property
+    def signal_path(self) -> str:
+        """Inputs and outputs."""
+        return f"{', '.join(self.data.inputs)} → {', '.join(self.outputs)}"
+
+    @property
+    def extent(self) -> str:
+        """Band of the data."""
+        return _band(self.data.omega)
+
+    def check(self) -> None:
+        """Require that the values agree with one another."""
+        super().check()
+        require_shapes(self, {"noise": "oo"}, {"o": len(self.outputs)})
+        is_complete = all(values.shape == (len(self.data),) for values in self.fitted.values())
+        require(is_complete, "a fitted output is incomplete")
+        _require_outputs(self, self.data.outputs, self.fitted)
 
     def residual(self, output: str) -> ComplexArray:
         """Return the measured less the fitted transform of an output, (n,)."""

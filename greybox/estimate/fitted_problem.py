@@ -88,13 +88,13 @@ def problem_of(fit: Fit) -> AnyProblem:
             rename=part.rename,
             weight=part.weight,
             name=part.name,
-            at=getattr(part, "at", {}),
+            at=part.at,
         )
         declared = problem.declared
         outside = {name: part.outside(name) for name in declared}
         problems.append(
             problem.with_(
-                amplitude=getattr(part, "sine", None),
+                amplitude=part.sine,
                 # What the model declares fixed and the fit estimated was freed by its problem.
                 free=[
                     name for name, p in declared.items() if p.fixed and outside[name] not in held

@@ -139,13 +139,16 @@ def assessed_misfit(
     Parameters that a bound holds, `at_bound`, absorb nothing. `candidates` has the terms of the
     user.
     """
-    responses, records = [], []
-    moves = ~np.isin(nlp.free, at_bound)
-    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
-        if isinstance(part, ResponsePart):
-            responses.append(regression_of_response(part, nlp.all_values(x), nlp.names, moves))
-        elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
-            records.append((part, trajectory))
+    moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    responses = [
+        regression_of_response(part, values, nlp.names, moves)
+        for part in nlp.parts_of(ResponsePart)
+    ]
+    records = [
+        (part, trajectory)
+        for part, trajectory in nlp.rows_of(RecordPart, trajectories)
+        if part.model.has_time and not part.model.is_prior
+    ]
 
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
     # of more.

@@ -256,7 +256,7 @@ def regression_of_response(
         return rows(np.column_stack([data.response - model * factors[0], *columns]))
 
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
-    states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
+    states, sine = part.problem.model.state_names, part.problem.amplitude
     orders = [("own", part.name, 1.0)]
     orders += [
         ("trim" if signal in states else "schedule", signal, value)

@@ -563,7 +563,7 @@ def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[s
     derivative, names = system.derivative(x, u, p), (*system.states, *system.inputs)
     slopes = ca.jacobian(derivative, ca.vertcat(x, u))
     model = undisturbed(part.problem.model)
-    own = range(len(model.states) if isinstance(model, StateSpace) else len(system.states))
+    own = range(len(model.state_names) or len(system.states))
     dynamic = [i for i in own if ca.depends_on(derivative[i], ca.vertcat(u, p))]
 
     # With twenty states, the products of all pairs in all equations are thousands of terms, among

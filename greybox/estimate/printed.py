@@ -149,23 +149,12 @@ def parameter_table(fit: Any) -> Table:
 
 def data_text(fit: Any) -> str:
     """Return how many points, lines, samples and rows the data have, and how many were compared."""
-    texts = []
-    for parts, noun, place in (
-        (fit.responses, "point", "frequency response"),
-        (fit.spectra, "line", "manoeuvre"),
-    ):
-        if parts:
-            points = counted(sum(len(part.data) for part in parts), noun)
-            texts.append(f"{points} in {counted(len(parts), place)}")
-
-    for has_time, noun, remark in ((True, "sample", ""), (False, "row", " without a time")):
-        records = [part for part in fit.records if part.data.has_time == has_time]
-        if records:
-            count = sum(len(part.data) for part in records)
-            compared = sum(part.compared for part in records)
-            share = "" if compared == count else f"{compared} of "
-            size = f"{share}{counted(count, noun)}{remark}"
-            texts.append(f"{size} in {counted(len(records), 'record')}")
+    texts, parts = [], [part for part in fit.parts if not part.is_prior]
+    for nouns in dict.fromkeys(part.nouns for part in parts):
+        alike = [part for part in parts if part.nouns == nouns]
+        count, compared = sum(len(p.data) for p in alike), sum(p.compared for p in alike)
+        share = "" if compared == count else f"{compared} of "
+        texts.append(f"{share}{counted(count, *nouns[:2])} in {counted(len(alike), nouns[2])}")
 
     return " and ".join(texts)
 

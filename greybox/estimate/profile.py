@@ -18,7 +18,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, assess, informations
 from greybox.estimate.fitted_problem import compiled_again
@@ -155,10 +154,8 @@ def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
     def errors(at: Array) -> Array:
         at = np.clip(at, nlp.lower, nlp.upper)
         z = nlp.scaling.to_solver(at)
-        # Responses need none, and their costs would take a third of the time.
-        trajectories = [
-            None if isinstance(part, ResponsePart) else part.trajectory(z) for part in nlp.parts
-        ]
+        # Only simulated samples need one. The costs of responses would take a third of the time.
+        trajectories = [part.trajectory(z) if part.samples else None for part in nlp.parts]
         parts = informations(nlp, at, trajectories)
         jacobian = np.vstack([part.jacobian for part in parts])[:, : len(x)]
         return np.linalg.norm(np.linalg.pinv(np.nan_to_num(jacobian * size)), axis=1)
@@ -257,11 +254,8 @@ class HeldMinima:
     @cached_property
     def numbers(self) -> float:
         """N for costs of the form N/2 log(sum of squares); infinite for other costs."""
-        are_logarithms = all(
-            isinstance(part, RecordPart) and part.covariance.known is None and not part.model.driven
-            for part in self.nlp.parts
-        )
-        return sum(part.numbers for part in self.nlp.parts) if are_logarithms else math.inf
+        parts = self.nlp.parts
+        return sum(p.numbers for p in parts) if all(p.is_logarithm for p in parts) else math.inf
 
     @cached_property
     def _solver(self) -> GaussNewton:

@@ -9,7 +9,7 @@ checked for consistency (SECURITY.md).
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import require_shapes
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.safe_files import HDF5
@@ -155,7 +155,7 @@ def _require_consistent(fit: Fit, checksum: str) -> None:
         normal_prior(prior, f"the prior of {name!r:.40}")
 
     sizes = {"p": len(fit.free), "k": len(fit.names), "r": len(fit.runs.cost)}
-    _require_shapes(fit, {"covariance": "kk", "white": "pp"}, sizes)
+    require_shapes(fit, {"covariance": "kk", "white": "pp"}, sizes)
     if fit.independent is not None:
         size = (sizes["p"], sizes["p"])
         require(fit.independent[0].shape == size, "independent has another shape")
@@ -164,65 +164,22 @@ def _require_consistent(fit: Fit, checksum: str) -> None:
     for directions, n in ((fit.directions, "k"), (beside, "p")):
         if directions is not None:
             axes = {"covariance": n + n, "unseen": n + "*", "size": n, "at": n}
-            _require_shapes(directions, axes, sizes)
+            require_shapes(directions, axes, sizes)
 
     # Runs are columns: in a shorter one, values would belong to other runs.
     columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
-    _require_shapes(fit.runs, columns | {"start": "rp", "estimate": "rp"}, sizes)
+    require_shapes(fit.runs, columns | {"start": "rp", "estimate": "rp"}, sizes)
     require(np.array_equal(fit.runs.indices, np.arange(sizes["r"])), "its runs are not in order")
     for minimum in fit.minima:
-        _require_shapes(minimum, {"estimate": "p"}, sizes)
+        require_shapes(minimum, {"estimate": "p"}, sizes)
         ends = (0, *sorted(minimum.runs), sizes["r"] - 1)
         require(len(ends) > 2, "no run ended at one of its minima")
         require(sorted(ends) == [*ends], "a minimum belongs to a run that it does not have")
 
     require(fit.checksum == checksum, "its data do not match their checksum")
     for part in fit.parts:
-        _require_consistent_part(part)
+        part.check()
     if fit.profiles is not None:
         for profile in fit.profiles.profiles:
             sizes = {"n": len(profile.values), "f": len(fit.profiles.free)}
-            _require_shapes(profile, {"costs": "n", "roots": "n", "others": "nf"}, sizes)
-
-
-def _require_consistent_part(part: AnyFittedPart) -> None:
-    model = part.model
-    kinds = {"class": str, "arguments": list, "keywords": dict}
-    is_reference = all(isinstance(model[name], kind) for name, kind in kinds.items())
-    require(is_reference, "its model is not a class with arguments")
-
-    # Arrays of other shapes would be broadcast silently, and printed as if they belonged together.
-    sizes = {"n": len(part.data)}
-    if isinstance(part, FittedResponse):
-        _require_shapes(part, {"response": "n"}, sizes)
-        amplitudes = 1 if part.sine is None else np.size(part.sine.amplitude)
-        require(amplitudes in (1, sizes["n"]), "an amplitude is missing")
-        return
-
-    sizes["o"] = len(part.outputs)
-    _require_shapes(part, {"noise": "oo"}, sizes)
-    if isinstance(part, FittedSpectrum):
-        known = {*part.data.outputs} & {*part.fitted}
-        arrays = part.fitted.values()
-        require(all(a.shape == (sizes["n"],) for a in arrays), "a fitted output is incomplete")
-    else:
-        known = {*part.data.signals} & {*part.simulated.signals}
-        is_same_time = np.array_equal(part.data.time, part.simulated.time)
-        require(is_same_time, "the simulated record and its data have different times")
-        sizes["g"] = len(part.gains)
-        _require_shapes(part, {"gain": "g", "gain_slope": "g*"}, sizes)
-        require(all(a.ndim == 1 for a in part.initial.values()), "an initial state is not a list")
-
-    require({*part.outputs} <= known, "an output is not in the data")
-
-
-def _require_shapes(value: Any, axes_of: Mapping[str, str], sizes: Mapping[str, int]) -> None:
-    """Require the shapes of arrays: a letter of `sizes` for each axis, "*" for any length."""
-    for name, axes in axes_of.items():
-        array = getattr(value, name)
-        if array is not None:
-            required = [sizes.get(axis, -1) for axis in axes]
-            is_right = array.ndim == len(axes) and all(
-                size in (-1, length) for size, length in zip(required, array.shape, strict=True)
-            )
-            require(is_right, f"{name} has another shape")
+            require_shapes(profile, {"costs": "n", "roots": "n", "others": "nf"}, sizes)

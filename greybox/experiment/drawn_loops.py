@@ -55,7 +55,7 @@ def drawn_loops(
         model,
         _plants(plant, [fitted.rename.get(name, name) for name in model.parameters]),
         controller,
-        at=at or getattr(fitted, "at", {}),
+        at=at or fitted.at,
         delay_has="hold" if has_hold else "nothing",
     )
 

@@ -21,9 +21,7 @@ from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import entries_by_name
-from greybox.modeling.transfer_function import require_no_operating_point
 from greybox.modeling.trim import trim_of
 
 DOT = "_dot"  # after the name of a signal: its derivative in time
@@ -303,14 +301,11 @@ def _continuous(model: Model, system: Dynamics, sensors: Strings, at: Values) ->
     y = ca.vertcat(*[measured_signal(model.label, system, name, x, u, p) for name in sensors])
     blocks = [ca.jacobian(e, v) for e in (f, y) for v in (x, u)]
     matrices = ca.Function("plant", [p, x, u], [*blocks, system.delay(p)])
-    if isinstance(model, StateSpace):
-        point = trim_of(model, at).closed()
-    else:
-        require_no_operating_point(model, at)
-        point = ca.Function("rest", [p], [ca.SX.zeros(x.numel()), ca.SX.zeros(u.numel())])
-
     values = ca.MX.sym("p", p.numel())
-    return ca.Function("plant", [values], matrices.call([values, *point.call([values])]))
+    states, inputs = trim_of(model, at).closed().call([values])
+    # A realized transfer function has states that the model does not declare.
+    states = ca.vertcat(states, ca.DM.zeros(x.numel() - states.numel()))
+    return ca.Function("plant", [values], matrices.call([values, states, inputs]))
 
 
 def measured_signal(

@@ -26,13 +26,18 @@ from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spec
 from greybox.formulation.sum import Addable, Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
-from greybox.modeling.model import Model, Names, ParameterFormula, pick_signals, require_known
+from greybox.modeling.model import (
+    Model,
+    Names,
+    ParameterFormula,
+    pick_signals,
+    require_known,
+    require_operating_point,
+)
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, Parameters, is_finite_number
 from greybox.modeling.sine import Sine, as_sine
-from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import called, require_no_nan
-from greybox.modeling.transfer_function import require_no_operating_point
 
 _Stated = TypeVar("_Stated", bound="Problem")
 
@@ -299,11 +304,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
                 f"at={dict(self.at)} is the operating point of a frequency response and this is a "
                 "record: leave it out; known initial states go into OutputError(initial=...)."
             )
-        if isinstance(self.model, StateSpace):
-            signals = (*self.model.states, *self.model.inputs)
-            require_known(self.at, signals, "state or input", self.model.label)
-        else:
-            require_no_operating_point(self.model, self.at)
+        require_operating_point(self.model, self.at)
 
     def _check_amplitude(self) -> None:
         if self.amplitude is None:

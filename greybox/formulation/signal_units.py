@@ -11,10 +11,9 @@ from greybox.files.arrays import by_name
 from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (
-    "convert it, record.with_signals(units={{{name!r}: {unit!r}}}, "
+    "convert the record, record.with_signals(units={{{name!r}: {unit!r}}}, "
     "{name}={factor:.10g} * record[{name!r}]{zero})"
 )
-CONVERT_FIRST = "convert the record that the spectrum was made of"
 MEASURE = "measure it in {unit}, as gb.prepare does from logs"
 
 
@@ -27,14 +26,12 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
         For the first signal in another unit, with its conversion.
     """
     signals = (*model.input_names, *model.output_names)
-    names = (*signals, *getattr(model, "states", ()))
+    names = (*signals, *model.state_names)
     require_known(model.units, names, "signal", model.label)
-    is_record = isinstance(data, Record)
-    noun, cure = ("record", CONVERT) if is_record else ("spectrum", CONVERT_FIRST)
     for name in dict.fromkeys(signals):
         if name in data.signals:
-            place = f"the {noun} {data.name!r}"
-            _require_same_unit(model, name, data.units.get(name, ""), name, place, cure)
+            unit, place = data.units.get(name, ""), f"the {data.noun} {data.name!r}"
+            _require_same_unit(model, name, unit, name, place, CONVERT)
 
 
 def check_response_units(model: Model, response: FrequencyResponse) -> None:

@@ -16,7 +16,6 @@ from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.parameter import Parameter, is_finite_number
-from greybox.modeling.state_space import StateSpace
 
 ROWS_CONDITION = "independent errors of equal variance in each output"
 SPECTRUM_CONDITION = (
@@ -132,13 +131,7 @@ class TimeCriterion(AnyCriterion):
         require_known(
             self.biases, (*outputs, *model.input_names), "measured output or input", label
         )
-        if isinstance(model, StateSpace):
-            require_known(self.initial, model.states, "state", label)
-        elif self.initial:
-            raise ValueError(
-                f"{label} is a transfer function and has no named states: leave out initial."
-            )
-
+        require_known(self.initial, model.state_names, "state", label)
         self.check_noise(model, outputs)
         return outputs
 
@@ -300,11 +293,11 @@ class PredictionError(TimeCriterion):
 
         Its time constant lies between a sample, below which it is white, and the record.
         """
-        model = undisturbed(model)
-        if not self.disturbance or not isinstance(model, StateSpace):
-            return model
+        own: Any = undisturbed(model)
+        if not self.disturbance or not own.state_names:
+            return own
         bounds = record.step, record.duration
-        return ColoredDisturbance(model, *((state, bounds) for state in self.disturbance))
+        return ColoredDisturbance(own, *((state, bounds) for state in self.disturbance))
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds: biases, and gains or sizes of noise."""
@@ -336,21 +329,15 @@ class PredictionError(TimeCriterion):
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return every pair of a corrected state (with process noise: any) and an output."""
-        if not isinstance(model, StateSpace):
-            raise TypeError(
-                f"{type(self).__name__} needs a StateSpace, whose states it corrects, not "
-                f"{model.label}."
-            )
-        if not model.states:
+        states, kind = model.state_names, type(self).__name__
+        if not states:
             raise ValueError(
-                f"{model.label} has no states, which {type(self).__name__} corrects: use "
-                "OutputError()."
+                f"{model.label} declares no states, which {kind} corrects: use OutputError(), or "
+                "state the model as a StateSpace."
             )
 
-        require_known((*self.corrected, *self.driven()), model.states, "state", model.label)
-        return tuple(
-            (state, output) for state in self.corrected or model.states for output in outputs
-        )
+        require_known((*self.corrected, *self.driven()), states, "state", model.label)
+        return tuple((state, output) for state in self.corrected or states for output in outputs)
 
 
 def modeled_outputs(

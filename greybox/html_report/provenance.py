@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from xml.etree.ElementTree import Element
 
 from greybox.estimate import printed
-from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, number
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.tables import Cell, number_cell, table
-
-SIZES = {FittedResponse: "point", FittedRecord: "sample", FittedSpectrum: "line"}
 
 
 def data_summary(fit: Fit) -> str:
@@ -57,9 +55,9 @@ def _data_table(fit: Fit) -> Element:
         [
             Cell(part.name or part.data.name or "–"),
             Cell(part.label),
-            Cell(_signals(part)),
-            Cell(counted(len(part.data), SIZES[type(part)]), float(len(part.data))),
-            Cell(_span(part)),
+            Cell(part.signal_path),
+            Cell(counted(len(part.data), *part.nouns[:2]), float(len(part.data))),
+            Cell(part.extent),
             Cell(part.criterion),
             number_cell(part.weight),
             Cell(part.data.source or "–"),
@@ -69,25 +67,6 @@ def _data_table(fit: Fit) -> Element:
     ]
     header = ["data", "model", "signals", "size", "span", "criterion", "weight", "source"]
     return table([*header, "checksum (SHA-256)"], rows)
-
-
-def _signals(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
-    if isinstance(part, FittedSpectrum):
-        return f"{', '.join(part.data.inputs)} → {', '.join(part.outputs)}"
-    if isinstance(part, FittedRecord):
-        return f"{', '.join(part.input_names) or 'no input'} → {', '.join(part.outputs)}"
-    named = part.curve or part.data
-    return f"{named.input or 'input'} → {named.output or 'output'}"
-
-
-def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
-    if not isinstance(part, FittedRecord):
-        return f"{part.data.omega.min():.3g} to {part.data.omega.max():.3g} rad/s"
-    return (
-        f"{part.data.duration:.4g} s at {part.data.rate:.4g} Hz"
-        if part.data.has_time
-        else "rows without a time"
-    )
 
 
 def _restrictions(fit: Fit) -> list[Element]:

@@ -51,10 +51,11 @@ class GivenModel:
     def polynomials(self, pade: int | None, input: str, output: str) -> tuple[Array, Array]:
         """Return numerator and denominator, highest power of s first."""
         input, output = pick_signals(self.model, input, output)
-        at = self.at if isinstance(self.model, StateSpace) else None
         # Order 0 leaves the delay out: the ratio is then exact for the model without delay.
         order = pade or None
-        ratio = rational(self.model, self.values, input=input, output=output, at=at, pade=order)
+        ratio = rational(
+            self.model, self.values, input=input, output=output, at=self.at, pade=order
+        )
         if pade != 0:
             self._require_no_delay({input: float(ratio.delay)})
 
@@ -65,8 +66,8 @@ class GivenModel:
         """Return the linearized system, with states for delays if `pade` is an order."""
         system, p = self.ode(pade)
         point = dict.fromkeys((*system.states, *system.inputs), 0.0)
-        if isinstance(self.model, StateSpace):
-            point |= linearize(self.model, self.values, self.at).point
+        if self.model.resting_signals:
+            point |= linearize(self.model, self.values, self.at).point  # type: ignore[arg-type]
 
         for name in system.inputs:
             if f"{name}_delay_0" in system.states:
@@ -133,7 +134,7 @@ def given_model(thing: Any, values: Values | None, at: Values | None, part: int 
             if name in model.parameters
         }
         if at is None:
-            at = dict(getattr(fitted, "at", {}))  # a record has none
+            at = dict(fitted.at)
         return GivenModel(model, values, at, thing.name)
 
     if isinstance(thing, Model):

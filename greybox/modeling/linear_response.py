@@ -15,13 +15,13 @@ from greybox.modeling.elimination import eliminated, elimination_order, solve_pe
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
 from greybox.modeling.functions import exp
 from greybox.modeling.linearization import jacobians, linearize
-from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.model import Model, pick_signals, require_operating_point
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import start_values
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, symbols, traced
-from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
+from greybox.modeling.transfer_function import TransferFunction
 from greybox.modeling.trim import Trimmed, trim_of
 
 
@@ -59,7 +59,7 @@ def frequency_response(
     # At a pole the response is infinite, which is refused below with its frequency.
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         if isinstance(model, TransferFunction):
-            require_no_operating_point(model, at)
+            require_operating_point(model, at)
             # Plain complex numbers if possible: tests compare them with those of `Complex`.
             s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
             re, im = _parts(model.response(s, model.values(values)), model.label, omega.size)
@@ -108,7 +108,7 @@ def response_formulas(
     pairs = [pick_signals(model, *pair) for pair in pairs]
     if isinstance(model, TransferFunction):
         _, p = symbols(model)
-        require_no_operating_point(model, at)
+        require_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         parts = _columns(result, s, model.label)
         require_no_nan(f"{model.label}.response", ca.vertcat(*parts))

@@ -109,6 +109,7 @@ class Model(ABC):
     """
 
     parameters: Parameters = MappingProxyType({})
+    trim: Callable[[Any, Any], Named] | None = None
     units: NamedStrings = MappingProxyType({})
     derived: ClassVar[Mapping[str, ParameterFormula]] = MappingProxyType({})
     arguments: tuple[tuple[Any, ...], dict[str, Any]]
@@ -143,6 +144,16 @@ class Model(ABC):
     @abstractmethod
     def output_names(self) -> Strings:
         """Names of the output signals."""
+
+    @property
+    def state_names(self) -> Strings:
+        """Names of the states; a transfer function declares none."""
+        return ()
+
+    @property
+    def resting_signals(self) -> Strings:
+        """States and inputs at an operating point; a transfer function has none."""
+        return ()
 
     @property
     def is_static(self) -> bool:
@@ -197,6 +208,16 @@ def require_known(names: Iterable[str], known: Iterable[str], what: str, owner: 
     for name in names:
         if name not in known:
             raise ValueError(f"{owner} has no {what} {name!r}; it has {alternatives(name, known)}")
+
+
+def require_operating_point(model: Model, at: Values | None) -> None:
+    """Raise ValueError for an operating point of a transfer function, or of unknown signals."""
+    if at and not model.resting_signals:
+        raise ValueError(
+            f"{model.label} is a transfer function and has no operating point: leave out "
+            f"at={dict(at)}."
+        )
+    require_known(at or {}, model.resting_signals, "state or input", model.label)
 
 
 def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, str]:

@@ -21,10 +21,10 @@ from greybox.modeling.function_of_s import (
 )
 from greybox.modeling.functions import exp
 from greybox.modeling.linearization import linearize
-from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.model import Model, pick_signals, require_operating_point
 from greybox.modeling.pade_delay import pade_exponential
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
+from greybox.modeling.transfer_function import TransferFunction
 
 
 class Rational(FunctionOfS):
@@ -164,7 +164,7 @@ def rational(
     """
     input, output = pick_signals(model, input, output)
     if isinstance(model, TransferFunction):
-        require_no_operating_point(model, at)
+        require_operating_point(model, at)
         return as_rational(model.response(Rational([1.0, 0.0], pade=pade), model.values(values)))
 
     assert isinstance(model, StateSpace)

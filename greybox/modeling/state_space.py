@@ -1,11 +1,11 @@
 """Ordinary differential equations, x' = f(x, u, p), and static models, which have no states."""
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.files.arrays import Named, NamedStrings, Strings
+from greybox.files.arrays import NamedStrings, Strings
 from greybox.modeling.model import Model, require_known, require_signal_names
 
 
@@ -47,8 +47,6 @@ class StateSpace(Model):
     outputs: Sequence[str] = ("y",)
     delays: NamedStrings = MappingProxyType({})
 
-    trim: Callable[[Any, Any], Named] | None = None
-
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Check the signal names of the declaration."""
         super().__init_subclass__(**kwargs)
@@ -75,6 +73,16 @@ class StateSpace(Model):
     @abstractmethod
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return every output, in the order of `outputs`."""
+
+    @property
+    def state_names(self) -> Strings:
+        """Names of the states."""
+        return tuple(self.states)
+
+    @property
+    def resting_signals(self) -> Strings:
+        """States, then inputs."""
+        return (*self.states, *self.inputs)
 
     @property
     def is_static(self) -> bool:

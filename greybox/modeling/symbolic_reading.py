@@ -42,8 +42,7 @@ def dense_jacobian(values: Any, by: Any) -> Any:
 
 def symbols(model: Model) -> tuple[ca.SX, ca.SX]:
     """Return symbols of states and inputs (n + m,), and of parameters."""
-    states = model.states if isinstance(model, StateSpace) else ()
-    z = ca.SX.sym("z", len(states) + len(model.input_names))
+    z = ca.SX.sym("z", len(model.state_names) + len(model.input_names))
     return z, ca.SX.sym("p", len(model.parameters))
 
 

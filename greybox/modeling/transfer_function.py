@@ -5,7 +5,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.files.arrays import Strings, Values
+from greybox.files.arrays import Strings
 from greybox.modeling.model import Model, Names, ParameterFormula, merged_parameters, require_known
 
 
@@ -219,15 +219,6 @@ def feedback(
     array([0.5])
     """
     return FeedbackLoop(forward, back, sign)
-
-
-def require_no_operating_point(model: Model, at: Values | None) -> None:
-    """Raise ValueError where an operating point is given to a transfer function."""
-    if at:
-        raise ValueError(
-            f"{model.label} is a transfer function and has no operating point: leave out "
-            f"at={dict(at)}."
-        )
 
 
 def _require_transfer_functions(*models: Any) -> None:

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array, IntArray, Values, frozen
-from greybox.modeling.model import Names, require_known
+from greybox.modeling.model import Model, Names, require_operating_point
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import is_finite_number, start_values
 from greybox.modeling.state_space import StateSpace
@@ -53,13 +53,14 @@ class Trimmed:
 
 
 @once
-def trim_of(model: StateSpace, at: Values) -> Trimmed:
+def trim_of(model: Model, at: Values) -> Trimmed:
     """Return states and inputs at the operating point `at` as functions of the parameters.
 
-    The point is the first of these: the result of the model's own `trim`; the origin, if it is an
-    equilibrium for all parameter values (so that a hover, where ``C_x |v| v = 0`` has a double
-    root, has finite derivatives); the solution of ``derivative = 0``, differentiated by the
-    implicit function theorem.
+    A transfer function has no states, and rests without an input. The point of an ODE is the first
+    of these: the result of the model's own `trim`; the origin, if it is an equilibrium for all
+    parameter values (so that a hover, where ``C_x |v| v = 0`` has a double root, has finite
+    derivatives); the solution of ``derivative = 0``, differentiated by the implicit function
+    theorem.
 
     Raises
     ------
@@ -67,8 +68,7 @@ def trim_of(model: StateSpace, at: Values) -> Trimmed:
         For a name in `at` that is neither a state nor an input, or if these values do not determine
         an operating point.
     """
-    names = (*model.states, *model.inputs)
-    require_known(at, names, "state or input", model.label)
+    require_operating_point(model, at)
     for name, value in at.items():
         if not is_finite_number(value):
             raise ValueError(f"at[{name!r}] is {value!r}: give a finite number.")
@@ -76,25 +76,27 @@ def trim_of(model: StateSpace, at: Values) -> Trimmed:
     p = ca.SX.sym("p", len(model.parameters))
     if model.trim is not None:
         return _own_trim(model, at, p)
-    point = [at.get(name, 0.0) for name in names]
+    point = [at.get(name, 0.0) for name in (*model.state_names, *model.input_names)]
+    if not model.state_names:
+        return _closed_form(model, p, point)
     # Whether this is an equilibrium for all parameters, by eight random draws.
     derivative, random = derivative_function(model), np.random.default_rng(0)
     draws = ([q.draw(random) for q in model.parameters.values()] for _ in range(8))
     if all(np.all(np.abs(derivative(point, draw).full()) < 1e-12) for draw in draws):
-        return _closed_form(model, p, [ca.SX(v) for v in point])
+        return _closed_form(model, p, point)
 
-    return _implicit_trim(model, at)
+    return _implicit_trim(model, at)  # type: ignore[arg-type]
 
 
-def _closed_form(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> Trimmed:
-    n, owner = len(model.states), f"{model.label}.trim"
+def _closed_form(model: Model, p: ca.SX, point: Sequence[Any]) -> Trimmed:
+    n, owner = len(model.state_names), f"{model.label}.trim"
     return Trimmed(
         None,
         ca.Function("trim", [p, ca.SX(0, 1)], [column(owner, point[:n]), column(owner, point[n:])]),
     )
 
 
-def _own_trim(model: StateSpace, at: Values, p: ca.SX) -> Trimmed:
+def _own_trim(model: Model, at: Values, p: ca.SX) -> Trimmed:
     assert model.trim is not None
     returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
     if not isinstance(returned, Mapping):
@@ -103,10 +105,9 @@ def _own_trim(model: StateSpace, at: Values, p: ca.SX) -> Trimmed:
             "name."
         )
 
-    names = (*model.states, *model.inputs)
-    require_known(returned, names, "state or input", model.label)
+    require_operating_point(model, returned)
     values = {**returned, **at}
-    trim = _closed_form(model, p, [values.get(name, 0.0) for name in names])
+    trim = _closed_form(model, p, [values.get(name, 0.0) for name in model.resting_signals])
     start = start_values(model.parameters)
     point = ca.vertcat(*trim.function(start, []))
     derivative = np.asarray(derivative_function(model)(point, start)).ravel()
@@ -116,7 +117,7 @@ def _own_trim(model: StateSpace, at: Values, p: ca.SX) -> Trimmed:
         worst = int(np.argmax(np.abs(np.nan_to_num(derivative, nan=np.inf))))
         raise ValueError(
             f"{model.label}.trim at {dict(at)} is not an equilibrium: the derivative of "
-            f"{model.states[worst]!r} is {derivative[worst]:.3g} there; correct the trim."
+            f"{model.state_names[worst]!r} is {derivative[worst]:.3g} there; correct the trim."
         )
 
     return trim

@@ -49,5 +49,5 @@ def _is_robust(nlp: CompiledProblem) -> bool:
 
 def _pseudo_values(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> CompiledProblem:
     pairs = zip(nlp.parts, trajectories, strict=True)
-    parts = (p.with_bounded_errors(t) if isinstance(p, RecordPart) else p for p, t in pairs)
+    parts = (part.with_bounded_errors(trajectory) for part, trajectory in pairs)
     return replace(nlp, parts=tuple(parts))

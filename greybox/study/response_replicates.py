@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.part import CorrelatedPoints, Part
+from greybox.compiled.part import CorrelatedPoints
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, known_covariances
 from greybox.files.arrays import Array, ComplexArray, frozen
@@ -91,7 +91,7 @@ def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int
     values = nlp.all_values(x)
     parts = [
         _drawn_part(part, values, errors.numbers, errors.neighbors)
-        for part, errors in zip(nlp.parts, accuracy.parts, strict=True)
+        for part, errors in nlp.rows_of(ResponsePart, accuracy.parts)
     ]
     about = "normal errors of the fitted size"
     if any(errors.neighbors for errors in accuracy.parts):
@@ -106,10 +106,9 @@ def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int
 
 
 def _drawn_part(
-    part: Part, values: Array, dof: float, neighbors: CorrelatedPoints | None
+    part: ResponsePart, values: Array, dof: float, neighbors: CorrelatedPoints | None
 ) -> DrawnResponse:
     """Return the errors of a part whose residuals have these degrees of freedom."""
-    assert isinstance(part, ResponsePart)
     if not part.is_open:
         raise ValueError(
             f"{type(part.criterion).__name__} accepts only numbers, but the bootstrap gives it "

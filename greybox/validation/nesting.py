@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Strings, Values, by_name
+from greybox.files.arrays import Array, Values, by_name
 from greybox.files.text_table import listed
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -54,7 +54,7 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
     implicit = {
         b.names[name]
         for _, b in pairs
-        for name in b.added
+        for name in b.part.added
         if name.startswith("v_") and not name.endswith("_bias")
     }
     terms = [name for name in large.free if name not in {*small.free, *implicit}]
@@ -121,14 +121,15 @@ class _Part:
     def __init__(self, model: Model, part: FittedPart) -> None:
         self.model = model
         self.part = part
-        # By the criterion.
-        self.added: Strings = getattr(part, "added", ())
-        self.names = {name: part.outside(name) for name in (*model.parameters, *self.added)}
+        self.names = {name: part.outside(name) for name in (*model.parameters, *part.added)}
         self._dynamics = dynamics(model) if isinstance(model, StateSpace) else None
 
     def extends(self, other: "_Part") -> bool:
         """Return whether this part differs from a smaller one in nothing but the equations."""
-        has_all_terms = {*other.added} <= {*self.added} and self.part.tied in ({}, other.part.tied)
+        has_all_terms = {*other.part.added} <= {*self.part.added} and self.part.tied in (
+            {},
+            other.part.tied,
+        )
         return has_all_terms and self._settings() == other._settings()
 
     def _settings(self) -> list[object]:

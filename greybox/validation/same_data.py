@@ -2,11 +2,7 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
-from greybox.estimate.fitted_part import FittedPart, FittedResponse
+from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Strings
 from greybox.files.text_table import number
@@ -52,7 +48,7 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
                     f"({p.data.name or p.name!r}, checksum {p.data.checksum[:8]})" for p in (b, a)
                 ]
                 return f"{name} was fitted to other data than {names[0]} {' and '.join(titles)}"
-            outputs = [", ".join(getattr(part, "outputs", ())) for part in (b, a)]
+            outputs = [", ".join(part.outputs) for part in (b, a)]
             if outputs[0] != outputs[1]:
                 return (
                     f"{name} was fitted to the outputs {outputs[0]} and {names[0]} to {outputs[1]}"
@@ -62,27 +58,7 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
 
 def _same(a: FittedPart, b: FittedPart) -> bool:
     """Return whether two parts have the same data."""
-    if isinstance(a, FittedResponse) and isinstance(b, FittedResponse):
-        return a.data.checksum == b.data.checksum or _same_response(a.data, b.data)
-    # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
-    if a.data.checksum != b.data.checksum or type(a) is not type(b):
-        return False
-    if not (isinstance(a.data, Record) and isinstance(b.data, Record)):
-        return True
-    shared = [name for name in a.data.signals if name in b.data.signals]
-    return np.array_equal(a.data.time, b.data.time) and all(
-        np.array_equal(a.data[name], b.data[name], equal_nan=True) for name in shared
-    )
-
-
-def _same_response(a: FrequencyResponse, b: FrequencyResponse) -> bool:
-    """Return whether two responses have the same numbers, or one is a derivative of the other."""
-    if a.variance is not None or b.variance is not None or not np.array_equal(a.omega, b.omega):
-        return False
-    # The response of a rate is that of its angle times s. All criteria for responses without
-    # variances take errors relative to the response, which a factor does not change.
-    factors = ((1j * a.omega) ** power for power in range(-2, 3))
-    return any(np.allclose(a.response * factor, b.response, rtol=1e-9) for factor in factors)
+    return type(a.data) is type(b.data) and a.data.is_same_as(b.data)  # type: ignore[arg-type]
 
 
 def shared_data(fits: Sequence[Fit]) -> str:

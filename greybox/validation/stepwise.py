@@ -25,7 +25,6 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.added_terms import AddedTerms
 from greybox.modeling.model import require_known
-from greybox.modeling.state_space import StateSpace
 from greybox.validation.comparison import EQUAL_AIC, SIGNIFICANT
 from greybox.validation.nested_models import NestedTest, cost_scale, f_tail, nested_test_at
 
@@ -224,9 +223,8 @@ def _with_causes(problem: AnyProblem, misfit: Misfit) -> tuple[AnyProblem, list[
             "the model as the misfit says; for a fit that was loaded, give gb.misfit(fit)."
         )
     parts = [
-        part.with_(model=AddedTerms(part.model, terms))
-        if isinstance(part.model, StateSpace)
-        and {*part.model.states} >= {state for state, *_ in terms.values()}
+        part.with_(model=AddedTerms(part.model, terms))  # type: ignore[arg-type]
+        if {*part.model.state_names} >= {state for state, *_ in terms.values()}
         else part
         for part in problem.parts
     ]

@@ -69,14 +69,8 @@ def test_spectra_are_reproduced_to_the_share_of_their_power_that_is_not_left():
         outputs = {"q": np.array([3 + 4j, 0.0, 12.0]), "r": np.zeros(3)}
 
     fitted = {"q": np.array([3 + 4j, 5.0, 12.0]), "r": np.ones(3)}
-    part = FittedSpectrum(
-        **(STATED | {"data": Data()}),
-        fitted=fitted,
-        outputs=("q", "r"),
-        noise=np.eye(2),
-        ends={},
-        at={},
-    )
+    stated = {"data": Data(), "fitted": fitted, "outputs": ("q", "r"), "noise": np.eye(2)}
+    part = FittedSpectrum(**(STATED | stated), ends={})
     assert_allclose(part.residual("q"), [0, -5, 0])
     assert part.fit_percent("q") == pytest.approx(100 * (1 - 5 / 13))
     assert np.isnan(part.fit_percent("r"))

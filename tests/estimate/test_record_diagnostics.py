@@ -455,7 +455,7 @@ def fitted_with(residuals, *, white=True, inputs=None, time=True, name="one"):
     signals = inputs or {}
     part = SimpleNamespace(
         model=SimpleNamespace(criterion=SimpleNamespace(corrects_states=white)),
-        problem=SimpleNamespace(model=None),
+        problem=SimpleNamespace(model=SimpleNamespace(state_names=())),
         data=SimpleNamespace(stretches=[SimpleNamespace(step=STEP)]),
         is_static=False,
         system=SimpleNamespace(inputs=tuple(signals)),
@@ -567,7 +567,7 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
         part = SimpleNamespace(
             model=SimpleNamespace(criterion=criterion),
             is_static=more.pop("static", False),
-            problem=SimpleNamespace(model=None),
+            problem=SimpleNamespace(model=SimpleNamespace(state_names=())),
             data=data,
             system=system,
         )

@@ -124,7 +124,7 @@ class Wild(gb.StateSpace):
         (lambda: gb.Problem(Spring(), DATA, gb.OutputError(biases=("q",))), "'q'"),
         (
             lambda: gb.Problem(Lag(), lag_data(), gb.OutputError(initial={"y": 0.0})),
-            "has no named states",
+            "Lag has no state 'y'",
         ),
         (lambda: gb.Problem(Spring(), DATA, gb.PredictionError(corrected=("z",))), "'z'"),
         (

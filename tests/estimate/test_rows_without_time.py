@@ -189,7 +189,7 @@ def test_a_model_that_explains_nothing_is_said_without_reference_to_samples():
         (lambda: gb.predict(Lag(), {}, rows()), "the dynamic model Lag needs samples in time"),
         (
             lambda: gb.Problem(Line(), rows(), gb.PredictionError()),
-            r"Line has no states, .*: use OutputError\(\)",
+            r"Line declares no states, .*: use OutputError\(\)",
         ),
         (lambda: gb.prepare(rows(), {"x": "x"}), "prepare needs samples in time"),
         (
@@ -280,7 +280,7 @@ def test_rows_of_one_table_are_the_same_data():
 def test_tables_and_records_in_time_add():
     table, record = rows(20), rows(30, 5, time=0.1 * np.arange(30))
     fit = gb.fit(gb.Problem(Line(), table) + gb.Problem(Line(), record), starts=1, progress=False)
-    assert "30 samples in 1 record and 20 rows without a time in 1 record" in str(fit)
+    assert "20 rows without a time in 1 record and 30 samples in 1 record" in str(fit)
     assert fit.estimate["b"] == pytest.approx(3, abs=4 * fit.standard_error["b"])
 
 

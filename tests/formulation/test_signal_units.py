@@ -39,8 +39,14 @@ def record(factor=1.0, **units):
 @pytest.mark.parametrize(
     ("units", "words"),
     [
-        ({"q": "deg/s"}, "q is in deg/s in the record 'flight' and in rad/s in Rate: convert it"),
-        ({"delta": "deg"}, "delta is in deg in the record 'flight' and in rad in Rate: convert it"),
+        (
+            {"q": "deg/s"},
+            "q is in deg/s in the record 'flight' and in rad/s in Rate: convert the record",
+        ),
+        (
+            {"delta": "deg"},
+            "delta is in deg in the record 'flight' and in rad in Rate: convert the record",
+        ),
         ({"q": "mrad/s"}, "q=0.001 * record['q']"),
         ({"T": "degC"}, "T=1 * record['T'] + 273.15"),
         (
@@ -57,9 +63,9 @@ def test_another_unit_is_refused_with_the_cure(units, words):
 
 def test_the_cure_works():
     degrees = record(np.degrees(1.0), q="deg/s")
-    with pytest.raises(ValueError, match="convert it") as refused:
+    with pytest.raises(ValueError, match="convert the record") as refused:
         gb.Problem(Rate(), degrees)
-    cure = str(refused.value).partition("convert it, ")[2].removesuffix(".")
+    cure = str(refused.value).partition("convert the record, ")[2].removesuffix(".")
     converted = eval(cure, {"record": degrees})
     fit = gb.fit(
         gb.Problem(Rate(), converted, gb.OutputError(inputs="held")), starts=1, progress=False
@@ -93,7 +99,7 @@ def test_a_spectrum_in_other_units_is_refused_with_where_to_convert_it():
     degrees = record(180 / np.pi, q="deg/s", delta="rad", T="K")
     spectrum = gb.spectral.transient_spectrum(degrees, "delta", "q", (0.5, 20.0))
     with pytest.raises(
-        ValueError, match=r"q is in deg/s in the spectrum .* convert the record that the"
+        ValueError, match=r"q is in deg/s in the spectrum .* convert the record, record.with"
     ):
         gb.fit(gb.Problem(Rate(), spectrum), starts=1, progress=False)
 

@@ -268,9 +268,7 @@ def test_what_a_record_cannot_be_compared_with_is_said():
 
 def test_only_a_model_with_named_states_is_predicted():
     record = gb.Record(0.1 * np.arange(50), {"u": np.ones(50), "y": np.zeros(50)})
-    with pytest.raises(
-        TypeError, match="PredictionError needs a StateSpace, whose states it corrects, not Lag"
-    ):
+    with pytest.raises(ValueError, match="Lag declares no states, which PredictionError corrects"):
         gb.PredictionError().gains(Lag(), ("y",))
     constant = bias_parameter("u", record)
     known = bias_parameter("u", record.with_signals(u=np.linspace(3.0, 4.0, 50)))

@@ -28,10 +28,7 @@ def correlated_frequencies(
 ) -> Iterator[str]:
     """Name the responses whose errors at the estimate x (p,) are correlated."""
     values, unlikely = nlp.all_values(x), UNLIKELY / len(nlp.parts)
-    # Without degrees of freedom the parts have no accuracy.
-    for part, trajectory, known in zip(nlp.parts, trajectories, accuracy.parts, strict=False):
-        if not isinstance(part, ResponsePart):
-            continue
+    for part, trajectory, known in nlp.rows_of(ResponsePart, trajectories, accuracy.parts):
         if part.data.has_independent_errors:
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
             if errors is not None and errors.independent < unlikely:

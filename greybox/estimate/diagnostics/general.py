@@ -105,5 +105,5 @@ def warnings(
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
         *(() if exact else outlying_points(nlp, best.estimate)),
-        *(once(outlying_samples(answer.parts)) if errors else ()),
+        *(once(outlying_samples(answer.records)) if errors else ()),
     )

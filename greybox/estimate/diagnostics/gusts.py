@@ -11,7 +11,6 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.records import gust_criterion
-from greybox.modeling.state_space import StateSpace
 
 
 def gusts(
@@ -21,15 +20,14 @@ def gusts(
 
     Residuals of a wrong model look like gusts, unless noise is most of them.
     """
-    # Without degrees of freedom the parts have no accuracy.
-    for part, trajectory, errors in zip(nlp.parts, trajectories, accuracy.parts, strict=False):
-        if not isinstance(part, RecordPart) or part.is_static or errors.colored is None:
+    for part, trajectory, errors in nlp.rows_of(RecordPart, trajectories, accuracy.parts):
+        if part.is_static or errors.colored is None:
             continue
         steady, evidence = trajectory.detail.filter, errors.colored.process_noise
         if part.gains and (steady is None or steady.gain.any()):
             continue
         # A difference of 10 in -2 log evidence is very strong: Kass and Raftery (1995), JASA 90.
-        if noisy and isinstance(part.problem.model, StateSpace) and evidence() > 10.0:
+        if noisy and part.problem.model.state_names and evidence() > 10.0:
             cure = "start process noise above zero" if part.gains else f"use {gust_criterion(part)}"
             yield (
                 f"the residuals of {part.name!r} look like gusts, not like noise of sensors: "

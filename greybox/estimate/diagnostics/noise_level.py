@@ -33,11 +33,10 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
     shared = Counter[str]()
     for part in nlp.parts_of(RecordPart):
         shared.update(by_name(part.outputs, part.few.tolist()))
-    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
-        if isinstance(part, ResponsePart):
-            findings += _of_response(part, trajectory, remaining, 0.01 / len(parts))
-        elif isinstance(part, RecordPart):
-            findings += _of_record(part, trajectory, remaining, total, shared)
+    for part, trajectory in nlp.rows_of(ResponsePart, trajectories):
+        findings += _of_response(part, trajectory, remaining, 0.01 / len(parts))
+    for part, trajectory in nlp.rows_of(RecordPart, trajectories):
+        findings += _of_record(part, trajectory, remaining, total, shared)
     return once(findings)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Finding
-from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.estimate.fitted_part import FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number, percent
 from greybox.statistics.column_space import column_basis
@@ -106,12 +106,12 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
         )
 
 
-def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
+def outlying_samples(records: Sequence[FittedRecord]) -> Iterator[Finding]:
     """Name the outliers among the samples of records whose errors count as normal."""
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    for part in parts:
-        if not isinstance(part, FittedRecord) or part.settings.get("errors") != "normal":
+    for part in records:
+        if part.settings.get("errors") != "normal":
             continue
         for output in part.outputs:
             residual = part.residual(output)[None]

@@ -23,7 +23,6 @@ from greybox.files.arrays import Array, Strings
 from greybox.files.grouping import grouped
 from greybox.files.text_table import listed, some
 from greybox.modeling.colored_disturbance import ColoredDisturbance
-from greybox.modeling.state_space import StateSpace
 from greybox.statistics.metrics import cross_correlation, is_resolved, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -81,14 +80,10 @@ def record_warnings(
     """
     misfit = answer.misfit
     noisy, unstable = (True, False) if misfit is None else (misfit.is_noisy, misfit.is_unstable)
-    pairs = [
-        (part, fitted)
-        for part, fitted in zip(nlp.parts, answer.parts, strict=True)
-        if isinstance(part, RecordPart) and isinstance(fitted, FittedRecord)
-    ]
+    pairs = nlp.rows_of(RecordPart, answer.parts)
 
     return (
-        *(once(_short(answer, accuracy)) if noisy else ()),
+        *(once(_short(nlp, answer, accuracy)) if noisy else ()),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair)),
         *(biased_by_feedback(pairs, unstable=unstable) if noisy else ()),
         *(colored_predictions(pairs, explained=misfit is None or misfit.explains) if noisy else ()),
@@ -158,19 +153,19 @@ def _carried_over(pairs: Pairs) -> Iterator[Finding]:
                 )
 
 
-def _short(answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
+def _short(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
     """Name records that are too short to show how long their errors stay correlated."""
     outputs = sum(len(fitted.outputs) for fitted in answer.records)
-    for fitted, errors in zip(answer.parts, accuracy.parts, strict=False):
+    for part, errors in nlp.rows_of(RecordPart, accuracy.parts):
         colored = errors.colored
-        if not isinstance(fitted, FittedRecord) or colored is None:
+        if colored is None:
             continue
-        for output, evidence, time in zip(fitted.outputs, *colored.slow_errors(), strict=False):
+        for output, evidence, time in zip(part.outputs, *colored.slow_errors(), strict=False):
             if evidence > EVIDENCE + 2 * math.log(outputs) and time * FEWEST_TIMES > 1:
                 yield (
                     output,
-                    fitted.name,
-                    f"the residuals of {output} in {fitted.name!r} stay correlated for about "
+                    part.name,
+                    f"the residuals of {output} in {part.name!r} stay correlated for about "
                     f"{time * colored.duration:.2g} s, and the longest gap-free stretch lasts only "
                     f"{1 / time:.3g} times that, less than {FEWEST_TIMES:g}. The standard errors "
                     "are rough; use a longer record.",
@@ -196,7 +191,7 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Iterator[Find
             cure = ", and the measured signal looks like noise: excite it more, or leave it out."
         elif percent < noise.attainable_fit_percent / 2:
             kind, cure = "", "try other starts, narrower start boxes, or another model structure"
-            if isinstance(part.problem.model, StateSpace) and part.problem.model.states:
+            if part.problem.model.state_names:
                 cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
             attainable = f"{noise.attainable_fit_percent:.0f}"
             cure = f", although its noise would allow about {attainable} %: {cure}."
