@@ -69,7 +69,8 @@ def hold_of_response(
 def response_of_hold(omega: Array, seconds: float) -> ComplexArray:
     """Return the response (n,) of a hold of `seconds`: the mean of exp(-jωt) over this time."""
     half = omega * seconds / 2
-    return np.exp(-1j * half) * np.sinc(half / np.pi)
+    response: Any = np.exp(-1j * half) * np.sinc(half / np.pi)
+    return response
 
 
 def checked_hold(name: str, seconds: Any) -> float:

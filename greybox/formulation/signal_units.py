@@ -15,7 +15,7 @@ CONVERT = (
     "{name}={factor:.10g} * record[{name!r}]{zero})"
 )
 CONVERT_FIRST = "convert the record that the spectrum was made of"
-MEASURE = "measure it in {unit}, as gb.prepare does from logs"
+MEASURE = "measure it in {unit}, or use SI units in both"
 
 
 def check_units(model: Model, data: Record | TransientSpectrum) -> None:
@@ -33,7 +33,7 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
     noun, cure = ("record", CONVERT) if is_record else ("spectrum", CONVERT_FIRST)
     for name in dict.fromkeys(signals):
         if name in data.signals:
-            place = f"the {noun} {data.name!r}"
+            place = f"the {noun} {data.name!r}" if data.name else f"the {noun}"
             _require_same_unit(model, name, data.units.get(name, ""), name, place, cure)
 
 
