@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import greybox as gb
-from greybox.data.intersample import NO_HOLD
+from greybox.data.intersample import NO_HOLD, response_of_hold
 from greybox.experiment.control_check import ControlCheck, check_controller
 from greybox.experiment.controller import sensors_of
 from greybox.experiment.measured_loop import broken_loop
@@ -157,8 +157,7 @@ class FlownController:
                 )
         linear = linear_controller(self.controllers, sensors, (plant.input,))
         if NO_HOLD in plant.about:  # this loop holds the control, whatever the fitted flight did
-            about = {**plant.about, NO_HOLD: f"{1 / self.law.rate:.9g}"}
-            plant = replace(plant, about=about).with_hold()
+            plant = plant.times(response_of_hold(plant.omega, 1 / self.law.rate))
         s = 1j * plant.omega
         control = linear.response(np.exp(s / self.law.rate))
         control = control[:, linear.commands.index(plant.input)]

@@ -3,13 +3,12 @@
 import hashlib
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.checked_array import checked_array, finite_array, require, require_size
-from greybox.data.intersample import HOLD, NO_HOLD
+from greybox.data.intersample import HOLD, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
 from greybox.files.arrays import (
@@ -299,9 +298,7 @@ class FrequencyResponse:
         """
         if HOLD not in self.about:
             return self
-        half = self.omega * float(self.about[HOLD]) / 2
-        # The mean of exp(-jωt) over the time for which a value lasts.
-        hold: Any = np.exp(-1j * half) * np.sinc(half / np.pi)
+        hold = response_of_hold(self.omega, float(self.about[HOLD]))
         about = {NO_HOLD if name == HOLD else name: text for name, text in self.about.items()}
         return replace(self.times(1 / hold, self.output), about=about)
 

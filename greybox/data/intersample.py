@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Values
+from greybox.files.arrays import Array, ComplexArray, Values
 
 HELD = math.inf
 CONTINUOUS = 0.0
@@ -64,6 +64,13 @@ def hold_of_response(
         seconds = step if reading.held else 2 * reading.late
         lasted.add("" if hold.get(output) or math.isnan(seconds) else f"{seconds:.6g}")
     return {HOLD: lasted.pop()} if len(lasted) == 1 and "" not in lasted else {}
+
+
+def response_of_hold(omega: Array, seconds: float) -> ComplexArray:
+    """Return the response (n,) of a hold of `seconds`: the mean of exp(-jωt) over this time."""
+    half = omega * seconds / 2
+    response: Any = np.exp(-1j * half) * np.sinc(half / np.pi)
+    return response
 
 
 def checked_hold(name: str, seconds: Any) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.magnitude_phase import angular_frequency, complex_response
+from greybox.data.units import known_unit
 from greybox.files.arrays import NamedArrays, NamedStrings
 from greybox.files.heading import heading
 from greybox.files.text_table import alternatives
@@ -113,6 +114,9 @@ def assembled(
     else:
         units = columns["magnitude"].unit, columns["phase"].unit
         response = complex_response(values["magnitude"], values["phase"], *units)
+    share = known_unit(columns["coherence"].unit) if "coherence" in columns else None
+    if share:
+        values = {**values, "coherence": share.apply(values["coherence"])}
     return FrequencyResponse(omega, response, **extras(values), **others)
 
 

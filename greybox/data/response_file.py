@@ -12,8 +12,10 @@ from greybox.data.response_columns import (
     columns_by_role,
     written_columns,
 )
+from greybox.data.units import with_units_in_header
 from greybox.files.arrays import NamedStrings, by_name
 from greybox.files.delimited_text import numbered, read_delimited, write_delimited
+from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit
@@ -45,7 +47,8 @@ def read_response(
     rad and ``absolute``. Without a header line, the names of the columns are their numbers, from 1.
 
     Cells are separated by commas, semicolons or tabs, numbers may have decimal commas, and lines
-    that start with ``#`` or ``%`` are comments.
+    that start with ``#`` or ``%`` are comments. A line of units may stand below the header. The
+    coherence may have the unit ``%``.
 
     Raises
     ------
@@ -64,13 +67,14 @@ def read_response(
     """
     path = Path(path)
     require_file(path)
-    table = read_delimited(path, path.read_bytes())
+    table = with_units_in_header(read_delimited(path, path.read_bytes()))
     table = numbered(table) if columns else table
+    names = [heading(cell).name for cell in table.header]
     # The names of input and output choose a response of a matrix, and rename a single one.
-    if f"{output}_{input}_alpha" in table.header and "alpha" not in table.header:
+    if f"{output}_{input}_alpha" in names and "alpha" not in names:
         prefix = prefix or f"{output}_{input}_"
     try:
-        places = columns_by_role(columns or written_columns(table.header, prefix), table.header)
+        places = columns_by_role(columns or written_columns(names, prefix), table.header)
     except ValueError as error:
         raise ValueError(f"{path} {error}") from None
 
@@ -103,8 +107,9 @@ def read_responses(
     """
     path = Path(path)
     require_file(path)
-    table = read_delimited(path, path.read_bytes())
-    prefixes = [name.removesuffix("_alpha") for name in table.header if name.endswith("_alpha")]
+    table = with_units_in_header(read_delimited(path, path.read_bytes()))
+    names = [heading(cell).name for cell in table.header]
+    prefixes = [name.removesuffix("_alpha") for name in names if name.endswith("_alpha")]
     stated = {pair.replace("/", "_"): pair for pair in table.facts.get(PAIRS, "").split()}
     pairs = [stated.get(prefix, prefix.replace("_", "/")).split("/") for prefix in prefixes]
     if {*PAIR} <= {*table.header}:

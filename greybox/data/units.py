@@ -14,6 +14,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from greybox.files.arrays import Array
+from greybox.files.delimited_text import DelimitedText
+from greybox.files.text_table import is_number
 
 
 class _Unit(NamedTuple):
@@ -218,6 +220,27 @@ def known_unit(unit: str) -> Conversion | None:
         return to_si(unit) if unit.strip() else None
     except ValueError:
         return None
+
+
+def with_units_in_header(text: DelimitedText) -> DelimitedText:
+    """Return a table in whose header are the units that the line below it has, as in flight tests.
+
+    Such a line has a known unit, and no number.
+    """
+    _, row = next(text.rows(), (0, []))
+    units = [cell.strip("[]() ") for cell in row]
+    has_numbers = any(map(is_number, units))
+    if has_numbers or not any(map(known_unit, units)) or len(units) < len(text.header):
+        return text
+    return replace(
+        text,
+        header=tuple(
+            f"{name} [{unit}]" if unit else name
+            for name, unit in zip(text.header, units, strict=True)
+        ),
+        lines=text.lines[1:],
+        line_numbers=text.line_numbers[1:],
+    )
 
 
 def are_of_one_kind(a: Conversion, b: Conversion) -> bool:

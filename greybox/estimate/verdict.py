@@ -69,14 +69,12 @@ def verdict(fit: Any) -> Verdict:
 def _minimum(fit: Any) -> tuple[bool, str]:
     """Tell whether more than one start agrees on the best minimum, and say how many do."""
     # Screened starts were not run, and can neither agree nor disagree.
-    count = counted(sum(run.stage != SCREENED for run in fit.runs), "start")
+    count = sum(run.stage != SCREENED for run in fit.runs)
     if fit.agreeing == 1:
-        return False, (
-            f"Only 1 of {count} reached the best minimum, so another one may have a lower cost: "
-            "run more starts."
-        )
+        few = f"1 of {count} starts reached the best minimum" if count > 1 else "one start was run"
+        return False, f"Only {few}, so another minimum may be lower: run more starts."
 
-    return True, f"{fit.agreeing} of {count} agree on the best minimum."
+    return True, f"{fit.agreeing} of {counted(count, 'start')} agree on the best minimum."
 
 
 def _determined(fit: Any) -> tuple[bool, str]:

@@ -189,7 +189,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     def __post_init__(self) -> None:
         """Fill in the defaults and check that everything fits together."""
-        _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
+        is_class = isinstance(self.model, type)
+        cure = "an instance such as Tilt(), not the class" if is_class else "a model, then the data"
+        _require(self.model, Model, "model", cure)
         if not isinstance(self.data, FrequencyResponse | Record | TransientSpectrum):
             raise TypeError(f"data is {_wrong_data(self.data)}.")
         if isinstance(self.data, FrequencyResponse):
@@ -534,12 +536,16 @@ def _wrong_data(given: Any) -> str:
         )
 
     if isinstance(given, list | tuple):
-        return f"a list with {len(given)} in it: use gb.several(model, [...])"
+        return (
+            f"a list with {len(given)} in it: use gb.several(model, [...]), or gb.Record for arrays"
+        )
     if isinstance(given, Mapping):
         return (
             f"a mapping with the keys {', '.join(map(repr, given)):.200}: give every "
             "FrequencyResponse by its pair, such as {'p/lat': response} (output/input)"
         )
+    if hasattr(given, "iloc"):
+        return "a pandas data frame: give gb.Record.from_pandas(frame)"
     return (
         f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum; of objects "
         "of python-control, gb.interop.from_control(...) makes responses"

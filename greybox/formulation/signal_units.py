@@ -14,7 +14,7 @@ CONVERT = (
     "convert the record, record.with_signals(units={{{name!r}: {unit!r}}}, "
     "{name}={factor:.10g} * record[{name!r}]{zero})"
 )
-MEASURE = "measure it in {unit}, as gb.prepare does from logs"
+MEASURE = "measure it in {unit}, or use SI units in both"
 
 
 def check_units(model: Model, data: Record | TransientSpectrum) -> None:
@@ -30,8 +30,8 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
     require_known(model.units, names, "signal", model.label)
     for name in dict.fromkeys(signals):
         if name in data.signals:
-            unit, place = data.units.get(name, ""), f"the {data.noun} {data.name!r}"
-            _require_same_unit(model, name, unit, name, place, CONVERT)
+            place = f"the {data.noun} {data.name!r}" if data.name else f"the {data.noun}"
+            _require_same_unit(model, name, data.units.get(name, ""), name, place, CONVERT)
 
 
 def check_response_units(model: Model, response: FrequencyResponse) -> None:

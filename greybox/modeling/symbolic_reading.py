@@ -106,8 +106,10 @@ def column(owner: str, values: Sequence[Any]) -> ca.SX:
     """Stack scalar expressions; ValueError names a value that is not an expression."""
     for k, value in enumerate(values):
         if not isinstance(value, (int, float, np.number, ca.SX, ca.DM)):
+            is_container = value is None or isinstance(value, (dict, np.ndarray))
+            cure = "return a tuple of expressions." if is_container else CURE
             raise ValueError(
-                f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {CURE}"
+                f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {cure}"
             )
         if isinstance(value, (ca.SX, ca.DM)) and not value.is_scalar():
             raise ValueError(

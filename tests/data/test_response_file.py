@@ -169,3 +169,16 @@ q,lon,1,6,10
     assert_same(gb.read_response(path, input="lon", output="q", columns=columns), other)
     with pytest.raises(ValueError, match="name the pair of every row"):
         gb.data.read_responses(file(tmp_path, "output,omega_rad_s,alpha,beta\np,1,2,3\n"))
+
+
+def test_units_below_the_header_and_a_coherence_in_percent_are_read(tmp_path):
+    rectangular = tmp_path / "rectangular.csv"
+    rectangular.write_text("omega_rad_s;alpha;beta\nrad/s;1/s;1/s\n1;0,5;-0,5\n2;0,2;-0,4\n")
+    polar = tmp_path / "polar.csv"
+    polar.write_text("f;mag;ph;coh\nHz;dB;deg;%\n0,5;20;-90;97\n1,5;0;-180;98\n")
+    assert_allclose(gb.read_response(rectangular).response, [0.5 - 0.5j, 0.2 - 0.4j])
+    columns = {"frequency": "f", "magnitude": "mag", "phase": "ph", "coherence": "coh"}
+    response = gb.read_response(polar, columns=columns)
+    assert_allclose(response.omega, [np.pi, 3 * np.pi])
+    assert_allclose(response.response, [-10j, -1], atol=1e-12)
+    assert_allclose(response.coherence, [0.97, 0.98])

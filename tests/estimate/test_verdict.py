@@ -98,14 +98,14 @@ def told(**parts):
         ({"agreeing": 2}, "2 of 3 starts agree on the best minimum."),
         (
             {"agreeing": 1},
-            "Only 1 of 3 starts reached the best minimum, so another one may have a lower cost: run more starts.",
+            "Only 1 of 3 starts reached the best minimum, so another minimum may be lower: run more starts.",
         ),
         (
             {
                 "runs": [SimpleNamespace(stage="screened"), SimpleNamespace(stage="polished")],
                 "agreeing": 1,
             },
-            "Only 1 of 1 start reached the best minimum, so another one may have a lower cost: run more starts.",
+            "Only one start was run, so another minimum may be lower: run more starts.",
         ),
     ],
 )

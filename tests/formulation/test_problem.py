@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from declared_models import (
     ROTOR,
@@ -136,6 +137,9 @@ def test_a_constraint_that_is_a_truth_value_is_refused():
             (LagLagDelay, TWO),
             r"model is .*LagLagDelay.*give an instance such as Tilt\(\), not the class",
         ),
+        ((TWO, LagLagDelay()), "give a model, then the data"),
+        ((LagLagDelay(), pd.DataFrame({"u": [1.0]})), "gb.Record.from_pandas"),
+        ((LagLagDelay(), ([1.0], [2.0])), "gb.Record"),
         ((LagLagDelay(), 5), "data is 5: give a FrequencyResponse"),
         ((LagLagDelay(), 5j), "gb.interop.from_control"),
         (

@@ -124,11 +124,11 @@ def response(input="F", output="theta", **units):
     [
         (
             {"theta": "deg"},
-            "the output theta is in deg in the response and in rad in Gain: measure it in rad, as gb.prepare does from",
+            "the output theta is in deg in the response and in rad in Gain: measure it in rad, or use SI units",
         ),
         (
             {"F": "kN"},
-            "the input F is in kN in the response and in N in Gain: measure it in N, as gb.prepare does from",
+            "the input F is in kN in the response and in N in Gain: measure it in N, or use SI units",
         ),
         (
             {"theta": "rad/s"},

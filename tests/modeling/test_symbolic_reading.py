@@ -38,6 +38,7 @@ def state_space(derivative=lambda x, u, p: (u.u - p.c * x.x,), output=lambda x, 
             r"Mine\.derivative gives 2 numbers as value 0: return one scalar",
         ),
         ({"output": lambda x, u, p: ("x",)}, r"Mine\.output gives a str as value 0.* gb\.exp"),
+        ({"derivative": lambda x, u, p: {"x": u.u, "v": x.x}}, r"as value 0.*\breturn a tuple"),
         ({"derivative": lambda x, u, p: (None,)}, r"Mine\.derivative gives a NoneType as value 0"),
         # math functions silently turn a CasADi symbol into NaN
         ({"derivative": lambda x, u, p: (u.u - math.sin(x.x),)}, r"gb\."),

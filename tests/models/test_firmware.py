@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.data.record import Recording
@@ -339,3 +340,16 @@ def test_a_controller_without_gains_leaves_the_loop_open(flight):
 def test_a_fit_of_another_control_is_refused(flight):
     with pytest.raises(ValueError, match=r"RCOU\.C1, which is no control of pitch.*RATE\.POut"):
         flown_controllers(flight, fit_of(Plant(), 90.0, "u = RCOU.C1, theta = ATT.Pitch"))
+
+
+def test_a_loop_holds_its_control_also_where_the_fit_divided_the_hold_out(flight):
+    flown = from_log(flight, signals={"q": "theta_dot"})
+    omega = np.array([1.0, 20.0, 300.0])
+    exact = gb.frequency_response(Plant(), None, omega).response
+    # Means over the 2.5 ms for which a value of the control lasts, by the sum of many delays.
+    times = (np.arange(1000) + 0.5) / 1000 / 400
+    held = exact * np.exp(-1j * np.outer(omega, times)).mean(axis=1)
+    about = {"hold of the input, s": "0.0025"}
+    measured = gb.FrequencyResponse(omega, held, "u", "theta", about=about)
+    loop = flown.loop_gain(measured.without_hold())
+    assert_allclose(loop.response, flown.loop_gain(measured).response, rtol=1e-6)

@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.data.time_column import TIMES, seconds
-from greybox.data.units import known_unit
+from greybox.data.units import with_units_in_header
 from greybox.files.arrays import Array, NamedStrings
 from greybox.files.delimited_text import (
     MISSING,
@@ -23,7 +23,7 @@ from greybox.files.delimited_text import (
 )
 from greybox.files.heading import Heading, heading
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, is_number, printable, some
+from greybox.files.text_table import counted, printable, some
 from greybox.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.logs.readers.named_arrays import Contents, Variable, recording
 from greybox.logs.readers.table_columns import time_column
@@ -77,7 +77,7 @@ def read(
         If the file cannot be opened.
     """
     raw, settings = without_settings(path.read_bytes())
-    text = _with_units_in_header(read_delimited(path, raw))
+    text = with_units_in_header(read_delimited(path, raw))
     if not text.lines:
         raise ValueError(
             f"{path} has no table: write a header line with names, then one line of numbers per "
@@ -110,24 +110,6 @@ def read(
     record = completed(replace(record, findings=log.findings), settings)
     about = {"parameters": settings} if settings else {}
     return replace(log, records={name: record}, metadata=about, findings=record.findings)
-
-
-def _with_units_in_header(text: DelimitedText) -> DelimitedText:
-    """Return a table in whose header are the units that the line below it has, as in flight tests.
-
-    Such a line has a known unit, and no number.
-    """
-    _, row = next(text.rows(), (0, []))
-    units = [cell.strip("[]() ") for cell in row]
-    has_numbers = any(map(is_number, units))
-    if has_numbers or not any(map(known_unit, units)) or len(units) < len(text.header):
-        return text
-    return replace(
-        text,
-        header=tuple(f"{name} [{unit}]" for name, unit in zip(text.header, units, strict=True)),
-        lines=text.lines[1:],
-        line_numbers=text.line_numbers[1:],
-    )
 
 
 def _headings(text: DelimitedText) -> list[Heading]:
