@@ -1,14 +1,14 @@
 """The correlation of errors of neighboring points along frequency, from the residuals of a fit.
 
 The correlation is the same for real and imaginary parts. It falls exponentially with the distance
-in points, rho^|i - j|, as that of a smooth effect that the model omits, with or without white
-errors beside it; or the errors are means of neighbors, or means of such means, as those of a
-transform whose resolution is coarser than the points. Twenty points determine rho to about 0.15
-only. So standard errors and intervals are averaged over all these correlations, weighted by their
-restricted likelihoods, which take account of what the fitted parameters took from the errors.
+in points, rho^|i - j|, as that of a smooth effect that the model omits; or the errors are means of
+neighbors, or means of such means, as those of a transform whose resolution is coarser than the
+points. Twenty points determine rho to about 0.15 only. So standard errors and intervals are
+averaged over all these correlations, weighted by their restricted likelihoods, which take account
+of what the fitted parameters took from the errors.
 Before the data, independent errors are as likely as correlated ones. If they are four times as
 likely afterwards, the errors count as independent. Errors that are independent are recognized in
-nine of ten fits of 48 points, and in two of five fits of 12. Errors of another shape get intervals
+nine of ten fits of 48 points, and in two of three fits of 12. Errors of another shape get intervals
 that are too wide: at 30 points, standard errors were 3 times too large for errors of alternating
 sign, because a negative correlation is not considered. `benchmarks/neighbor_coverage.py` shows what
 this costs.
@@ -42,10 +42,6 @@ UNLIKELY = 0.1
 _POWER = np.abs(np.fft.rfft(np.tri(8)[1:], 32)) ** 2
 LAGS = np.fft.irfft([*_POWER, *_POWER**2 + 1e-5])[:, :16]
 LAGS /= LAGS[:, :1]
-# Shares of the variance that are correlated where white errors join slow ones. Without them,
-# intervals of 48 points covered 53 % where half of the errors were a random walk, and 80 % with
-# them. Smaller shares are hard to tell from independent errors, whose intervals they widen.
-SHARES = (0.6, 0.85)
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)
 
@@ -127,12 +123,12 @@ def neighbor_correlation(
     share = rho[:, None, None]
     moments = (1 + share**2) * squares_of_rows - share**2 * ends - share * (beside + beside.T)
     moments /= 1 - share**2
-    others, factors, shares, logarithms = _other_correlations(n)
+    means, factors = _means(n)
     # Without the checks of SciPy, which take as long as everything else here.
     (pbtrs,) = get_lapack_funcs(("pbtrs",))
     weighted = np.array([pbtrs(factor, rows.view(float), lower=1)[0] for factor in factors])
-    weighted = shares[1] * (rows.conj().T @ weighted.view(complex)).real
-    moments = np.concatenate([moments, shares[0] * squares_of_rows + weighted])
+    moments = np.concatenate([moments, (rows.conj().T @ weighted.view(complex)).real])
+    logarithms = [2 * np.log(factor[0]).sum() for factor in factors]
     # What remains of the first row's square without the others is a ratio of determinants.
     information = np.linalg.slogdet(moments[:, 1:, 1:])[1]
     squares = np.exp(np.linalg.slogdet(moments)[1] - information)
@@ -152,8 +148,8 @@ def neighbor_correlation(
     score += 2 * np.append((n - 1) * np.log(1 - rho**2), logarithms)
     score += information
 
-    # Independent errors are as likely as correlated ones, with a quarter for exponential ones.
-    prior = np.repeat([0.25 / VALUES, 0.25 / len(others)], [VALUES, len(others)])
+    # Independent errors are as likely as correlated ones, and both kinds of correlation are, too.
+    prior = np.repeat([0.25 / VALUES, 0.25 / len(means)], [VALUES, len(means)])
     prior[0] = 0.5
     weight = prior * np.exp((score.min() - score) / 2)
     weight /= weight.sum()
@@ -162,41 +158,20 @@ def neighbor_correlation(
     if weight[0] > 0.8:
         return None
 
-    powers = np.vstack([rho[:, None] ** np.arange(n), others])
+    powers = np.vstack([rho[:, None] ** np.arange(n), np.zeros((len(means), n))])
+    powers[VALUES:, :16] = means
     return NeighborCorrelation(powers, weight, scale)
 
 
 @lru_cache(4)  # members of a study mostly have equal numbers of points
-def _other_correlations(n: int) -> tuple[Array, list[Array], Array, Array]:
-    """Return correlations (m, n) of means of neighbors, and of slow errors that white ones join.
-
-    Then Cholesky factors of matrices B, shares c and d (2, m, 1, 1), and logarithms (m,) of the
-    determinants: the inverse of a correlation is c I + d B⁻¹. For s R + (1 - s) I, slow errors of
-    correlation R, it is (I - s B⁻¹) / (1 - s) with B = s I + (1 - s) R⁻¹, of three diagonals.
-    """
+def _means(n: int) -> tuple[Array, list[Array]]:
+    """Return `LAGS` for n points, and the Cholesky factors of these matrices."""
     from scipy.linalg import cholesky_banded  # noqa: PLC0415  (imports slowly)
 
     # Errors that are alike over half of the points look like a gain.
     means = LAGS[np.count_nonzero(LAGS > 1e-3, axis=1) <= max(n / 2, 2), :n]
-    # Those over fewer points look like exponential correlations.
-    share, times = np.meshgrid(SHARES, np.geomspace(n / 3, n, 3))
-    s, rho = share.reshape(-1, 1), np.exp(-1 / times.reshape(-1, 1))
-    inverses = np.repeat(np.array([1 + rho**2, -rho]), n, 2)
-    inverses[0, :, [0, -1]] = 1.0
-    inverses *= (1 - s) / (1 - rho**2)
-    inverses[0] += s
-    bands = [*np.repeat(means[..., None], n, 2), *inverses.swapaxes(0, 1)]
-
-    factors = [cholesky_banded(band, lower=True) for band in bands]
-    none = np.zeros(len(means))
-    shares = np.array([np.append(none, 1 / (1 - s)), np.append(none + 1, s / (s - 1))])
-    logarithms = np.array([2 * np.log(factor[0]).sum() for factor in factors])
-    logarithms += np.append(none, (n - 1) * np.log(1 - rho**2))
-    powers = np.zeros((len(bands), n))
-    powers[: len(means), : len(LAGS[0])] = means
-    powers[len(means) :] = s * rho ** np.arange(n)
-    powers[:, 0] = 1.0
-    return powers, factors, shares[..., None, None], logarithms
+    bands = np.repeat(means[..., None], n, 2)
+    return means, [cholesky_banded(band, lower=True) for band in bands]
 
 
 def averaged_meat(
