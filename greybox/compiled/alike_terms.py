@@ -20,9 +20,6 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 # Number of columns from which registers of numpy save time within a few calls: their layout takes
 # 1.5 µs for every operation.
 FEWEST_COLUMNS = 512
-# Searches up to which CasADi sums the terms. For eight, with the 20 terms of a lag, it takes 90 µs,
-# and numpy 100 µs; for one 10 and 40 µs.
-NARROW = 8
 DATA = 2  # the input with the data
 
 
@@ -42,18 +39,13 @@ class SecondOrder:
             (Columns(_derivatives([*_others(inputs), group.symbols], group.term)), group)
             for group in groups
         ]
-        self._remainder, sizes = None, [value.numel() for value in inputs]
+        self._remainder = None
         if not (groups and remainder.is_zero()):
             self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
-        # One call for few searches: arranging their terms takes as long as evaluating them.
-        self._narrow = Columns(_summed(sizes, self._groups, self._remainder))
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
         p, m = inputs[0].shape
-        if m <= NARROW:
-            cost, gradient, hessian = self._narrow(*inputs)
-            return cost[0], gradient, hessian
         if self._remainder is None:
             values = [np.zeros((size, m)) for size in (1, p, p * p)]
         else:
@@ -92,22 +84,6 @@ def _derivatives(inputs: Sequence[ca.SX], cost: ca.SX) -> ca.Function:
     hessian, gradient = ca.hessian(cost, inputs[0])
     outputs = [ca.densify(value) for value in (cost, gradient, ca.vec(hessian))]
     return ca.Function("derivatives", [*inputs], outputs, {"cse": True})
-
-
-def _summed(
-    sizes: Sequence[int], groups: Sequence[tuple[Columns, _Group]], remainder: Columns | None
-) -> ca.Function:
-    """Return the sum of all terms and its derivatives as a function of the inputs."""
-    inputs = [ca.MX.sym("v", size) for size in sizes]
-    pieces = [] if remainder is None else [remainder.function(*inputs)]
-    others = _others(inputs)
-    for columns, (_, _, constants, places) in groups:
-        data = ca.reshape(inputs[DATA][places.T.ravel().tolist()], *places.shape)
-        terms = columns.function.map(
-            "terms", "serial", constants.shape[1], [*range(len(others))], [0, 1, 2]
-        )
-        pieces.append(terms(*others, ca.vertcat(ca.DM(constants), data)))
-    return ca.Function("summed", inputs, [sum(piece) for piece in zip(*pieces, strict=True)])
 
 
 def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.alike_terms import FEWEST_COLUMNS, NARROW
+from greybox.compiled.alike_terms import FEWEST_COLUMNS
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
@@ -241,13 +241,11 @@ class BatchedNewton:
 def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
     """Return the `count` searches that have not ended, alone if the others are many.
 
-    Three of four, so that few layouts of registers are built; half where none are built, and any
-    among few, since every column takes its time there.
+    Three of four, so that few layouts of registers are built; half where none are built.
     """
     live, width = searches.live, len(searches.live)
     narrower = 4 if width >= FEWEST_COLUMNS else 2
-    most = width - 1 if width <= NARROW else width // narrower
-    if count > most:
+    if count > width // narrower:
         return searches
     return _Searches(
         searches.owner[live], searches.numbers[:, live], searches.live[live], searches.data[:, live]
