@@ -3,14 +3,13 @@
 import argparse
 import shlex
 from collections.abc import Sequence
-from typing import Any
 
 from greybox.cli.options import option_words
 from greybox.cli.output import Answer, attributes, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
-from greybox.files.arrays import Named, by_name
+from greybox.files.arrays import Fields, Named, by_name
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
@@ -125,7 +124,7 @@ def contents(messages: Sequence[Named]) -> str:
     return text_table(["message", "samples", "Hz", "from s", "to s", "signals"], rows, (0, 5))
 
 
-def message(name: str, record: Record) -> dict[str, Any]:
+def message(name: str, record: Record) -> Fields:
     """Return the facts of a message."""
     times = (rate(record), *record.span) if record.has_time else [None] * 3
     return {

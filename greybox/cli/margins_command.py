@@ -1,13 +1,13 @@
 """The command `greybox margins`: stability margins of saved fits in the loop of a controller."""
 
 import argparse
-from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
+from greybox.files.arrays import Fields
 from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module
 from greybox.study.study import read_study
@@ -61,7 +61,7 @@ results RESULT...
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, close their loops, and return the margins wherever these are broken."""
-    fits: dict[str, Any] = {}
+    fits: Fields = {}
     for path in options.results:
         if path.is_dir():
             fits |= {member.name: member.fit for member in read_study(path).done}
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> Answer:
             for place in options.broken_at or [""]
         ]
         loops = [loop for _, loop in labeled]
-        answer: dict[str, Any] = {"loops": [loop.to_dict() for loop in loops]}
+        answer: Fields = {"loops": [loop.to_dict() for loop in loops]}
         text = [margin_table(labeled)] if len(fits) > 1 else [*map(str, loops)]
 
     # A loop may be safe where it is broken at one signal, and not at another.

@@ -4,10 +4,12 @@ import argparse
 import contextlib
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+from greybox.files.arrays import Fields, Labels
 
 # Options that several commands have in common, in the form that `declare` reads.
 SHARED = """
@@ -90,7 +92,7 @@ def _blocks(text: str) -> list[str]:
     return re.split(r"\n+(?! )", text.strip())
 
 
-def _settings(words: Sequence[str], about: str) -> dict[str, Any]:
+def _settings(words: Labels, about: str) -> Fields:
     """Return the arguments of argparse for an option with these words behind its name."""
     if not words:
         return {"action": "store_true"}
@@ -124,7 +126,7 @@ class _ByName(argparse.Action):
         setattr(namespace, self.dest, by_name(values, option_string, str(self.metavar)))
 
 
-def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
+def by_name(words: Labels, flag: str, form: str) -> Fields:
     """Return values by name from words of a form such as ``NAME=VALUE``.
 
     A name alone has the value None where the form allows it: ``NAME[=VALUE]``.
@@ -134,7 +136,7 @@ def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
     UsageError
         For a word of another form, or a repeated name.
     """
-    result: dict[str, Any] = {}
+    result: Fields = {}
     for word in words:
         name, sign, text = word.partition("=")
         is_bare = not sign and "[=" in form

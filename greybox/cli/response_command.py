@@ -12,6 +12,7 @@ from greybox.cli.output import Answer, attributes, require_figure, require_writa
 from greybox.cli.read_log import read_log
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
+from greybox.files.arrays import Fields
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
@@ -70,7 +71,7 @@ def run(options: argparse.Namespace) -> Answer:
     return answer, *lines
 
 
-Kind = tuple[Any, dict[str, Any], Callable[[Path], None] | None, Sequence[Any]]
+Kind = tuple[Any, Fields, Callable[[Path], None] | None, Sequence[Any]]
 """A measurement, its JSON, the function that writes its data if they are usable, its figures."""
 
 
@@ -106,7 +107,7 @@ def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
     return measured, answer, write, measured.responses
 
 
-def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
+def _origin(recording: Recording, measured: Any) -> Fields:
     """Return the part about the log in the JSON of every measurement."""
     return {
         "log": recording.source,
@@ -116,7 +117,7 @@ def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
     }
 
 
-def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
+def response_json(recording: Recording, measured: Measurement) -> Fields:
     """Return the JSON of a measurement; without a response its columns are None."""
     # The same keys in every answer: a script need not ask which ones there are.
     response, quality = measured.response, measured.quality

@@ -21,7 +21,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, Strings, by_name, frozen
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Fields, Strings, by_name, frozen
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -113,7 +113,7 @@ class CompiledProblem(Portable):
         return (*self.free, *self.constants)
 
     @property
-    def bounds(self) -> tuple[Array, Array]:
+    def bounds(self) -> ArrayPair:
         """Lower and upper bounds (p,) of the solver's variables z."""
         return self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)
 
@@ -150,7 +150,7 @@ class CompiledProblem(Portable):
         pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
         return np.concatenate([constants, *(part.numbers_of(response) for part, response in pairs)])
 
-    def judged(self, x: Array) -> tuple[Array, Array]:
+    def judged(self, x: Array) -> ArrayPair:
         """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
         sizes = [part.magnitude for part in self.parts_of(ResponsePart)]
         [responses] = self.responses(self.all_values(x).T)
@@ -186,13 +186,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
 
-    def values_at(z: Any, constants: Any) -> dict[str, Any]:
+    def values_at(z: Any, constants: Any) -> Fields:
         """Return all values by name, at symbols of the solver's variables and the constants."""
         return by_name(names, [*scaling.expressions(z), *constants])
 
     limits, constraint = limits_of(problem, names)
     parts: dict[Problem, Part] = {}
-    functions: dict[str, Any] = {}
+    functions: Fields = {}
     if problem.parts_with(FrequencyResponse):
         responses = ResponseCompiler(problem, names, constant_values, values_at, constraint)
         response_parts, functions = responses.compiled()

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray, all_finite, of_diagonal
+from greybox.files.arrays import Array, ArrayPair, BoolArray, all_finite, of_diagonal
 
 # Curvature, relative to that of the outputs, that holds states which no output shows.
 RIDGE = 1e-10
@@ -105,7 +105,7 @@ def solve_continuity(
     stationarity: Array,
     continuity: Array,
     variance: Array,
-) -> tuple[Array, Array]:
+) -> ArrayPair:
     """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states.
 
     There are r right-hand sides.

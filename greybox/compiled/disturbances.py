@@ -15,10 +15,10 @@ import numpy as np
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ArrayPair
 from greybox.modeling.added_terms import factors_of_derivatives
 
-Effect = tuple[Array, Array]
+Effect = ArrayPair
 """What c terms add to next states (length, s, n, c) and residuals (length, s, k, c) of segments."""
 
 LARGE = 4.6  # logarithm of the growth of an error over a record that counts as unstable
@@ -190,7 +190,7 @@ class DisturbedRecord:
         weighted = (self.weight.T @ self.weight) @ J.reshape(len(J), -1, len(self.weight), n)
         return ends, J, weighted.reshape(J.shape).swapaxes(1, 2)
 
-    def _carried(self, S: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
+    def _carried(self, S: Array, effects: Sequence[Effect]) -> ArrayPair:
         """Carry derivatives S (s, n, c) of nodes through the segments, with the effects of c terms.
 
         Returns those of ends (s, n, c) and of residuals (s, length · k, c). With many terms,

@@ -11,7 +11,15 @@ import numpy as np
 
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Strings, positive_or_one
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    BoolArray,
+    ComplexArray,
+    IntArray,
+    Strings,
+    positive_or_one,
+)
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.statistics.noise_ratio import SMOOTH, noise_ratio
@@ -140,7 +148,7 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, flo
     return links
 
 
-def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[Array, Array]:
+def at_samples(data: SampledData, every: int, *, spread: bool = False) -> ArrayPair:
     """Return measured outputs (k, s) and inputs (m, s) at every n-th sample of a stretch.
 
     Gaps of the outputs are interpolated. An output that is mostly noise has its mean everywhere.

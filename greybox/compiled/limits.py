@@ -1,18 +1,17 @@
 """The constraints of a problem and the bounds of its tied parameters, as functions >= 0."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Labels, Strings
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.symbolic_reading import entries_by_name
 
 
-def limits_of(problem: Problem | Sum[Problem], names: Sequence[str]) -> tuple[Strings, ca.Function]:
+def limits_of(problem: Problem | Sum[Problem], names: Labels) -> tuple[Strings, ca.Function]:
     """Return what must be >= 0, in words, and (values of these names) -> its values, stacked.
 
     A constraint that parts share counts once.

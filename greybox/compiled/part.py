@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, NamedArrays, Strings, all_finite, frozen
+from greybox.files.arrays import Array, Fields, NamedArrays, StringPair, Strings, all_finite, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
@@ -274,7 +274,7 @@ class Portable:
 
     local: ClassVar[Strings] = ("problem",)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> Fields:
         """Return what travels."""
         return {name: value for name, value in vars(self).items() if name not in self.local}
 
@@ -320,7 +320,7 @@ class Part(Portable, ABC):
     has_nodes: bool = False
     is_static: bool = False
     unknown_initial_states: int = 0
-    gains: tuple[tuple[str, str], ...] = ()
+    gains: tuple[StringPair, ...] = ()
     is_logarithm: bool = False
 
     def __init__(self, problem: Problem) -> None:
@@ -455,7 +455,7 @@ class Part(Portable, ABC):
     # --- for the diagnostics
 
     @cached_property
-    def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
+    def discontinuous_delays(self) -> Mapping[str, StringPair]:
         """Delays at whose whole samples the cost jumps.
 
         With the held input and the output that it reaches directly.

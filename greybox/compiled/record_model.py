@@ -13,7 +13,7 @@ from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray, Named, Strings, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, Named, StringPair, Strings, frozen
 from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
@@ -84,7 +84,7 @@ class RecordModel(Portable):
     outputs: Strings
     parameters: Strings
     outside_names: Strings
-    gains: tuple[tuple[str, str], ...]
+    gains: tuple[StringPair, ...]
     driven: Strings
     begin: Array
     active: IntArray

@@ -21,7 +21,16 @@ from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
-from greybox.files.arrays import Array, Arrays, Named, Strings, by_name
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    Arrays,
+    Fields,
+    Named,
+    StringPair,
+    Strings,
+    by_name,
+)
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -102,9 +111,9 @@ class RecordPart(SegmentedPart):
 
     @cached_property
     @one_thread_at_a_time
-    def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
+    def discontinuous_delays(self) -> Mapping[str, StringPair]:
         """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
-        system, result = self.system, dict[str, tuple[str, str]]()
+        system, result = self.system, dict[str, StringPair]()
         x, u, p = system.symbols
         compared = zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)
         outputs = [(name, output) for name, output in compared if name in self.outputs]
@@ -165,7 +174,7 @@ class RecordPart(SegmentedPart):
         return noise_model(model, self.step, step, reference)
 
     @cached_property
-    def at_nodes(self) -> tuple[Array, Array]:
+    def at_nodes(self) -> ArrayPair:
         """Measured outputs and inputs at the nodes."""
         return at_samples(self.data, self.data.segment_length)
 
@@ -197,7 +206,7 @@ class RecordPart(SegmentedPart):
             # Constants with a covariance are treated as unknowns, all of them without scaling.
             places = (*places, *uncertain)
             point = ca.SX.sym("x", len(places))
-            named: dict[str, Any] = by_name(names, values.tolist())
+            named: Fields = by_name(names, values.tolist())
             named |= {names[place]: point[i] for i, place in enumerate(places)}
             model = record_model(self.problem, named, point, self.model.method, [])
             part = RecordPart(model, self.data, self.substeps)

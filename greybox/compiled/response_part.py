@@ -20,7 +20,9 @@ from greybox.compiled.part import (
 from greybox.compiled.shared_response import SharedSystem, SineTest
 from greybox.files.arrays import (
     Array,
+    ArrayPair,
     ComplexArray,
+    Fields,
     Strings,
     complex_array,
     frozen,
@@ -106,7 +108,7 @@ class ResponsePart(Part):
         # Points that are nearly zero must not dominate the signature of a run.
         self.magnitude = np.maximum(size, 1e-12 * size.max() + 1e-150)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> Fields:
         """Leave out a criterion of the user's too: its cost is compiled."""
         state = super().__getstate__()
         if not self.travels_whole:
@@ -180,7 +182,7 @@ class ResponsePart(Part):
             return trajectory.products.item()
         return float(self.objective(trajectory.z, smoothing))
 
-    def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> ArrayPair:
         """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
         derivatives = self.functions.derivatives(trajectory.z, SMOOTHING, self.inputs)
         gradient, hessian = (value.full() for value in derivatives)

@@ -32,7 +32,7 @@ from greybox.compiled.shared_response import (
 )
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, Named, frozen
+from greybox.files.arrays import Array, Fields, Named, StringPair, frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
@@ -130,7 +130,7 @@ class ResponseCompiler:
         self.weights = solver_weights(self.parts)
         self.source = DataInput(constants, self.parts)
 
-    def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
+    def compiled(self) -> tuple[dict[Problem, ResponsePart], Fields]:
         """Return the parts, and the attributes of `CompiledProblem` for all of them."""
         stated = self.stated()
         functions, programs = _stored.result(stated, self.traced) if stated else self.traced()
@@ -144,7 +144,7 @@ class ResponseCompiler:
         zero_costs = np.array(self.weights) * zero
         return parts, {**programs, "data": data, "zero_costs": zero_costs}
 
-    def stated(self) -> tuple[str, str] | None:
+    def stated(self) -> StringPair | None:
         """Return a key of all that `traced` depends on; None if nobody knows that it suffices."""
         parts, study = self.parts, unchanged_in.get()
         # A few large programs would fill the memory.
@@ -160,7 +160,7 @@ class ResponseCompiler:
             return study, value_fingerprint((stated, shapes, common))
         return None
 
-    def traced(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
+    def traced(self) -> tuple[list[ResponseFunctions], Fields]:
         """Trace the formulas; return what was built for the same ones, or build it."""
         self.point = ca.SX.sym("z", len(self.names) - len(self.constants))
         is_located = any(_own_criterion(part).locator is not None for part in self.parts)
@@ -239,7 +239,7 @@ class ResponseCompiler:
             ],
         )
 
-    def built(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
+    def built(self) -> tuple[list[ResponseFunctions], Fields]:
         """Return the functions of the parts, and those of the whole problem."""
         kind, x, z, data = self.kind, self.x, self.z, self.data
         scaled = self.responses_at(self.named)

@@ -15,7 +15,15 @@ import numpy as np
 from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
-from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, frozen, of_diagonal
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    BoolArray,
+    IntArray,
+    all_finite,
+    frozen,
+    of_diagonal,
+)
 from greybox.modeling.symbolic_reading import dense_jacobian
 
 
@@ -165,7 +173,7 @@ class NoiseModel:
 
 
 def noise_model(
-    model: RecordModel, sample: SampleStep, step: float, reference: tuple[Array, Array]
+    model: RecordModel, sample: SampleStep, step: float, reference: ArrayPair
 ) -> NoiseModel:
     """Compile the linearization of a `sample` of `step` s about a `reference` (state, data).
 

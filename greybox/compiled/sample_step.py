@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
-from greybox.files.arrays import Array, Strings, frozen
+from greybox.files.arrays import Array, ArrayPair, Strings, frozen
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function, substep_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -81,7 +81,7 @@ class SampleStep:
 
         return self.built[samples]
 
-    def simulate(self, x: Array, q: Array, data: Array) -> tuple[Array, Array]:
+    def simulate(self, x: Array, q: Array, data: Array) -> ArrayPair:
         """Return the states (m + 1, n) and residuals (m, k) of m samples.
 
         They begin at a state (n,); data (m, width).

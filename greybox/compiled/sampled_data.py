@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import JITTER, Record
-from greybox.files.arrays import Array, Arrays, BoolArray, IntArray, Strings, frozen
+from greybox.files.arrays import Array, ArrayPair, Arrays, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -163,7 +163,7 @@ class SampledData:
         # Rounding must not turn a delay of whole samples into one sample less.
         return np.floor(delays.T / steps[:, None] + 1e-9)
 
-    def delayed_inputs(self, delays: Array) -> tuple[Array, Array]:
+    def delayed_inputs(self, delays: Array) -> ArrayPair:
         """Return the whole samples of delays (m, samples), and inputs around them (3 m, samples).
 
         Before its first sample an input is taken to have had that value, after its last one to keep

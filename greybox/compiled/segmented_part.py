@@ -16,7 +16,7 @@ from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Course, Linearization, Segments
-from greybox.files.arrays import Array, BoolArray, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
@@ -97,7 +97,7 @@ class SegmentedPart(Part):
         # The variances of a filter or of a prior are not estimated.
         self.few = covariance.few * (not (model.driven or model.is_prior))
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
-        self._placed_data: tuple[Array, Array] | None = None
+        self._placed_data: ArrayPair | None = None
 
     @property
     def problem(self) -> Problem:

@@ -19,7 +19,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns, Remembering
-from greybox.files.arrays import Array, Arrays, IntArray
+from greybox.files.arrays import Array, ArrayPair, Arrays, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -93,7 +93,7 @@ class Segments:
         self._own = own
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
-        self._ordered: tuple[Array, Array] | None = None
+        self._ordered: ArrayPair | None = None
 
     # --- compiled functions
 
@@ -181,7 +181,7 @@ class Segments:
 
     # --- simulation
 
-    def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
+    def simulate(self, nodes: Array, q: Array, data: Array) -> ArrayPair:
         """Return the states (n, columns) at all samples, and the ends (s, n), from nodes (s, n)."""
         # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
         # 0.9 µs: few long segments are simulated one after the other.
@@ -309,7 +309,7 @@ class Segments:
         S, J = self.propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
-    def sample_derivatives(self, at: Course) -> tuple[Array, Array]:
+    def sample_derivatives(self, at: Course) -> ArrayPair:
         """Return derivatives of next states and residuals by state and active parameters.
 
         They are (v, n, columns) and (v, k, columns), of every sample alone.
@@ -327,7 +327,7 @@ class Segments:
         A, C, _ = self._evaluate("output_derivatives", at)
         return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
-    def propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
+    def propagated(self, A: Array, C: Array, count: int) -> ArrayPair:
         """Carry the derivatives of every sample through the segments.
 
         Returns those of ends (n, v, count) and rows (length, k, v, count).
@@ -352,7 +352,7 @@ class Segments:
 
         return S, J
 
-    def mean_transition(self, at: Course) -> tuple[Array, Array]:
+    def mean_transition(self, at: Course) -> ArrayPair:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(at.states.shape[1] // 500, 1))

@@ -28,6 +28,7 @@ from greybox.compiled.residual_covariance import ResidualCovariance, residual_co
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,
+    ArrayPair,
     ComplexArray,
     Named,
     Strings,
@@ -321,7 +322,7 @@ class TransientPart(Part):
             math.inf if at is None else at.covariance.cost(trajectory.products) - 2 * at.logarithms
         )
 
-    def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> ArrayPair:
         """Return gradient (p,) and Fisher information (p, p); end term and noise follow."""
         at: Along = trajectory.detail
         mean, total, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
@@ -433,9 +434,7 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
     return ca.Function("matrices", [declared], [*results, *slopes])
 
 
-def _without_ends(
-    errors: Array, basis: Array, covariance: ResidualCovariance
-) -> tuple[Array, Array]:
+def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -> ArrayPair:
     """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
     ends = np.zeros(basis.shape[-1])
     if not ends.size:

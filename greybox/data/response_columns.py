@@ -1,7 +1,7 @@
 """Finds the columns of a frequency response, and their units, in any table."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.units import known_unit
-from greybox.files.arrays import NamedArrays, NamedStrings
+from greybox.files.arrays import Fields, Labels, NamedArrays, NamedStrings
 from greybox.files.heading import heading
 from greybox.files.text_table import alternatives
 
@@ -29,7 +29,7 @@ class Column(NamedTuple):
     unit: str
 
 
-def columns_by_role(columns: NamedStrings, header: Sequence[str]) -> dict[str, Column]:
+def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
     """Return the column of every role, from ``{"frequency": "f:Hz", "magnitude": "mag:dB", ...}``.
 
     Names are those in the header, with or without a unit in brackets. A unit behind a colon
@@ -68,7 +68,7 @@ def columns_by_role(columns: NamedStrings, header: Sequence[str]) -> dict[str, C
     return result
 
 
-def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
+def written_columns(header: Labels, prefix: str) -> dict[str, str]:
     """Return the columns of a file from `write_response`, as `columns_by_role` takes them.
 
     Raises
@@ -120,7 +120,7 @@ def assembled(
     return FrequencyResponse(omega, response, **extras(values), **others)
 
 
-def extras(values: NamedArrays) -> dict[str, Any]:
+def extras(values: NamedArrays) -> Fields:
     """Return coherence, variance, dof and common errors if they are among the columns, (n,).
 
     Raises
@@ -144,7 +144,7 @@ def extras(values: NamedArrays) -> dict[str, Any]:
     return optional | ({"common_errors": np.array(errors)} if errors else {})
 
 
-def find_column(text: str, header: Sequence[str]) -> Column:
+def find_column(text: str, header: Labels) -> Column:
     """Return the column that ``name`` or ``name:unit`` means; a header may have units in brackets.
 
     Raises

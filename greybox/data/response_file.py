@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.response_columns import (
@@ -13,7 +12,7 @@ from greybox.data.response_columns import (
     written_columns,
 )
 from greybox.data.units import with_units_in_header
-from greybox.files.arrays import NamedStrings, by_name
+from greybox.files.arrays import Fields, NamedStrings, by_name
 from greybox.files.delimited_text import numbered, read_delimited, write_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
@@ -187,7 +186,7 @@ def common_facts(units: NamedStrings, stretches: Iterable[Stretch]) -> dict[str,
     }
 
 
-def described(facts: NamedStrings) -> dict[str, Any]:
+def described(facts: NamedStrings) -> Fields:
     """Return input, output, units, remarks and stretches from the facts of a file."""
     units, about, stretches = {}, {}, []
     for key, text in facts.items():

@@ -16,8 +16,10 @@ from greybox.estimate.undetermined import (
 )
 from greybox.files.arrays import (
     Array,
+    ArrayPair,
     IntArray,
     Strings,
+    Values,
     all_finite,
     by_name,
     frozen,
@@ -290,7 +292,7 @@ def _with_covariance(
     )
 
 
-def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
+def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> Values:
     """Return the share of priors in the information on each free parameter, by name.
 
     The other parameters are estimated too, and errors are taken as independent. NaN for a parameter
@@ -426,7 +428,7 @@ def _root_of_inverse(jacobian: Array, basis: Array) -> Array:
     return basis @ np.linalg.inv(triangle_of(jacobian @ basis))
 
 
-def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> tuple[Array, Array]:
+def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> ArrayPair:
     """Split the space of the unknowns (p,) into seen and unseen directions.
 
     Directions closed by a bound or an active constraint are in neither.

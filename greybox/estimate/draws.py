@@ -4,7 +4,7 @@ Begin with `draws`.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from string import Template
 
@@ -13,7 +13,7 @@ import numpy as np
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Strings, by_name, frozen, positive_or_one
+from greybox.files.arrays import Array, Labels, Strings, by_name, frozen, positive_or_one
 from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
@@ -149,7 +149,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     return Draws(fit.name, fit.names, columns)
 
 
-def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> Array:
+def drawn_values(fit: Fit, count: int, names: Labels, seed: int = 0) -> Array:
     """Return draws (count, k) from the distribution of the parameters, in the order of `Fit.names`.
 
     Their tails are those of the fewest degrees of freedom among `names`.

@@ -15,9 +15,11 @@ from greybox.estimate.stored_values import require
 from greybox.files.arrays import (
     Array,
     ComplexArray,
+    Fields,
     Named,
     NamedArrays,
     NamedStrings,
+    StringPair,
     Strings,
     Values,
 )
@@ -198,7 +200,7 @@ class FittedResponse(FittedPart):
     sine: Sine | None = None
 
     @property
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> Fields:
         """Input, output, operating point and delay, as keywords for evaluating the model."""
         data = self.data
         return {"input": data.input, "output": data.output, "at": self.at, "delay": self.delay}
@@ -290,7 +292,7 @@ class FittedRecord(FittedPart):
     method: str
     inputs: Inputs = "record"
     biases: Strings = ()
-    gains: tuple[tuple[str, str], ...] = ()
+    gains: tuple[StringPair, ...] = ()
     driven: Strings = ()
     gain: Array | None = None
     gain_slope: Array | None = None

@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
-from greybox.files.arrays import Array, all_finite, by_name
+from greybox.files.arrays import Array, Fields, Values, all_finite, by_name
 from greybox.formulation.problem import Problem
 from greybox.modeling.model import Model, equation
 from greybox.modeling.model_reference import reference, source_text
@@ -24,7 +23,7 @@ from greybox.modeling.periodic_motions import response_of_test
 
 
 def fitted_part(
-    part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]
+    part: Part, trajectory: Trajectory | None, x: Array, values: Values
 ) -> AnyFittedPart:
     """Return the values of a part that are stored in an answer.
 
@@ -46,7 +45,7 @@ def fitted_part(
     return _fitted_spectrum(part, trajectory)
 
 
-def _fitted_response(part: ResponsePart, x: Array, values: dict[str, float]) -> FittedResponse:
+def _fitted_response(part: ResponsePart, x: Array, values: Values) -> FittedResponse:
     problem = part.problem
     response = part.response(x)
     fitted = FittedResponse(
@@ -67,9 +66,7 @@ def _fitted_response(part: ResponsePart, x: Array, values: dict[str, float]) -> 
 
 
 @traced_once()
-def _curve(
-    model: Model, values: dict[str, float], part: FittedResponse
-) -> FrequencyResponse | None:
+def _curve(model: Model, values: Values, part: FittedResponse) -> FrequencyResponse | None:
     """Return the fitted model for figures; None if an undamped resonance is on the grid."""
 
     def at(omega: Array) -> FrequencyResponse:
@@ -211,7 +208,7 @@ def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> Fitt
     )
 
 
-def _of_problem(part: Problem) -> dict[str, Any]:
+def _of_problem(part: Problem) -> Fields:
     """Return the fields of a fitted part that all kinds of data share."""
     return {
         "name": part.name,

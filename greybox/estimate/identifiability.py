@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from greybox.estimate.undetermined import BLIND
-from greybox.files.arrays import Array, BoolArray, Strings, by_name, frozen
+from greybox.files.arrays import Array, BoolArray, Labels, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table, with_error
 
@@ -164,10 +164,10 @@ class Identifiability(Printed):
 
 
 def identifiability(
-    names: Sequence[str],
-    units: Sequence[str],
+    names: Labels,
+    units: Labels,
     directions: KnownDirections,
-    at_bound: Sequence[str],
+    at_bound: Labels,
 ) -> Identifiability:
     """Judge every free parameter at the estimate, and find the combinations that are determined."""
     # A parameter at its bound counts as known, and must not appear as an unseen direction.
@@ -217,8 +217,8 @@ def _condition(matrix: Array) -> float:
 
 
 def _combinations(
-    names: Sequence[str],
-    units: Sequence[str],
+    names: Labels,
+    units: Labels,
     directions: KnownDirections,
     errors: Array,
 ) -> list[DeterminedCombination]:
@@ -279,7 +279,7 @@ def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
                     yield by_name(group, chosen)
 
 
-def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, int]]:
+def _sums(members: Sequence[int], units: Labels) -> Iterator[dict[int, int]]:
     """Yield sums and differences of two members of one unit, as signs by place."""
     # A sum of a length and a time has no meaning, whatever the data determine.
     for i, j in combinations(members, 2):
@@ -289,7 +289,7 @@ def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, in
 
 
 def _named(
-    names: Sequence[str], value: Array, row: Array, error: float, is_product: bool
+    names: Labels, value: Array, row: Array, error: float, is_product: bool
 ) -> DeterminedCombination:
     """Write a combination as people do: few divisors, and the larger value over the smaller one."""
     if is_product:

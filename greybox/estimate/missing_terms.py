@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ComplexArray, Values, by_name, frozen
+from greybox.files.arrays import Array, ComplexArray, Labels, StringPair, Values, by_name, frozen
 from greybox.files.text_table import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
@@ -311,7 +311,7 @@ class Term:
         """The key that terms with one cause have in common."""
         return self.kind, self.a, self.b
 
-    def described(self, factor: float, error: float) -> tuple[str, str]:
+    def described(self, factor: float, error: float) -> StringPair:
         """Return the term in words for a factor with its error, and the code that adds it."""
         kind = "gain" if abs(factor) * self.scale > self.largest else self.kind
         if kind == "timing" and abs(factor * self.scale / self.half_step - 1) < NEAR_HALF:
@@ -334,7 +334,7 @@ class Term:
 
 
 def terms_of_record(
-    record: DisturbedRecord, at_bound: Sequence[str], candidates: Mapping[str, Formula]
+    record: DisturbedRecord, at_bound: Labels, candidates: Mapping[str, Formula]
 ) -> Iterator[Term]:
     """Yield the terms that the model of a record may lack; `candidates` are the user's.
 
@@ -398,7 +398,7 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
     return signals | {"time, s": part.data.at_samples(part.model.record.time)[0]}
 
 
-def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator[Term]:
+def _of_parameters(record: DisturbedRecord, at_bound: Labels) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
     samples, ones = np.linspace(-0.5, 0.5, part.samples), np.ones(part.samples)
     # Among several records, one may need different values.

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import all_finite
+from greybox.files.arrays import StringPair, all_finite
 from greybox.files.text_table import counted, number, percent, some, text_table, with_error
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
@@ -55,7 +55,7 @@ def details(fit: Any) -> str:
     return _labeled(facts(fit))
 
 
-def _labeled(pairs: Sequence[tuple[str, str]]) -> str:
+def _labeled(pairs: Sequence[StringPair]) -> str:
     return "\n".join(f"  {label:<10} {fact}" for label, fact in pairs)
 
 
@@ -65,7 +65,7 @@ def title(fit: Any) -> str:
     return f"{fit.name}: {', '.join(labels)}"
 
 
-def facts(fit: Any) -> list[tuple[str, str]]:
+def facts(fit: Any) -> list[StringPair]:
     """Return starts, cost, delay, correlations and time as pairs of a label and a text."""
     # Screened starts were evaluated but not run: they cannot agree on a minimum.
     tried = Multistart(fit.runs, fit.minima)
@@ -94,7 +94,7 @@ def facts(fit: Any) -> list[tuple[str, str]]:
     ]
 
 
-def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[tuple[str, str]]:
+def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[StringPair]:
     """Return the cost of CIFER by pair, the largest first, beside its guidelines."""
     costs = sorted(((part.magnitude_phase_cost, part.name) for part in responses), reverse=True)
     if not costs or not all(math.isfinite(cost) for cost, _ in costs):
@@ -107,7 +107,7 @@ def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[tuple[st
     ]
 
 
-def closeness(fit: Any) -> list[tuple[str, str]]:
+def closeness(fit: Any) -> list[StringPair]:
     """Return data, priors, inputs and how closely the model follows, as labels with texts."""
     rows = [part for part in fit.records if not part.data.has_time]
     untested = [part.name for part in (fit.parts if fit.misfit is None else (*rows, *fit.spectra))]
@@ -305,7 +305,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
     return texts
 
 
-def _bounds_and_note(q: Any) -> tuple[str, str]:
+def _bounds_and_note(q: Any) -> StringPair:
     if q.kind != "free":
         return "", q.kind
     return f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "AT BOUND" if q.at_bound else ""

@@ -1,9 +1,9 @@
 """Profiles of a fit as values that print themselves; `profile` computes them."""
 
 import math
-from typing import Any, Literal
+from typing import Literal
 
-from greybox.files.arrays import Array, Interval, Strings, by_name, frozen
+from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import alternatives, number, one_line
@@ -143,7 +143,7 @@ class Profiles(Printed):
             ]
         )
 
-    def intervals_in_words(self) -> dict[str, Any]:
+    def intervals_in_words(self) -> Fields:
         """Return interval and text of every profile for JSON; None for an open side."""
         intervals = {
             p.name: {"low": p.interval[0], "high": p.interval[1], "text": str(p)}
@@ -151,7 +151,7 @@ class Profiles(Printed):
         }
         return plain(intervals)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Fields:
         """Return everything as plain values, for JSON; None for an open side."""
         fields = ("estimate", "standard_error", "ends", "at_bound", "connected")
         fields += ("values", "costs", "roots")

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import Array, ComplexArray, Values, frozen
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, frozen
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
@@ -74,14 +74,14 @@ class ResponseBand:
         return t_quantile(self.level, self.dof) * self.relative_error
 
     @property
-    def magnitude(self) -> tuple[Array, Array]:
+    def magnitude(self) -> ArrayPair:
         """Lower and upper limit (n,) of the magnitude, symmetric in its logarithm."""
         size = np.abs(self._center)
         factor = np.exp(self.half_width[0])
         return size / factor, size * factor
 
     @property
-    def phase(self) -> tuple[Array, Array]:
+    def phase(self) -> ArrayPair:
         """Lower and upper limit (n,) of the phase, rad."""
         phase = np.angle(self._center)
         return phase - self.half_width[1], phase + self.half_width[1]

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from inspect import Parameter, Signature
@@ -33,7 +33,17 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Array, Interval, NamedStrings, Strings, Values, by_name, frozen
+from greybox.files.arrays import (
+    Array,
+    Fields,
+    Interval,
+    Labels,
+    NamedStrings,
+    Strings,
+    Values,
+    by_name,
+    frozen,
+)
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -333,7 +343,7 @@ class Fit(Printed):
         """Correlation matrix (p, p) of the free parameters; NaN without a standard error."""
         return self.known_directions(self.free).correlation
 
-    def known_directions(self, names: Sequence[str]) -> KnownDirections:
+    def known_directions(self, names: Labels) -> KnownDirections:
         """Return the covariance of these parameters in the directions that the data determine.
 
         Raises
@@ -378,7 +388,7 @@ class Fit(Printed):
             intervals[q.name] = (center - half, center + half)
         return intervals
 
-    def covariance_of(self, names: Sequence[str]) -> Array:
+    def covariance_of(self, names: Labels) -> Array:
         """Return the covariance matrix of the named parameters."""
         require_known(names, self.names, "parameter", f"the fit {self.name!r}")
         rows = [self.names.index(name) for name in names]
@@ -445,7 +455,7 @@ class Fit(Printed):
             model, values, omega, response.sine, response.data.omega, **response.signals
         )
 
-    def to_dict(self, level: float = 0.95) -> dict[str, Any]:
+    def to_dict(self, level: float = 0.95) -> Fields:
         """Return the numbers as plain values, as ``greybox fit --json`` does; None where unknown.
 
         Estimates, standard errors, intervals of this `level`, bounds, units and fixed values are
@@ -470,9 +480,7 @@ class Fit(Printed):
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
         names = ("value", "standard_error", "unit", "kind", "at_bound", "about")
-        columns: dict[str, Any] = {
-            name: [getattr(q, name) for q in self.quantities] for name in names
-        }
+        columns: Fields = {name: [getattr(q, name) for q in self.quantities] for name in names}
         # A constant has no interval, but a column of a frame needs a number in every row.
         intervals = self.interval(level)
         unknown = (math.nan, math.nan)
@@ -563,7 +571,7 @@ class Fit(Printed):
         bias = np.array([self.by_name[name].bias for name in names])
         return band_of(response, slope, directions, level, self.fewest_degrees(names), bias)
 
-    def fewest_degrees(self, names: Sequence[str]) -> float:
+    def fewest_degrees(self, names: Labels) -> float:
         """Return the fewest degrees of freedom of these parameters, by default those of the fit."""
         # By Welch and Satterthwaite a combination has at least the fewest degrees of its members.
         lines = [self.by_name[name] for name in names]

@@ -1,6 +1,6 @@
 """Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from greybox.estimate.undetermined import Combination, invisible_groups
 from greybox.files.arrays import (
     Array,
     BoolArray,
+    Labels,
     Named,
     NamedArrays,
     Strings,
@@ -111,11 +112,11 @@ class StructuralIdentifiability:
 
 def structural_identifiability(
     model: Model,
-    outputs: Sequence[str] | None = None,
+    outputs: Labels | None = None,
     *,
     at: Values | None = None,
     fixed: Values | None = None,
-    free: Sequence[str] = (),
+    free: Labels = (),
     tied: Mapping[str, ParameterFormula] | None = None,
     initial: Named | None = None,
 ) -> StructuralIdentifiability:
@@ -236,7 +237,7 @@ def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
 
 def _of_responses(
     model: Model,
-    outputs: Sequence[str],
+    outputs: Labels,
     values: Values,
     at: Values,
     options: Named,
@@ -265,7 +266,7 @@ def _of_responses(
 
 def _of_record(
     model: Model,
-    outputs: Sequence[str],
+    outputs: Labels,
     values: Values,
     initial: Named,
     options: Named,

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.arrays import Named, NamedStrings, Strings, Values, by_name
+from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings, Values, by_name
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -65,10 +65,10 @@ class Controller(ABC):
         For names that the declaration does not have, or numbers that are not finite.
     """
 
-    states: Sequence[str] = ()
-    inputs: Sequence[str] = ()
-    setpoints: Sequence[str] = ("reference",)
-    outputs: Sequence[str] = ("u",)
+    states: Labels = ()
+    inputs: Labels = ()
+    setpoints: Labels = ("reference",)
+    outputs: Labels = ("u",)
     units: ClassVar[NamedStrings] = MappingProxyType({})
     parameters: ClassVar[Parameters] = MappingProxyType({})
     rate: float = 400.0
@@ -130,7 +130,7 @@ class Controller(ABC):
         return self.signals.get(name, name)
 
     @property
-    def truth(self) -> dict[str, Any]:
+    def truth(self) -> Fields:
         """Everything that a flight with it depends on, for the metadata of its record."""
         return {
             "controller": type(self).__name__,
@@ -234,7 +234,7 @@ def run_controllers(
     controllers: Sequence[Controller],
     memory: Sequence[ca.SX],
     measured: Named,
-    signals: dict[str, Any],
+    signals: Fields,
     added: Named,
 ) -> list[ca.SX]:
     """Run controllers in their order, and return their next states.

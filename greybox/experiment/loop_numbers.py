@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.experiment.sampled_loop import SampledLoop
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray, ComplexArray, IntArray, frozen
 
 POINTS = 400  # in four decades below the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
@@ -303,7 +303,7 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     return {n: Located(np.where(loop.is_stable, v, math.inf), nowhere) for n, v in numbers.items()}
 
 
-def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Array, Array]:
+def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair:
     """Return times (n,) and responses (plants, n) to a step of a setpoint, over their final values.
 
     They end when the slowest pole of the first plant has decayed.

@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from greybox.experiment.loop_numbers import (
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.arrays import Array, ComplexArray, Strings, Values, frozen
+from greybox.files.arrays import Array, ComplexArray, Fields, StringPair, Strings, Values, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Model, require_known
@@ -179,7 +178,7 @@ class Margins:
             return np.full(len(omega), math.nan)
         return np.quantile(np.abs(gain[DRAWN] / gain[0] - 1), self.level, axis=0)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Fields:
         """Return the numbers as plain values; None where unknown or infinite."""
         scalars = ("verdict", "plant", "setpoint", "response", "level", "notes")
         return plain(
@@ -217,7 +216,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     values: Values | None = None,
     *,
     broken_at: str = "",
-    tracking: tuple[str, str] | None = None,
+    tracking: StringPair | None = None,
     at: Values | None = None,
     part: int = 0,
     level: float = 0.95,
@@ -418,7 +417,7 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
     return replace(answer, margins=tuple(rows), notes=tuple(notes))
 
 
-def _tracking(controllers: Sequence[Controller]) -> tuple[str, str]:
+def _tracking(controllers: Sequence[Controller]) -> StringPair:
     """Return the first setpoint and what its controller measures first."""
     for c in controllers:
         if c.setpoints and c.inputs:

@@ -1,13 +1,12 @@
 """Orthogonal multisines with low peak factors, for several inputs at once."""
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from greybox.experiment.excitation import Excitation, Maneuver, checked_band
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, Labels
 
 
 def multisine(
@@ -17,7 +16,7 @@ def multisine(
     rate: float,
     *,
     amplitude: float = 1.0,
-    signals: Sequence[str] = ("u",),
+    signals: Labels = ("u",),
     unit: str = "",
     periods: int = 4,
 ) -> Excitation:

@@ -1,10 +1,8 @@
 """Optimal designs: the shares of the flight time that make an estimate most precise."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ArrayPair, Labels
 
 
 def time_needed(information: Array, wanted: Array) -> float:
@@ -35,7 +33,7 @@ def variances(information: Array) -> Array:
     return variance
 
 
-def require_determined(information: Array, names: Sequence[str]) -> None:
+def require_determined(information: Array, names: Labels) -> None:
     """Raise a ValueError if no sine determines a parameter, or separates it from others."""
     size = np.sqrt(np.diag(information))
     for name, s in zip(names, size, strict=True):
@@ -76,7 +74,7 @@ def shares(informations: Array, wanted: Array) -> Array:
     # its variance finite.
     floor = 1e-9 * np.diag(np.diag(informations.mean(axis=0)))
 
-    def with_slope(w: Array) -> tuple[Array, Array]:
+    def with_slope(w: Array) -> ArrayPair:
         inverse = np.linalg.inv(np.tensordot(w, informations, 1) + floor)
         slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
         return np.diag(inverse)[matters], slope[matters]

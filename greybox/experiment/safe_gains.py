@@ -9,7 +9,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,16 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
-from greybox.files.arrays import Array, BoolArray, Interval, NamedArrays, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    Fields,
+    Interval,
+    NamedArrays,
+    Strings,
+    Values,
+    frozen,
+)
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Names, require_known
@@ -106,7 +114,7 @@ class SafeGains:
             f"{100 * wanted['level']:g} % confidence."
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Fields:
         """Return the numbers as plain values."""
         more = {"verdict": self.verdict, "best": self.best, "promise": PROMISE}
         return plain(self) | more | {"allowed": self.allowed.tolist()}

@@ -16,7 +16,16 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    ComplexArray,
+    IntArray,
+    Labels,
+    Strings,
+    Values,
+    frozen,
+)
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -103,7 +112,7 @@ class SampledLoop:
     def gains(
         self,
         added_to: str,
-        signals: Sequence[str],
+        signals: Labels,
         omega: ArrayLike,
         plant: ComplexArray | None = None,
     ) -> ComplexArray:
@@ -223,7 +232,7 @@ def sampled_loop(
     controller: Controller | Sequence[Controller] | None,
     *,
     at: Values | None = None,
-    measured: Sequence[str] = (),
+    measured: Labels = (),
     rate: float | None = None,
     delay_has: Literal["hold", "nothing"] = "nothing",
 ) -> SampledLoop:

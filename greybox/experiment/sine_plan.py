@@ -24,6 +24,7 @@ from greybox.files.arrays import (
     ComplexArray,
     IntArray,
     Interval,
+    StringPair,
     Strings,
     Values,
     by_name,
@@ -282,7 +283,7 @@ def _sensitivities(
     model: Model,
     values: Values,
     omega: Array,
-    signals: tuple[str, str],
+    signals: StringPair,
     fixed: Values,
 ) -> tuple[CompiledProblem, ComplexArray]:
     """Return the compiled problem, and the derivatives (n, p) in its free parameters."""
@@ -301,7 +302,7 @@ def noise_density(
     model: Model,
     values: Values,
     omega: Array,
-    signals: tuple[str, str],
+    signals: StringPair,
     rate: float,
 ) -> Array:
     """Return the one-sided spectral density (n,) of the output noise, its unit squared per Hz."""

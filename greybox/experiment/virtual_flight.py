@@ -18,7 +18,7 @@ from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import measured_signal
-from greybox.files.arrays import Array, Strings, Values, all_finite, frozen
+from greybox.files.arrays import Array, Labels, Strings, Values, all_finite, frozen
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -348,9 +348,7 @@ def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | No
     return Excitation(np.arange(*shapes.pop()) / rate, arrays, dict.fromkeys(arrays, ""), rate, ())
 
 
-def _checked(
-    what: str, given: Values, places: Sequence[str], low: float = -math.inf
-) -> dict[str, float]:
+def _checked(what: str, given: Values, places: Labels, low: float = -math.inf) -> Values:
     """Return numbers by name once names and sizes are right."""
     require_known(given, places, "place for", what)
     for n, value in given.items():
@@ -362,7 +360,7 @@ def _checked(
     return {n: float(v) for n, v in given.items()}
 
 
-def _draws(seed: int, stream: int, names: Sequence[str], deviation: Values, count: int) -> Array:
+def _draws(seed: int, stream: int, names: Labels, deviation: Values, count: int) -> Array:
     """Return white noise of these standard deviations, (k, count)."""
     require_whole("seed", seed, 0)
     drawn = np.random.default_rng([int(seed), stream]).standard_normal((len(names), count))

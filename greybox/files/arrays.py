@@ -15,9 +15,13 @@ Values = Mapping[str, float]  # by the names of parameters or signals
 NamedStrings = Mapping[str, str]  # by the names of signals, columns or facts
 NamedArrays = Mapping[str, Array]  # by the names of signals
 Named = Mapping[str, Any]  # by the names of parameters, signals, settings or facts
+Fields = dict[str, Any]  # by the names of columns, options or attributes
+ArrayPair = tuple[Array, Array]
+StringPair = tuple[str, str]  # such as a text and its cure
 Arrays = Sequence[Array]
 Interval = tuple[float, float]  # its low and its high end
 Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
+Labels = Sequence[str]  # the same, in a list or a tuple
 
 Kind = TypeVar("Kind")
 

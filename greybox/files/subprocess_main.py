@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from greybox.files.arrays import Fields
+
 # Bytes of arrays that are accepted from a log of any size, 16 MB.
 SMALL = 2**24
 # Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into
@@ -47,10 +49,10 @@ class Collector:
     def __init__(self, room: int) -> None:
         self.room = room
         self.links = LINKS
-        self.items: list[dict[str, Any]] = []
+        self.items: list[Fields] = []
         self.arrays: list[np.ndarray] = []
         self.findings: list[str] = []
-        self.about: dict[str, Any] = {}
+        self.about: Fields = {}
 
     def reserve(self, numbers: int) -> None:
         """Reserve the memory of this many numbers; ValueError if they do not fit."""
@@ -206,7 +208,7 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
             collector.add(f"{group}{key}", value, unit="")
 
 
-def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
+def _simulink(contents: Mapping[str, Any]) -> Fields:
     """Return the signals of a "structure with time" by their labels."""
     signals = contents.get("signals") if "time" in contents else None
     columns = {}

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Fields
 from greybox.files.subprocess_main import REFUSED
 from greybox.files.text_table import printable
 
@@ -27,7 +27,7 @@ SCRIPT = Path(__file__).with_name("subprocess_main.py")
 TOO_LONG = -getattr(signal, "SIGPROF", 0)
 
 
-def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, Any], list[Array]]:
+def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[Fields, list[Array]]:
     """Return the report of `subprocess_main` on a file of this `kind`, and its numeric arrays.
 
     Raises
@@ -77,7 +77,7 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
     return answer
 
 
-def _answer(pipe: Any) -> tuple[dict[str, Any], list[Array]] | None:
+def _answer(pipe: Any) -> tuple[Fields, list[Array]] | None:
     """Return the answer, or None from a process that ended early."""
     try:
         # One line of facts, then the numbers, in the order of the shapes.

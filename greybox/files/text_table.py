@@ -6,7 +6,7 @@ import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Labels, StringPair, Strings
 
 # Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
 # follows), halves of characters (no terminal takes them), line and paragraph separators.
@@ -45,15 +45,13 @@ def write_out(target: Any, *names: str) -> None:
         vars(target)[name] = all_printable(getattr(target, name))
 
 
-def text_table(
-    header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
-) -> str:
+def text_table(header: Labels, rows: Sequence[Labels], left: Sequence[int] = (0,)) -> str:
     """Align `rows` of text under `header`; columns in `left` are flush left, others right."""
     # Control characters are written out first: they have no width.
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
 
-    def line(row: Sequence[str]) -> str:
+    def line(row: Labels) -> str:
         parts = (
             c.ljust(w) if k in left else c.rjust(w)
             for k, (c, w) in enumerate(zip(row, widths, strict=True))
@@ -82,7 +80,7 @@ def counted(count: float, singular: str, plural: str = "") -> str:
     return f"{amount} {singular if count == 1 else plural or singular + 's'}"
 
 
-def listed(names: Sequence[str]) -> str:
+def listed(names: Labels) -> str:
     """Return "a", "a and b" or "a, b and c"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
@@ -92,7 +90,7 @@ def as_names(names: str | Iterable[str]) -> Strings:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def some(names: Sequence[str], most: int = 4) -> str:
+def some(names: Labels, most: int = 4) -> str:
     """Return names as `listed` does; of many names, the first ones and the number of the others."""
     return (
         listed(names)
@@ -117,7 +115,7 @@ def alternatives(name: object, names: Iterable[str]) -> str:
     return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
 
 
-def with_error(value: float, error: float) -> tuple[str, str]:
+def with_error(value: float, error: float) -> StringPair:
     """Format a standard error with two significant digits, and the value to its last digit.
 
     A value that this rounding would change by more than 5 % has two significant digits.

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray, Strings, frozen, real_and_imaginary
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Strings, frozen, real_and_imaginary
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.relative_score import ROUNDING, relative_score
 from greybox.modeling.complex_arithmetic import Complex
@@ -370,7 +370,7 @@ class MagnitudePhase(Criterion):
             return np.ones(len(data))
         return (1 - data.coherence) / data.coherence
 
-    def _weights(self, data: FrequencyResponse) -> tuple[Array, Array]:
+    def _weights(self, data: FrequencyResponse) -> ArrayPair:
         """Return the roots of the weights of log magnitude and phase, units and 20/n included."""
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
         common = math.sqrt(20 / len(data)) * 1.58 * (1 - exp(-coherence))

@@ -1,9 +1,8 @@
 """An earlier fit whose values a problem uses as constants; its covariance widens the errors."""
 
-from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from greybox.files.arrays import Array, NamedStrings, Values
+from greybox.files.arrays import Array, Labels, NamedStrings, Values
 
 
 @runtime_checkable
@@ -20,7 +19,7 @@ class HeldEstimate(Protocol):
         """Degrees of freedom of the covariance."""
         ...
 
-    def covariance_of(self, names: Sequence[str]) -> Array:
+    def covariance_of(self, names: Labels) -> Array:
         """Return the covariance matrix of the named parameters."""
         ...
 

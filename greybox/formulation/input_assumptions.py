@@ -4,13 +4,12 @@ The samples do not show which. The record states it (`Record.hold`), or the user
 assumption, which every result reports with the size of its effect.
 """
 
-from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Values
+from greybox.files.arrays import Labels, Values
 
 Inputs = Literal["record", "linear", "held"]
 """How inputs vary between their samples: as the record says, or all of them in one way."""
@@ -27,7 +26,7 @@ def require_inputs(inputs: Any) -> None:
 
 def between_samples(
     inputs: Inputs,
-    names: Sequence[str],
+    names: Labels,
     record: Record,
     assumed: Values = MappingProxyType({}),
 ) -> tuple[Intersample, ...]:
@@ -45,7 +44,7 @@ def between_samples(
     return tuple(intersample(hold, record.step) for hold in holds)
 
 
-def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> dict[str, str]:
+def described_inputs(inputs: Inputs, names: Labels, record: Record) -> dict[str, str]:
     """Return how every input varies between its samples, in words, and who states it."""
     if not record.has_time:
         return {}

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Interval, Named, NamedStrings, Values, frozen
+from greybox.files.arrays import Fields, Interval, Named, NamedStrings, Values, frozen
 from greybox.files.text_table import as_names, one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
@@ -443,7 +443,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         return self.data
 
     @property
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> Fields:
         """The input and output of the response, the operating point and the order of the delay."""
         data = self.response
         pade = delay_order(self.delay)

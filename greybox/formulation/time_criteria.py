@@ -1,7 +1,7 @@
 """Criteria for records: the mismatch between a model's simulated outputs and measured ones."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import field
 from typing import Any, ClassVar, Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import NamedStrings, Strings, Values, frozen
+from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings, Values, frozen
 from greybox.files.text_table import as_names
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
@@ -64,7 +64,7 @@ class TimeCriterion(AnyCriterion):
 
     noise: Literal["diagonal", "full"] | Values = "diagonal"
     inputs: Inputs = "record"
-    biases: Sequence[str] = ()
+    biases: Labels = ()
     initial: Mapping[str, float | ParameterFormula] = field(default_factory=dict)
 
     condition = "stationary output errors with the autocorrelation of the residuals"
@@ -135,7 +135,7 @@ class TimeCriterion(AnyCriterion):
         self.check_noise(model, outputs)
         return outputs
 
-    def check_noise(self, model: Model, outputs: Sequence[str]) -> None:
+    def check_noise(self, model: Model, outputs: Labels) -> None:
         """Raise ValueError if a compared output has no known standard deviation."""
         if not isinstance(self.noise, Mapping):
             return
@@ -163,7 +163,7 @@ class TimeCriterion(AnyCriterion):
 
         return result
 
-    def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    def gains(self, model: Model, outputs: Labels) -> tuple[StringPair, ...]:
         """Return the pairs of state and output with a gain, ``K_<state>_<output>``."""
         return ()
 
@@ -264,8 +264,8 @@ class PredictionError(TimeCriterion):
     True
     """
 
-    corrected: Sequence[str] = ()
-    process_noise: Sequence[str] = ()
+    corrected: Labels = ()
+    process_noise: Labels = ()
     disturbance: NamedStrings = field(default_factory=dict)
     rule = "prediction error, one sample ahead"
     condition = "stationary innovations that no past input or output predicts"
@@ -327,7 +327,7 @@ class PredictionError(TimeCriterion):
         """Return the states with process noise."""
         return (*self.process_noise, *map(gust_on, self.disturbance))
 
-    def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    def gains(self, model: Model, outputs: Labels) -> tuple[StringPair, ...]:
         """Return every pair of a corrected state (with process noise: any) and an output."""
         states, kind = model.state_names, type(self).__name__
         if not states:

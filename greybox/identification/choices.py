@@ -11,6 +11,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
+from greybox.files.arrays import Fields, StringPair
 from greybox.files.text_table import some
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
@@ -56,7 +57,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     # A table has names of its own, and with a period or the whole log there are no tests to choose.
     if stated.get("period") or stated.get("whole") or not has_axis:
         return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
-    settings: dict[str, Any] = stated | {"input": "u", "output": "y"}
+    settings: Fields = stated | {"input": "u", "output": "y"}
     tests = found_tests(recording, Settings(**settings))
     usable = [test for test in tests if test.usable]
     if not usable:
@@ -95,7 +96,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     return _as_stated(recording, stated), tuple(choices)
 
 
-def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
+def _as_stated(recording: Recording, stated: Fields) -> Settings:
     for name in ("input", "output"):
         if not stated.get(name):
             signals = next(iter(recording.values())).signals if len(recording) == 1 else {}
@@ -163,7 +164,7 @@ def _why_axis(test: Segment) -> str:
     return f"{test.axis} moves" if axis_of(test.axis) else "its setpoint moves most"
 
 
-def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[str, str]:
+def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> StringPair:
     """Return the best-sampled angle of the axis, or else its rate, with a name, and the reason."""
     own = AXES.get(axis)
     kinds = ("angle", "rate")

@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Interval, Named, Strings, Values, frozen
+from greybox.files.arrays import Interval, Labels, Named, Strings, Values, frozen
 from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
@@ -91,9 +91,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     log: str | Path | Recording | Sequence[str | Path | Recording],
     *,
     structures: Sequence[Model | Structure] = (),
-    through: Sequence[str] | None = None,
+    through: Labels | None = None,
     fixed: Values | None = None,
-    free: Sequence[str] = (),
+    free: Labels = (),
     bounds: Mapping[str, Interval] | None = None,
     start: Values | None = None,
     all_points: bool = False,
@@ -202,9 +202,7 @@ def _judged(measurement: Measurement) -> Measurement:
     return replace(measurement, quality=measurement.quality.with_findings(*refusals))
 
 
-def _filters(
-    measurement: Measurement, names: Sequence[str] | None
-) -> dict[str, tuple[KnownFilter, ...]]:
+def _filters(measurement: Measurement, names: Labels | None) -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters of these names, or those that the output has passed before its log."""
     assert measurement.response is not None
     if names is None:

@@ -1,13 +1,12 @@
 """From multisines on several inputs at once to the matrix of responses, with what was chosen."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Interval, Strings, frozen
+from greybox.files.arrays import Interval, Labels, Strings, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.measurement import named_signals
@@ -47,11 +46,11 @@ class MatrixMeasurement:
 
 def measure_matrix(
     recording: Recording,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
+    inputs: Labels,
+    outputs: Labels,
     period: float,
     *,
-    excitations: Sequence[str] = (),
+    excitations: Labels = (),
     rate: float | None = None,
     band: Interval | None = None,
     settle: float = SETTLED,
@@ -108,7 +107,7 @@ def measure_matrix(
     return MatrixMeasurement(record, responses, tuple(choices))
 
 
-def _moving(record: Record, names: Sequence[str]) -> Interval:
+def _moving(record: Record, names: Labels) -> Interval:
     """Return from when to when a signal moves."""
     steps = np.array([np.diff(record[name]) for name in names])
     # Above rounding: a logged zero may be a small number.

@@ -17,7 +17,7 @@ from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import known_unit
-from greybox.files.arrays import Interval, NamedStrings, Strings, frozen
+from greybox.files.arrays import Interval, Labels, NamedStrings, StringPair, Strings, frozen
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -97,7 +97,7 @@ class Settings:
     whole: bool = False
     open_loop: bool = False
     points: int = 40
-    conditioned: Sequence[str] = ()
+    conditioned: Labels = ()
     drop_warned: bool = False
     refined: bool = False
 
@@ -130,7 +130,7 @@ class Settings:
         _require_consistent(self)
 
     @property
-    def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
+    def names(self) -> tuple[StringPair, StringPair]:
         """Name and signal of input and output; the name is that of the field by default."""
         return named_signal(self.input), named_signal(self.output)
 
@@ -162,13 +162,13 @@ def _require_consistent(settings: Settings) -> None:
             )
 
 
-def named_signal(text: str) -> tuple[str, str]:
+def named_signal(text: str) -> StringPair:
     """Return name and signal of ``"u=RATE.POut"``; the name is that of the field by default."""
     name, equals, signal = text.partition("=")
     return (name, signal) if equals else (text.rpartition(".")[2], text)
 
 
-def named_signals(texts: Sequence[str]) -> dict[str, str]:
+def named_signals(texts: Labels) -> dict[str, str]:
     """Return signals by name; raise ValueError if two have the same name."""
     signals = dict(map(named_signal, texts))
     if len(signals) < len(texts):

@@ -216,7 +216,7 @@ def _polynomials(orders: Orders, values: Values) -> tuple[list[float], list[floa
     return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
 
 
-def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[dict[str, float]]]:
+def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[Values]]:
     """Return the least weighted squares over the delay; coefficients there and next to it."""
     if not orders.delay:
         squares, values = _at_delays(data, orders, np.zeros(1))[0]
@@ -246,7 +246,7 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[di
 
 def _at_delays(
     data: FrequencyResponse, orders: Orders, delays: Array
-) -> list[tuple[float, dict[str, float]]]:
+) -> list[tuple[float, Values]]:
     """Return the weighted sums of squares and the coefficients for every delay."""
     # Without variances, errors are taken as relative, as `RelativeLikelihood` takes them.
     size = np.abs(data.response) if data.variance is None else np.sqrt(data.variance)
@@ -262,8 +262,8 @@ def _at_delays(
     fits = []
     for fraction, turned, delay in zip(fractions, response, delays, strict=True):
         error = (ratio(*fraction[:2], data.omega) - turned) / size
-        values = coefficients(*fraction[:2], orders.integrators)
-        values |= {"T_delay": float(delay)} if orders.delay else {}
+        lag = {"T_delay": float(delay)} if orders.delay else {}
+        values = {**coefficients(*fraction[:2], orders.integrators), **lag}
         fits.append((float(np.sum(np.abs(error) ** 2)), values))
     return fits
 

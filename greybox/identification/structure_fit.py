@@ -7,7 +7,7 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Interval, Named, Values
+from greybox.files.arrays import Fields, Interval, Named, Values
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
@@ -49,12 +49,12 @@ def problem_of_structure(
     return parts[0] if len(parts) == 1 else Sum(parts)
 
 
-def stated_for(model: Model, stated: Named) -> dict[str, Any]:
+def stated_for(model: Model, stated: Named) -> Fields:
     """Return the options, limited to the parameters that a model has."""
     unknown = [name for name in stated if name not in STATED]
     if unknown:
         raise TypeError(f"there is no option {unknown[0]!r}; there are {', '.join(STATED)}.")
-    options: dict[str, Any] = {}
+    options: Fields = {}
     for what, values in stated.items():
         names = [name for name in values if name in model.parameters]
         options[what] = names if what == "free" else {name: values[name] for name in names}

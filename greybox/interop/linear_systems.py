@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values, by_name
+from greybox.files.arrays import Array, ArrayPair, Values, by_name
 from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -38,7 +38,7 @@ class GivenModel:
 
     def converted(
         self, kind: str | None, pade: int | None, input: str, output: str
-    ) -> tuple[Array, Array] | LinearSystem:
+    ) -> ArrayPair | LinearSystem:
         """Return the polynomials of a "transfer-function", or the matrices of a "state-space"."""
         # As declared: a conversion would lose the meaning of states, or the form of a ratio.
         default = "state-space" if isinstance(self.model, StateSpace) else "transfer-function"
@@ -48,7 +48,7 @@ class GivenModel:
             return self.matrices(pade)
         return self.polynomials(pade, input, output)
 
-    def polynomials(self, pade: int | None, input: str, output: str) -> tuple[Array, Array]:
+    def polynomials(self, pade: int | None, input: str, output: str) -> ArrayPair:
         """Return numerator and denominator, highest power of s first."""
         input, output = pick_signals(self.model, input, output)
         # Order 0 leaves the delay out: the ratio is then exact for the model without delay.

@@ -1,7 +1,6 @@
 """To and from python-control, ``pip install 'greybox-id[control]'``."""
 
 import re
-from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -9,7 +8,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
-from greybox.files.arrays import Strings, Values
+from greybox.files.arrays import Labels, Strings, Values
 from greybox.files.optional_package import required
 from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
@@ -101,8 +100,8 @@ def to_control(
 def from_control(
     system: Any,
     *,
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
+    inputs: Labels = (),
+    outputs: Labels = (),
 ) -> Any:
     """Return a system of python-control as a frequency response or as a model.
 
@@ -171,7 +170,7 @@ def _named(name: str) -> dict[str, str]:
     return {"name": plain} if plain else {}
 
 
-def _signal_names(given: Sequence[str], labels: Sequence[str]) -> Strings:
+def _signal_names(given: Labels, labels: Labels) -> Strings:
     """Return the given names, else the labels with ``u[0]`` as ``u`` or ``u1``."""
     # Names of signals become attributes in formulas, x.u1, which cannot contain brackets.
     if given:

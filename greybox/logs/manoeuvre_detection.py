@@ -5,7 +5,6 @@ level is one manoeuvre. A lasting change of the level is a step.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from greybox.data.record import Record, Recording, median_step
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, Interval
+from greybox.files.arrays import Array, Interval, Labels
 from greybox.files.text_table import as_names
 from greybox.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.logs.sine_detection import sines_and_sweeps
@@ -42,9 +41,7 @@ class _Rest(NamedTuple):
     ends: float
 
 
-def find_manoeuvres(
-    data: Recording | Record, signal: str | Sequence[str] = ()
-) -> tuple[Segment, ...]:
+def find_manoeuvres(data: Recording | Record, signal: str | Labels = ()) -> tuple[Segment, ...]:
     """Return the manoeuvres in the inputs of a flight, in order of time.
 
     Their kind is "step" or "manoeuvre". Sines and sweeps are not manoeuvres, see `find_segments`.

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, Strings, frozen
+from greybox.files.arrays import Array, ArrayPair, Labels, Strings, frozen
 from greybox.files.text_table import as_names, counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
@@ -61,7 +61,7 @@ def prepare(
     *,
     start: float = -math.inf,
     end: float = math.inf,
-    held: Sequence[str] = (),
+    held: Labels = (),
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
 
@@ -302,7 +302,7 @@ def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
     return holds.pop() if len(holds) == 1 else None
 
 
-def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:
+def _low_passed(time: Array, values: Array, step: float, rate: float) -> ArrayPair:
     """Filter with zero phase at the rate of the source; point reflection extends the ends."""
     from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (0.33 s to import)
 
@@ -322,7 +322,7 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     return uniform, oaconvolve(padded, kernel, mode="valid")
 
 
-def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
+def _known_filters(recording: Recording, names: Labels) -> tuple[Any, ...]:
     """Return the filters stated by the record, or else those of the flight controller."""
     for name in names:
         record, field = recording.locate(name)

@@ -5,14 +5,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
-from typing import Any
 
 import numpy as np
 
 from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array, IntArray, NamedArrays, NamedStrings, Strings, Values
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    Fields,
+    IntArray,
+    NamedArrays,
+    NamedStrings,
+    Strings,
+    Values,
+)
 from greybox.files.text_table import as_names
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
@@ -167,7 +175,7 @@ def _announced(
         columns["omega"] = 2 * np.pi * columns.pop("frequency")
     segments = []
     for rows in _tests(record.time, columns):
-        value: dict[str, Any] = {key: float(x[rows[0]]) for key, x in columns.items()}
+        value: Fields = {key: float(x[rows[0]]) for key, x in columns.items()}
         start, end = record.time[rows[[0, -1]]].tolist()
         axis = f"{value.pop('axis'):g}" if "axis" in value else ""
         value.pop("segment", None)
@@ -265,7 +273,7 @@ def present(data: Recording | Record, names: Iterable[str]) -> list[str]:
 
 def stretches(
     data: Recording | Record, name: str, longest_gap: float = 0.0
-) -> tuple[str, list[tuple[Array, Array]]]:
+) -> tuple[str, list[ArrayPair]]:
     """Return the unit of a signal, and time and values of every stretch between its gaps.
 
     Missing samples are left out, angles are unwrapped, and gaps up to `longest_gap`, s, are

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import median_step
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, ArrayPair, IntArray
 
 # `benchmarks/signal_constants.py` shows what these constants decide. Below, "of 20" means pairs of
 # noisy sines; "of 15", schedules that are clean, offset, quantized or held; "of 24", sweeps; and
@@ -144,7 +144,7 @@ def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray
     return np.array([corners[0], *turns, extreme], dtype=np.intp)
 
 
-def _crossings(time: Array, values: Array, corners: IntArray) -> tuple[Array, Array]:
+def _crossings(time: Array, values: Array, corners: IntArray) -> ArrayPair:
     """Return when the signal crosses the middle between turning points, s, and their distances."""
     times = []
     for a, b in pairwise(corners):

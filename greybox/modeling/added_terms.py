@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Named
+from greybox.files.arrays import Array, Fields, Named
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
@@ -115,7 +115,7 @@ class AddedTerms(ExtendedModel):
 
     def additions(self, x: Any, u: Any, p: Any) -> Named:
         """Return the terms of every derivative."""
-        sums: dict[str, Any] = {}
+        sums: Fields = {}
         for name, (state, formula, _) in self.terms.items():
             sums[state] = sums.get(state, 0.0) + p[name] * formula(x, u, p)
         return sums

@@ -23,7 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Values, complex_array, frozen
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, complex_array, frozen
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means, walk
 from greybox.modeling.functions import exp
@@ -398,7 +398,7 @@ def _harmonics(
 
 
 @cache
-def transforms(harmonics: int, points: int) -> tuple[tuple[Array, Array], list[ca.DM], Array]:
+def transforms(harmonics: int, points: int) -> tuple[ArrayPair, list[ca.DM], Array]:
     """Return samples of waves and of their slopes, their products with waves, and `to_series`.
 
     The matrix `to_series` gives twice as many harmonics from samples over one period: a product of

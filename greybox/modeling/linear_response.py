@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, Values, all_finite
+from greybox.files.arrays import Array, StringPair, Values, all_finite
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -90,7 +90,7 @@ def frequency_response(
 def response_formulas(
     model: Model,
     omega: Array,
-    pairs: Sequence[tuple[str, str]],
+    pairs: Sequence[StringPair],
     symbol: ca.SX | None = None,
     *,
     at: Values | None = None,

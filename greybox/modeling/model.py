@@ -3,12 +3,21 @@
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
-from greybox.files.arrays import Interval, Named, NamedStrings, Strings, Values
+from greybox.files.arrays import (
+    Fields,
+    Interval,
+    Labels,
+    Named,
+    NamedStrings,
+    StringPair,
+    Strings,
+    Values,
+)
 from greybox.files.text_table import alternatives
 from greybox.modeling.parameter import Parameter, Parameters
 
@@ -112,7 +121,7 @@ class Model(ABC):
     trim: Callable[[Any, Any], Named] | None = None
     units: NamedStrings = MappingProxyType({})
     derived: ClassVar[Mapping[str, ParameterFormula]] = MappingProxyType({})
-    arguments: tuple[tuple[Any, ...], dict[str, Any]]
+    arguments: tuple[tuple[Any, ...], Fields]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Collect the parameters of the class body and of the classes above it."""
@@ -220,7 +229,7 @@ def require_operating_point(model: Model, at: Values | None) -> None:
     require_known(at or {}, model.resting_signals, "state or input", model.label)
 
 
-def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, str]:
+def pick_signals(model: Model, input: str = "", output: str = "") -> StringPair:
     """Return the names of input and output; an empty name means the only signal."""
     return (
         _pick(input, model.input_names, "input", model.label),
@@ -228,7 +237,7 @@ def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, 
     )
 
 
-def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
+def _pick(name: str, known: Labels, what: str, owner: str) -> str:
     if name:
         require_known([name], known, what, owner)
         return name

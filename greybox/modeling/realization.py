@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, Strings, all_finite, frozen
+from greybox.files.arrays import Array, Fields, Strings, all_finite, frozen
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
@@ -184,7 +184,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
 
 def _functions(
     x: ca.SX, u: ca.SX, p: ca.SX, derivative: ca.SX, output: ca.SX, delay: ca.SX
-) -> dict[str, Any]:
+) -> Fields:
     """Return the functions of `Dynamics` with these values at x, u and p."""
     return {
         "derivative": ca.Function("derivative", [x, u, p], [derivative]),

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.files.arrays import NamedStrings, Strings
+from greybox.files.arrays import Labels, NamedStrings, Strings
 from greybox.modeling.model import Model, require_known, require_signal_names
 
 
@@ -42,9 +42,9 @@ class StateSpace(Model):
     array([1.])
     """
 
-    states: Sequence[str] = ()
-    inputs: Sequence[str] = ("u",)
-    outputs: Sequence[str] = ("y",)
+    states: Labels = ()
+    inputs: Labels = ("u",)
+    outputs: Labels = ("y",)
     delays: NamedStrings = MappingProxyType({})
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import by_name
+from greybox.files.arrays import Fields, by_name
 from greybox.modeling.formula_structure import with_finite_slopes
 from greybox.modeling.model import Model, Names, ParameterFormula
 from greybox.modeling.one_thread import once
@@ -30,7 +30,7 @@ def parameter_names(model: Model, p: Any) -> Names:
     return Names({name: p[k] for k, name in enumerate(model.parameters)}, model.label)
 
 
-def entries_by_name(names: Iterable[str], column: Any) -> dict[str, Any]:
+def entries_by_name(names: Iterable[str], column: Any) -> Fields:
     """Return the entries (n,) of a column of CasADi by these names."""
     return by_name(names, ca.vertsplit(column))
 

@@ -2,10 +2,10 @@
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Labels, StringPair, Strings
 from greybox.modeling.model import Model, Names, ParameterFormula, merged_parameters, require_known
 
 
@@ -53,7 +53,7 @@ class TransferFunction(Model):
     def __mul__(self, other: Any) -> "TransferFunction":
         return self.series(other) if isinstance(other, TransferFunction) else NotImplemented
 
-    def series(self, other: "TransferFunction", shared: Sequence[str] = ()) -> "TransferFunction":
+    def series(self, other: "TransferFunction", shared: Labels = ()) -> "TransferFunction":
         """Return the series connection ``self * other``, in which `shared` parameters are one.
 
         Raises
@@ -89,7 +89,7 @@ class TransferFunction(Model):
 class RenamedParameters(TransferFunction):
     """A transfer function with other names of parameters, see `TransferFunction.renamed`."""
 
-    def __init__(self, model: TransferFunction, *pairs: tuple[str, str]) -> None:
+    def __init__(self, model: TransferFunction, *pairs: StringPair) -> None:
         _require_transfer_functions(model)
         names = dict(pairs)
         require_known(names, model.parameters, "parameter", model.label)
@@ -150,7 +150,7 @@ class SeriesConnection(Connection):
         first: TransferFunction,
         second: TransferFunction,
         output: str = "",
-        shared: Sequence[str] = (),
+        shared: Labels = (),
     ) -> None:
         _require_transfer_functions(first, second)
         # If shared silently, the delay of a rotor would act once more as the delay of the airframe.

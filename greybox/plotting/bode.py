@@ -7,12 +7,11 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Labels, StringPair
 from greybox.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import (
     DrawnResponse,
-    Pair,
     drawn_responses,
     interpolated,
     ratio,
@@ -22,12 +21,10 @@ from greybox.plotting.responses import (
 BARS = "Bars: one standard deviation of the measurement."
 DB_PER_NEPER = 20 / np.log(10)
 
-_Phase = tuple[Array, Array]  # sorted omega (n,) in rad/s, phase (n,) in degrees
-
 
 def bode(
     *fits: Fit | FrequencyResponse,
-    labels: Sequence[str] = (),
+    labels: Labels = (),
     axes: GivenAxes | None = None,
     level: float | None = 0.95,
     hz: bool = False,
@@ -78,7 +75,7 @@ def bode(
 
 def bode_figure(
     fits: Sequence[Fit | FrequencyResponse],
-    labels: Sequence[str] = (),
+    labels: Labels = (),
     level: float | None = 0.95,
 ) -> Figure:
     """Return the Bode diagram, with the errors of fits."""
@@ -204,8 +201,8 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
     """
     # Measured points are not unwrapped along frequency, because one noisy point would shift all
     # that follow: each is shown within half a turn of its curve.
-    first: dict[Pair, _Phase] = {}
-    curves: dict[str | Pair, _Phase] = {}
+    first: dict[StringPair, ArrayPair] = {}
+    curves: dict[str | StringPair, ArrayPair] = {}
     degrees = []
     for drawn in responses:
         alone = _unwrapped(drawn.response)
@@ -223,13 +220,13 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
     return degrees
 
 
-def _unwrapped(response: FrequencyResponse) -> _Phase:
+def _unwrapped(response: FrequencyResponse) -> ArrayPair:
     """Return the sorted omega (n,) and the phase (n,), unwrapped from within (-180°, 180°]."""
     response = response.by_frequency
     return response.omega, response.degrees + 360 * (response.degrees[0] <= -180)
 
 
-def _moved(phase: _Phase, guide: _Phase) -> _Phase:
+def _moved(phase: ArrayPair, guide: ArrayPair) -> ArrayPair:
     """Move a phase by multiples of 360° next to a guide, at their lowest common frequency."""
     low = max(phase[0][0], guide[0][0])
     distance = interpolated(low, *guide) - interpolated(low, *phase)

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Interval, frozen
+from greybox.files.arrays import Array, ComplexArray, Interval, Labels, frozen
 from greybox.files.text_table import number
 
 GRAY = -1  # colors without a number
@@ -52,8 +52,8 @@ class Series:
     style: int = 0
     low: Array | None = None
     high: Array | None = None
-    notes: Sequence[str] = ()
-    labels: Sequence[str] = ()
+    notes: Labels = ()
+    labels: Labels = ()
     is_hollow: bool = False
     is_across: bool = False
 
@@ -105,7 +105,7 @@ class Panel:
     limits: Interval | None = None
     steps: Sequence[float] = ()
     title: str = ""
-    ticks: Sequence[str] = ()
+    ticks: Labels = ()
 
 
 @frozen
@@ -155,7 +155,7 @@ class Figure:
     is_whole: bool = False
     is_wide: bool = False
     limits: Interval | None = None
-    ticks: Sequence[str] = ()
+    ticks: Labels = ()
     unit: str = "rad/s"
 
 

@@ -1,7 +1,6 @@
 """Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
-from greybox.files.arrays import Array, by_name
+from greybox.files.arrays import Array, Fields, by_name
 from greybox.plotting.bode import BARS, error_bars
 from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -66,7 +65,7 @@ def loop_figures(margins: Margins) -> list[Figure]:
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
         columns = [(data.omega, size), (data.omega, angle), (angle, size)]
         bars = error_bars(data, np.array([size, angle]))
-        looks: list[dict[str, Any]] = [
+        looks: list[Fields] = [
             by_name(("x", "y", "low", "high"), (*column, *ends))
             for column, ends in zip(columns, [*bars, bars[0]], strict=True)
         ]

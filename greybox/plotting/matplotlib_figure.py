@@ -20,7 +20,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Fields
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, in_hertz, outlined
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
@@ -322,7 +322,7 @@ def _write_labels(ax: Axes, panel: Panel, unit: str) -> None:
             written.append((text, spot))
 
 
-def _look(series: Series) -> dict[str, Any]:
+def _look(series: Series) -> Fields:
     """Return the keywords of matplotlib's `plot`."""
     color = color_of(series.color)
     look = {"color": color, "label": plain(series.name) or "_"}

@@ -11,13 +11,10 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, StringPair, frozen
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, INK, Series
 from greybox.plotting.signals import distinct_labels
-
-Pair = tuple[str, str]
-"""Names of input and output."""
 
 
 @frozen
@@ -45,7 +42,7 @@ class DrawnResponse:
     style: int
     is_measured: bool
     checksum: str
-    pair: Pair
+    pair: StringPair
     fit: Fit | None = None
     band: ResponseBand | None = None
 
@@ -74,7 +71,7 @@ class _Part:
     number: int = 0
 
     @property
-    def pair(self) -> Pair:
+    def pair(self) -> StringPair:
         named = self.curve or self.data
         return (named.input, named.output) if named else ("", "")
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 from greybox.data.record import Record
+from greybox.files.arrays import Labels
 from greybox.files.text_table import in_greek
 
 Item = TypeVar("Item")
@@ -43,7 +44,7 @@ def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
     return items[number]
 
 
-def distinct_labels(defaults: Sequence[str], labels: Sequence[str]) -> list[str]:
+def distinct_labels(defaults: Labels, labels: Labels) -> list[str]:
     """Return one label for each item, by default numbered where two are alike.
 
     Raises

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array, StringPair, Values
 from greybox.files.text_table import number, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
@@ -187,7 +187,7 @@ def structures_figure(results: Study | Comparison) -> Figure:
     return Figure(title, "", [panel], limits=limits[1], ticks=names)
 
 
-def _evidence(comparison: Comparison) -> dict[tuple[str, str], float]:
+def _evidence(comparison: Comparison) -> dict[StringPair, float]:
     return {
         (row["measure"], label): value
         for row in comparison.table
@@ -197,9 +197,9 @@ def _evidence(comparison: Comparison) -> dict[tuple[str, str], float]:
     }
 
 
-def _shares(study: Study) -> dict[tuple[str, str], float]:
+def _shares(study: Study) -> dict[StringPair, float]:
     """Return the least share of agreeing starts by data set and structure."""
-    shares: dict[tuple[str, str], float] = {}
+    shares: dict[StringPair, float] = {}
     structure = study.structures
     for member in study.members:
         factors, agreeing = member.factors, member.answer.get("agreeing", 0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, IntArray, Strings, by_name, frozen
+from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -49,7 +49,7 @@ class History:
 def time_history(
     *items: Fit | Prediction,
     record: int = 0,
-    labels: Sequence[str] = (),
+    labels: Labels = (),
     axes: GivenAxes | None = None,
 ) -> AxesArray:
     """Draw measured and fitted outputs over time, below each its residuals, and the inputs.
@@ -86,7 +86,7 @@ def time_history(
 def history_figure(
     items: Sequence[Fit | Prediction],
     record: int = 0,
-    labels: Sequence[str] = (),
+    labels: Labels = (),
     columns: int = COLUMNS,
 ) -> Figure:
     """Return the history of one record; long lines keep the extremes of this many columns."""

@@ -13,7 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    Labels,
+    NamedStrings,
+    Strings,
+    Values,
+    by_name,
+    frozen,
+)
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -121,7 +130,7 @@ def equation_error(
     record: Record,
     *,
     fixed: Values | None = None,
-    free: Sequence[str] = (),
+    free: Labels = (),
     inputs: Inputs = "record",
 ) -> EquationErrorEstimate:
     """Estimate the parameters of an ODE from measured states, by least squares per equation.
@@ -242,7 +251,7 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
     )
 
 
-def _solved(data: Regressors, low: Array, high: Array) -> tuple[Array, Array]:
+def _solved(data: Regressors, low: Array, high: Array) -> ArrayPair:
     """Return the unknowns (k,) within their bounds, and the rms residual of every equation."""
     rows, count = data.rows, len(data.bands)
     # The equations are weighted by the sizes of their residuals, known only after a solution.
@@ -272,7 +281,7 @@ def _why(name: str, equations: Equations, groups: Sequence[Strings], parameter: 
     return "it is in no equation that can be used"
 
 
-def _warnings(used: Sequence[UsedEquation], at_bound: Sequence[str]) -> list[str]:
+def _warnings(used: Sequence[UsedEquation], at_bound: Labels) -> list[str]:
     bounded = [f"{n} ended at its bound." for n in at_bound]
     unexplained = [
         f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there "

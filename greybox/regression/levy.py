@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray, frozen, positive_or_one, real_and_imaginary
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    Values,
+    frozen,
+    positive_or_one,
+    real_and_imaginary,
+)
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.modeling.factored_form import factored, upper_half
@@ -88,7 +95,7 @@ class RationalFit:
         return self.condition < 1 / RANK
 
     @property
-    def coefficients(self) -> dict[str, float]:
+    def coefficients(self) -> Values:
         """Coefficients by the names of `Polynomial(n, m, integrator)`: a start for its fit."""
         return coefficients(self.numerator, self.denominator, self.integrators)
 
@@ -235,7 +242,7 @@ def order_path(
     return tuple(steps)
 
 
-def coefficients(numerator: Array, denominator: Array, integrators: int) -> dict[str, float]:
+def coefficients(numerator: Array, denominator: Array, integrators: int) -> Values:
     """Return coefficients by the names of `Polynomial(n, m, integrators)`."""
     b = {f"b{k}": float(value) for k, value in enumerate(numerator[::-1])}
     a = {f"a{k}": float(value) for k, value in enumerate(denominator[:0:-1]) if k >= integrators}

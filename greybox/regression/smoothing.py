@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from greybox.data.record import GAP, median_step, runs_between_gaps
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, ArrayPair, IntArray, frozen
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
@@ -137,7 +137,7 @@ def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
     return [rows[run] for run in runs_between_gaps(time[rows], gap * median_step(time))]
 
 
-def _sines(values: Array, step: float) -> tuple[Array, Array]:
+def _sines(values: Array, step: float) -> ArrayPair:
     """Return the sine amplitudes of a stretch minus the line between its ends, and rad/s."""
     from scipy.fft import dst  # noqa: PLC0415  (imports slowly)
 

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, IntArray, Strings, Values, frozen
+from greybox.files.arrays import Array, IntArray, StringPair, Strings, Values, frozen
 from greybox.formulation.input_assumptions import Inputs, between_samples
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
@@ -182,9 +182,7 @@ def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
     )
 
 
-def criterion_of(
-    inputs: Inputs, biases: Strings, gains: tuple[tuple[str, str], ...]
-) -> TimeCriterion:
+def criterion_of(inputs: Inputs, biases: Strings, gains: tuple[StringPair, ...]) -> TimeCriterion:
     """Return the criterion under which a model runs, with innovations if there are `gains`."""
     if gains:
         return PredictionError(

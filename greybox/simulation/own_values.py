@@ -10,13 +10,13 @@ Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identificatio
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, IntArray, Strings, by_name, frozen
+from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
@@ -36,7 +36,7 @@ def with_own_values(
     windows: Windows,
     outputs: Strings,
     integrator: Integrator | None,
-    own: Sequence[str],
+    own: Labels,
 ) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], Strings]:
     """Return the model with the values `own` estimated from the windows.
 
@@ -190,7 +190,7 @@ def _determined(
         parameters = {name: p for name, p in parameters.items() if name != lost}
 
 
-def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
+def _with_biases(model: ModelAtEstimate, own: Labels) -> ModelAtEstimate:
     """Return the model with a bias of zero for every signal in `own` that has none yet."""
     possible = {f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs)}
     new = [name for name in dict.fromkeys(own) if name in possible and name not in model.names]

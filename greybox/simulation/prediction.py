@@ -8,7 +8,7 @@ from statistics import NormalDist
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray, Strings, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
@@ -139,7 +139,7 @@ class Prediction:
         """Return measured less predicted, (w, h)."""
         return self.measured(output) - self.predicted[self._place(output)]
 
-    def band(self, output: str, level: float = 0.95, noise: bool = False) -> tuple[Array, Array]:
+    def band(self, output: str, level: float = 0.95, noise: bool = False) -> ArrayPair:
         """Return the limits (w, h) within which an output, or with `noise` its measurement, lies.
 
         They assume the right model structure and normal errors. They do not include process noise

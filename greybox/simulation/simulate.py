@@ -1,6 +1,6 @@
 """Simulation and prediction of records with a model at one estimate."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
-from greybox.files.arrays import Array, BoolArray, Strings, Values, all_finite
+from greybox.files.arrays import Array, BoolArray, Labels, Strings, Values, all_finite
 from greybox.files.text_table import as_names, counted, some
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator
@@ -169,7 +169,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     inputs: Inputs | None = None,
     integrator: Integrator | None = None,
     part: int | None = None,
-    own: Sequence[str] | None = None,
+    own: Labels | None = None,
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from the state that its lead-in gives.
 
@@ -250,7 +250,7 @@ def predict_windows(
     windows: Windows,
     outputs: Strings,
     integrator: Integrator | None = None,
-    own: Sequence[str] | None = None,
+    own: Labels | None = None,
 ) -> tuple[Prediction, BoolArray, str]:
     """Predict `outputs`, which the record has, over given windows.
 

@@ -13,6 +13,7 @@ from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
 from greybox.files.arrays import (
     Array,
+    ArrayPair,
     BoolArray,
     IntArray,
     NamedArrays,
@@ -364,7 +365,7 @@ def _columns(segments: Segments, data: NamedArrays, present: BoolArray) -> Array
 
 def with_implied_states(
     slopes: Array, informing: Array, noise: Array, precision: Array
-) -> tuple[Array, Array]:
+) -> ArrayPair:
     """Return derivatives (w, samples, k, a) of outputs by values, and variances by first states.
 
     A change of a value also changes the first state (n,) that the measurements imply. The `slopes`

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, frozen, of_diagonal
+from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen, of_diagonal
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
 # Initial states (w, n) -> derivatives of the outputs with respect to them (w, samples, k, n).
@@ -187,7 +187,7 @@ class _LeadIns:
         )
 
 
-def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
+def information_of(e: Array, S: Array, R: Array) -> ArrayPair:
     """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n); S must be zero where nothing was measured."""
     weight = whitening(R)
     w, samples, k, n = S.shape
@@ -207,7 +207,7 @@ def _inverse(H: Array, precision: Array) -> Array:
 
 def shared_prior(
     H: Array, information: Array, mean: Array, measured: Array, R: Array, spread: Array
-) -> tuple[Array, Array]:
+) -> ArrayPair:
     """Return the prior's mean and precision (n,) from H (w, n, n) and H x̂ (w, n) of every window.
 
     Fewer than ten windows do not determine the spread of their states: the prior then stays weak.

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
-from greybox.files.arrays import Array, IntArray, Strings, frozen
+from greybox.files.arrays import Array, IntArray, Labels, Strings, frozen
 from greybox.modeling.parameter import is_finite_number
 
 # Samples of a default length: two or more for each state of the models here, which have 2 to 5.
@@ -66,8 +66,8 @@ def seconds(length: float) -> str:
 
 def cut(
     record: Record,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
+    inputs: Labels,
+    outputs: Labels,
     *,
     lead: float,
     horizon: float,
@@ -152,7 +152,7 @@ def sample_data(
     return {name: values[:, places] for name, values in named.items()}
 
 
-def require_signals(record: Record, inputs: Sequence[str], label: str = "the model") -> None:
+def require_signals(record: Record, inputs: Labels, label: str = "the model") -> None:
     """Raise ValueError if an input of a model is missing."""
     missing = [name for name in inputs if name not in record.signals]
     if missing:

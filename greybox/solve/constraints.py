@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.solve.quadratic_program import solve_small_qp
@@ -57,7 +57,7 @@ class Limits:
         below = -value.ravel()
         return float(np.where(below > rounding, below, 0.0).sum())
 
-    def linearized(self, z: Array, held: BoolArray | None = None) -> tuple[Array, Array]:
+    def linearized(self, z: Array, held: BoolArray | None = None) -> ArrayPair:
         """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits.
 
         Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
-from greybox.files.arrays import Array, all_finite, frozen, positive_or_one
+from greybox.files.arrays import Array, ArrayPair, all_finite, frozen, positive_or_one
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
@@ -213,7 +213,7 @@ def with_finer_steps(
     return replace(search, runs=runs, minima=(best, *others), nodes=ends[best.runs[0]].nodes)
 
 
-def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
+def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> ArrayPair:
     """Return Hessian and gradient of the weighted squares with respect to the unknowns."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory)

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import fits_a_batch, instructions
-from greybox.files.arrays import Array, Arrays, Named
+from greybox.files.arrays import Array, ArrayPair, Arrays, Named
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
@@ -146,7 +146,7 @@ class ResponseSolver(LocalSolver):
             for outcome, x, cost, signature in zip(outcomes, ends, *self._judged(ends), strict=True)
         ]
 
-    def _judged(self, estimates: Array) -> tuple[Array, Array]:
+    def _judged(self, estimates: Array) -> ArrayPair:
         """Return costs (r,) and signatures (r, m) at ends (r, p)."""
         firsts = range(0, max(len(estimates), 1), AT_ONCE)
         batches = (self.problem.judged(estimates[k : k + AT_ONCE]) for k in firsts)

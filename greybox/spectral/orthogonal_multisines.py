@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Arrays, ComplexArray
+from greybox.files.arrays import Arrays, ComplexArray, Labels
 from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import measured_in
 from greybox.spectral.multisine_lines import EXCITED, period_spectra
@@ -21,10 +21,10 @@ from greybox.spectral.multisine_lines import EXCITED, period_spectra
 def response_matrix(
     records: Record | Sequence[Record],
     period: float,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
+    inputs: Labels,
+    outputs: Labels,
     *,
-    excitations: Sequence[str] = (),
+    excitations: Labels = (),
     name: str = "",
 ) -> tuple[FrequencyResponse, ...]:
     """Estimate the responses of all outputs to all inputs, without cross-coupling.

@@ -1,6 +1,5 @@
 """Fourier integrals over a manoeuvre (doublet, 2-1-1, step, manual inputs) on a chosen band."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, Interval
+from greybox.files.arrays import Array, ComplexArray, Interval, Labels
 from greybox.files.text_table import as_names
 from greybox.spectral.uniform_stretches import uniform_stretches
 
@@ -19,8 +18,8 @@ HIGHEST = 0.4
 
 def transient_spectrum(
     record: Record,
-    inputs: str | Sequence[str],
-    outputs: str | Sequence[str],
+    inputs: str | Labels,
+    outputs: str | Labels,
     band: Interval,
 ) -> TransientSpectrum:
     """Return the Fourier integrals of a manoeuvre at the multiples of 2π / duration in `band`.

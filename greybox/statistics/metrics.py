@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, Arrays, frozen
+from greybox.files.arrays import Array, ArrayPair, Arrays, frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -170,7 +170,7 @@ def _present(values: ArrayLike) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _lagged(e: Arrays, u: Arrays, lags: int) -> tuple[Array, Array]:
+def _lagged(e: Arrays, u: Arrays, lags: int) -> ArrayPair:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and the numbers of pairs."""
     sums = np.zeros((2, lags + 1))
     for pair in zip(e, u, strict=True):

@@ -27,8 +27,7 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
     steps: list[tuple[Array, float]] = [(a, variance)]
     for k in range(1, len(r)):
         reflection = -float(a @ r[k:0:-1]) / variance
-        longer = np.zeros(k + 1)  # np.append takes half of the time
-        longer[:k] = a
+        longer = np.append(a, 0.0)
         a = longer + reflection * longer[::-1]
         variance *= 1 - reflection**2
         # Innovations of less relative variance are rounding.

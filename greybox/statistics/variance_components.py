@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, frozen
 
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.
@@ -57,10 +57,7 @@ def whittle_score(
     respect to its own mean are returned last.
     """
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
-    if spectrum.shape[1] > 1:
-        inverse, logarithm = np.linalg.inv(spectrum), np.linalg.slogdet(spectrum)[1]
-    else:  # one output: LAPACK would take half of the time
-        inverse, logarithm = 1 / spectrum, np.log(np.abs(spectrum[:, 0, 0]))
+    inverse, logarithm = np.linalg.inv(spectrum), np.linalg.slogdet(spectrum)[1]
     ratio = inverse @ periodogram
     terms = logarithm + np.trace(ratio, axis1=1, axis2=2).real
     most = numbers.max(0)
@@ -94,7 +91,7 @@ def variance_components(
     def spectrum(variance: Array) -> ComplexArray:
         return np.tensordot(variance, expected, 1)
 
-    def slopes(variance: Array, inverse: Any, ratio: Any, repeated: Any) -> tuple[Array, Array]:
+    def slopes(variance: Array, inverse: Any, ratio: Any, repeated: Any) -> ArrayPair:
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.

@@ -20,7 +20,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Named, frozen
+from greybox.files.arrays import Fields, Named, frozen
 from greybox.files.error_place import error_place
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable
@@ -328,7 +328,7 @@ def _fit_member(
         runs.finish({**answer, "error": error} if error else answer, fit)
 
 
-def _stated(problem: AnyProblem) -> dict[str, Any]:
+def _stated(problem: AnyProblem) -> Fields:
     """Return the fields that distinguish a failed member, as the summary of a fit has them."""
     parts = problem.parts
     return {

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Interval, Strings, by_name, frozen
+from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
@@ -199,7 +198,7 @@ class Bootstrap(Printed):
             [title, "", *table, "", *remarks, f"  {self.seconds:.2f} s; seed {self.seed}"]
         )
 
-    def summary(self, level: float = 0.95) -> dict[str, Any]:
+    def summary(self, level: float = 0.95) -> Fields:
         """Return plain values for JSON, without the replicates; None for an open or unknown end."""
         error = self.standard_error
         bias = self.bias

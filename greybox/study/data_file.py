@@ -10,7 +10,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.files.arrays import Named, NamedStrings, Strings
+from greybox.files.arrays import Fields, Named, NamedStrings, Strings
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
@@ -147,7 +147,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
 def reading_once() -> Callable[..., Any]:
     """Return a function like `read_data` that reads a file once for all models of its signals."""
     # A study of twelve models has each file in memory once.
-    data: dict[str, Any] = {}
+    data: Fields = {}
 
     def read(path: str, model: Model, **choices: Any) -> Any:
         key = repr((path, model.input_names, model.output_names, choices))

@@ -11,7 +11,7 @@ from glob import escape, glob
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Named, by_name
+from greybox.files.arrays import Fields, Named, by_name
 from greybox.modeling.model import require_known
 from greybox.study.batch import Member
 from greybox.study.data_file import reading_once
@@ -80,7 +80,7 @@ def members_of(choices: Named, folder: Path) -> list[Member]:
     return members
 
 
-def combined(choices: Named, folder: Path) -> list[dict[str, Any]]:
+def combined(choices: Named, folder: Path) -> list[Fields]:
     """Return all combinations of the values of keys; their names have the values that differ.
 
     Data of a combination are a list of files, by their paths from the folder, and of values.

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 
+from greybox.files.arrays import Labels
 from greybox.files.text_table import greek, with_error
 
 ACCENTS = ("tilde", "hat", "bar", "dot")
@@ -13,7 +14,7 @@ SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
 }
 
 
-def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
+def latex_table(header: Labels, rows: Sequence[Labels], texts: int) -> str:
     """Return a table of cells in LaTeX; the first columns, `texts` of them, are flush left."""
     body = [" & ".join(row) + r" \\" for row in rows]
     columns = "l" * texts + "r" * (len(header) - texts)

@@ -12,6 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
+from greybox.files.arrays import StringPair
 from greybox.files.text_table import counted, percent, some
 from greybox.modeling.one_thread import unchanged
 from greybox.simulation.simulate import predict
@@ -148,7 +149,7 @@ def _wins(measure: str, table: Table) -> str:
     return f"Best by {measure}, of {counted(wins.total(), 'data set')}: {', '.join(texts)}."
 
 
-def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> tuple[str, str]:
+def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> StringPair:
     """Return the structure that the data sets together support, and why."""
     # Not all structures suit all data sets: the comparison uses the data sets of the structure that
     # is best most often.

@@ -16,7 +16,7 @@ from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Named
+from greybox.files.arrays import Fields, Named
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -58,7 +58,7 @@ CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
 
 def stated_problem(
     stated: Named, read: Callable[..., Any] = read_data
-) -> tuple[AnyProblem, dict[str, Any]]:
+) -> tuple[AnyProblem, Fields]:
     """Return the problem of options by name, and its settings: starts, seed and method, if any.
 
     Problems, models, criteria, methods and data are names, as for `greybox fit`, or values. `read`
@@ -77,7 +77,7 @@ def stated_problem(
             "problems."
         )
 
-    settings: dict[str, Any] = {}
+    settings: Fields = {}
     if "model" in options:
         problem = _problem_of_model(options, read)
     else:
@@ -234,7 +234,7 @@ def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | Ti
 
 def with_parameter_options(problem: AnyProblem, options: Named) -> AnyProblem:
     """Return the problem with the options applied to every part that has the parameters."""
-    changes: dict[str, dict[str, Any]] = {}
+    changes: dict[str, Fields] = {}
     for name, field in OF_PARAMETERS.items():
         values = options.get(name, {})
         if not isinstance(values, Mapping):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.pandas_frames import Frame
-from greybox.files.arrays import Strings, frozen
+from greybox.files.arrays import Fields, Strings, frozen
 from greybox.files.grouping import grouped
 from greybox.files.html_text import Printed
 from greybox.files.optional_package import required
@@ -87,7 +87,7 @@ class Study(Printed):
             require_known([name], names, "factor", "the study")
 
     @property
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[Fields]:
         """A row for every member and quantity as plain values; `to_pandas` has the columns."""
         return [row for member in self.members for row in _rows(member)]
 
@@ -251,7 +251,7 @@ def _overview(members: Sequence[StudyMember]) -> str:
     return text_table(OVERVIEW, rows, left=(0, 1, 2, 3, 4))
 
 
-def _rows(member: StudyMember) -> list[dict[str, Any]]:
+def _rows(member: StudyMember) -> list[Fields]:
     answer, is_done = member.answer, member.status == "done"
     numbers = ("cost", "converged", "agreeing", "minima", "held_out")
     common = {

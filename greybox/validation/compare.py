@@ -5,6 +5,7 @@ from typing import Any
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Labels
 from greybox.simulation.windows import require_lengths
 from greybox.validation.common_likelihood import common_likelihood
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, Row
@@ -32,7 +33,7 @@ def compare(
     records: Record | Sequence[Record] | None = None,
     window: float | None = None,
     lead: float | None = None,
-    labels: Sequence[str] = (),
+    labels: Labels = (),
 ) -> Comparison:
     """Compare fits of different structures: which one describes the data best, which predicts best.
 
@@ -153,7 +154,7 @@ def compare(
 
 def _predictions(
     fits: Sequence[Fit],
-    names: Sequence[str],
+    names: Labels,
     held_out: Sequence[Record],
     lengths: tuple[float | None, float | None],
     same_data: bool,

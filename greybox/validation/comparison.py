@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
-from greybox.files.arrays import Strings, by_name, frozen
+from greybox.files.arrays import Fields, Strings, by_name, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
@@ -77,7 +76,7 @@ class Comparison(Printed):
     verdict: str = ""
 
     @property
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[Fields]:
         """The rows as plain values: data, output, measure, unit, and the value by label."""
         return [vars(row) | {"values": by_name(self.labels, row.values)} for row in self.rows]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import frozen
+from greybox.files.arrays import StringPair, frozen
 from greybox.files.text_table import counted, listed, one_line, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT, p_text
@@ -46,7 +46,7 @@ class Difference:
 class Differences:
     """All parameters that two fits share. Printing it gives the verdict and the table."""
 
-    labels: tuple[str, str]
+    labels: StringPair
     quantities: tuple[Difference, ...]
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.result import Fit
-from greybox.files.arrays import BoolArray, Strings
+from greybox.files.arrays import BoolArray, Labels, Strings
 from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Prediction
@@ -41,7 +41,7 @@ def window_lengths(
 
 def predict_same_windows(
     fits: Sequence[Fit],
-    labels: Sequence[str],
+    labels: Labels,
     data: Sequence[Sequence[Record]],
     lengths: tuple[float, float],
     *,
@@ -91,7 +91,7 @@ def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> Strings
 
 
 def where_all_are_finite(
-    results: Sequence[tuple[Prediction, BoolArray, str]], labels: Sequence[str]
+    results: Sequence[tuple[Prediction, BoolArray, str]], labels: Labels
 ) -> tuple[list[Prediction], list[str]]:
     """Return the predictions in the windows in which all are finite, and a note on the others.
 
@@ -139,9 +139,7 @@ def with_all_signals(records: Sequence[Record]) -> Record:
     return replace(first, signals=signals, units=units, hold=hold)
 
 
-def not_held_out(
-    fits: Sequence[Fit], labels: Sequence[str], records: Sequence[Record]
-) -> list[str]:
+def not_held_out(fits: Sequence[Fit], labels: Labels, records: Sequence[Record]) -> list[str]:
     """Return a warning for every held-out record to which a fit was made after all."""
     return [
         f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of "

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, StringPair
 from greybox.files.json_numbers import finite
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import fit_percent, rms, whiteness
@@ -112,9 +112,7 @@ def prediction_rows(kind: str, predictions: Predictions, fits: Sequence[Fit]) ->
     return rows
 
 
-def _measures(
-    output: str, predictions: Sequence[Prediction], fit: Fit
-) -> dict[tuple[str, str], float]:
+def _measures(output: str, predictions: Sequence[Prediction], fit: Fit) -> dict[StringPair, float]:
     """Return the measures of an output over all samples that a fit predicts, by name and unit."""
     with_output = [p for p in predictions if output in p.outputs]
     measured = np.concatenate([p.measured(output).ravel() for p in with_output])

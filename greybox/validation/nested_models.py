@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Strings, Values, all_finite
+from greybox.files.arrays import StringPair, Strings, Values, all_finite
 from greybox.files.text_table import listed, number, one_line
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import NotNestedError, nested_values
@@ -134,7 +134,7 @@ def nested_test_at(
     values: Values,
     small: Fit,
     large: Fit,
-    labels: tuple[str, str],
+    labels: StringPair,
     *,
     independent: bool = False,
 ) -> NestedTest:
@@ -234,7 +234,7 @@ def _estimates_variance(part: FittedPart) -> bool:
     return not isinstance(part.settings.get("noise"), Mapping)
 
 
-def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
+def _likelihood_ratio(small: Fit, large: Fit, labels: StringPair) -> float:
     ratio = 2 * (small.cost - large.cost)
     # 0.02, while 3.84 is significant: the two fits may have been integrated with different steps.
     # 1e-9: the tolerance of the solvers relative to a large cost.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values, by_name
+from greybox.files.arrays import Array, StringPair, Values, by_name
 from greybox.files.text_table import listed
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -22,7 +22,7 @@ from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.validation.same_data import count_unknowns
 
-Equations = Mapping[tuple[str, str], NDArray[np.inexact]]  # of 40 points each, by kind and name
+Equations = Mapping[StringPair, NDArray[np.inexact]]  # of 40 points each, by kind and name
 
 # What a criterion may add to that of the smaller model: parameters.
 ADDED_SETTINGS = ("biases", "corrected", "process_noise", "disturbance")
@@ -32,7 +32,7 @@ class NotNestedError(ValueError):
     """The reason why one model is not another one with parameters removed."""
 
 
-def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, float]:
+def nested_values(small: Fit, large: Fit, labels: StringPair) -> Values:
     """Return the values at which the parameters that only `large` has free make it `small`.
 
     Raises
@@ -66,10 +66,10 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
     shared = {n: source for n, source in sources.items() if large.by_name[n].kind != "fixed"}
     draws = [(d, large.estimate | {n: d[shared[n]] for n in shared}) for d in _draws(small)]
 
-    def is_small(values: dict[str, float]) -> bool:
+    def is_small(values: Values) -> bool:
         """Return whether the larger model is the smaller one where its terms have these values."""
         return all(
-            _agree(a.equations(draw), b.equations(other | values))
+            _agree(a.equations(draw), b.equations({**other, **values}))
             for draw, other in draws
             for a, b in pairs
         )
@@ -104,7 +104,7 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
     return values
 
 
-def _draws(fit: Fit) -> list[dict[str, float]]:
+def _draws(fit: Fit) -> list[Values]:
     """Return five sets of values about the estimate; fixed ones as they are."""
     # Formulas that differ agree at a random point with probability zero.
     random = np.random.default_rng(0)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Labels, Strings
 from greybox.files.text_table import number
 
 LIKELIHOOD = "negative log-likelihood"
@@ -34,7 +34,7 @@ def labels_of(fits: Sequence[Fit]) -> Strings:
     return tuple(f"{model} {k}" for k, model in enumerate(models, 1))
 
 
-def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
+def data_difference(fits: Sequence[Fit], names: Labels) -> str:
     """Return how the data of a fit differ from those of the first; empty if they do not."""
     first = fits[0].parts
     for fit, name in zip(fits[1:], names[1:], strict=True):
@@ -78,7 +78,7 @@ def is_likelihood(fit: Fit) -> bool:
     return all(part.weight == 1 and part.is_likelihood for part in fit.parts)
 
 
-def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
+def other_samples(fits: Sequence[Fit], names: Labels) -> str:
     """Return how the samples left out differ from those of the first fit; empty if they do not."""
     for k, first in enumerate(fits[0].parts):
         count = first.compared_numbers
@@ -94,7 +94,7 @@ def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
     return ""
 
 
-def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
+def why_not_comparable(fits: Sequence[Fit], names: Labels) -> str:
     """Return why the costs of fits to the same data cannot be compared; empty where they can.
 
     Costs in time and those of MaximumLikelihood are negative log-likelihoods; those of other

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Arrays, Strings
+from greybox.files.arrays import Array, Arrays, StringPair, Strings
 from greybox.files.text_table import counted, listed, number
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
@@ -18,8 +18,6 @@ from greybox.validation.held_out import Predictions
 from greybox.validation.nested_models import NestedTest, nested_test_at
 from greybox.validation.nesting import NotNestedError, nested_values
 from greybox.validation.same_data import other_samples
-
-Labels = tuple[str, str]
 
 
 def verdicts(
@@ -59,7 +57,7 @@ def verdicts(
 
 
 def fit_verdict(
-    fits: tuple[Fit, Fit], labels: Labels, difference: float | None
+    fits: tuple[Fit, Fit], labels: StringPair, difference: float | None
 ) -> tuple[str, NestedTest | None]:
     """Say which of two fits describes the data of both better.
 
@@ -81,7 +79,7 @@ def fit_verdict(
     return "" if difference is None else verdict_by_aic(labels, difference), None
 
 
-def verdict_by_aic(labels: Labels, difference: float) -> str:
+def verdict_by_aic(labels: StringPair, difference: float) -> str:
     """Compare structures that are not nested by AIC: Burnham and Anderson (2002), section 2.6."""
     by = f"AIC differs by {number(abs(difference), 3)}"
     if abs(difference) < EQUAL_AIC:
@@ -92,12 +90,12 @@ def verdict_by_aic(labels: Labels, difference: float) -> str:
     return f"{better} fits the data better than {worse} ({by})."
 
 
-def _undecided(labels: Labels) -> str:
+def _undecided(labels: StringPair) -> str:
     return f"The data do not show which of {labels[0]} and {labels[1]} fits them better"
 
 
 def prediction_verdict(
-    labels: Labels, predictions: tuple[Sequence[Prediction], Sequence[Prediction]], kind: str
+    labels: StringPair, predictions: tuple[Sequence[Prediction], Sequence[Prediction]], kind: str
 ) -> str:
     """Compare two models by their mean squared errors of prediction, window by window.
 

@@ -279,7 +279,7 @@ class _Fits:
                 return "at its bound"
             return "no test" if math.isfinite(quantity.standard_error) else "not determined"
 
-    def doubtful(self, terms: Terms) -> dict[str, float]:
+    def doubtful(self, terms: Terms) -> Values:
         """Return the p-values of terms that only a test for independent errors finds."""
         fit, p_values = self.cache[terms], {}
         for term in (name for name in self.absent if name in terms):
@@ -290,7 +290,7 @@ class _Fits:
                 p_values[term] = f_tail(test.statistic / small.inflation, 1, small.dof)
         return {term: p for term, p in p_values.items() if p > SIGNIFICANT}
 
-    def alike(self, terms: Terms) -> dict[str, dict[str, float]]:
+    def alike(self, terms: Terms) -> Mapping[str, Values]:
         """Return the terms that could replace each chosen one, and the increase in AIC."""
         rivals: dict[str, dict[str, float]] = {}
         fit = self.cache[terms]

@@ -5,12 +5,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedResponse
+from greybox.files.arrays import Values
 from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
 
 
-def pade_error(part: Problem, values: dict[str, float]) -> float | None:
+def pade_error(part: Problem, values: Values) -> float | None:
     """Return the largest phase error of a Padé delay in the fitted band, degrees; else None."""
     if delay_order(part.delay) is None:
         return None

@@ -75,7 +75,7 @@ def with_holds(groups: Iterable[Messages], parameters: Values) -> list[Messages]
     return [replace(group, hold=_holds(group, period)) for group in groups]
 
 
-def _holds(group: Messages, period: float) -> dict[str, float]:
+def _holds(group: Messages, period: float) -> Values:
     holds = dict.fromkeys(_among(SAMPLES, group), CONTINUOUS)
     holds |= dict.fromkeys(_among(KEPT, group), HELD)
     if math.isnan(period):

@@ -6,13 +6,13 @@ the last bit.
 """
 
 import mmap
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, IntArray, Strings, by_name
+from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name
 from greybox.files.progress import bar
 from greybox.files.text_table import counted
 from greybox.logs.readers import ardupilot_metadata
@@ -61,7 +61,7 @@ def recording(
     groups: list[Messages],
     path: Path,
     messages: Collection[str] | None,
-    findings: Sequence[str],
+    findings: Labels,
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
     checksum = checksum_of(path)

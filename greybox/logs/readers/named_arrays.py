@@ -5,10 +5,10 @@ The same records are made of the topics of PX4 logs and of tables of text.
 
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, NamedStrings, Values
+from greybox.files.arrays import Array, Fields, NamedStrings, Values
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
@@ -32,7 +32,7 @@ class Contents(NamedTuple):
 
     variables: list[Variable]
     findings: list[str]
-    about: dict[str, Any]
+    about: Fields
 
 
 def read(

@@ -6,13 +6,13 @@ starts with the vehicle.
 """
 
 import mmap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, Labels
 from greybox.logs.readers import telemetry_metadata, time_stamps
 from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.controller_outputs import with_holds
@@ -165,7 +165,7 @@ def _messages(kind: Kind, time: Array) -> Messages:
     return messages.rows(np.argsort(time, kind="stable"))
 
 
-def _labels(senders: IntArray, names: Sequence[str] | None, instances: Array | None) -> list[str]:
+def _labels(senders: IntArray, names: Labels | None, instances: Array | None) -> list[str]:
     """Return the parts of ``system:component:instance`` that differ between packets, if any."""
     # Equal labels share one text: a log has millions.
     addresses = {sender: _address(sender) for sender in np.unique(senders).tolist()}

@@ -1,14 +1,14 @@
 """Metadata of a telemetry log: firmware, parameters, texts, modes."""
 
 import struct
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
-from greybox.files.arrays import Array, NamedArrays, by_name
+from greybox.files.arrays import Array, Fields, Labels, NamedArrays, by_name
 from greybox.logs.readers.ardupilot_metadata import mode_name, vehicle_in
 from greybox.logs.readers.telemetry_packets import Kind
 
@@ -39,7 +39,7 @@ class Heartbeats(NamedTuple):
         return int(self.fields["autopilot"][0]) if len(self.time) else mavlink.MAV_AUTOPILOT_INVALID
 
 
-def metadata(kinds: Mapping[str, Kind], times: NamedArrays) -> dict[str, Any]:
+def metadata(kinds: Mapping[str, Kind], times: NamedArrays) -> Fields:
     """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
     beats = heartbeats(kinds, times)
     texts = ()
@@ -77,7 +77,7 @@ def heartbeats(kinds: Mapping[str, Kind], times: NamedArrays) -> Heartbeats:
     return Heartbeats(sender, {name: x[rows] for name, x in fields.items()}, time[rows])
 
 
-def _firmware(beats: Heartbeats, texts: Sequence[str]) -> dict[str, str]:
+def _firmware(beats: Heartbeats, texts: Labels) -> dict[str, str]:
     for text in texts:
         if vehicle := vehicle_in(text):
             return {"vehicle": vehicle, "firmware": text}

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.record import Record, Recording
+from greybox.files.arrays import Fields
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers import named_arrays
 from greybox.logs.readers.messages import bare
@@ -98,7 +99,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     )
 
 
-def _about(facts: Mapping[str, Any]) -> dict[str, Any]:
+def _about(facts: Mapping[str, Any]) -> Fields:
     release, commit = facts["firmware"]
     about = {
         "vehicle": facts["vehicle"],
@@ -118,7 +119,7 @@ def with_angles(name: str, record: Record) -> Record:
     units = {field: "rad/s" for field in record.signals if re.fullmatch(RATES.get(name, ""), field)}
     # Quaternions w, x, y, z turn from the vehicle to the earth.
     first, *_ = parts = [f"{QUATERNIONS.get(name, '')}[{k}]" for k in range(4)]
-    angles: dict[str, Any] = {}
+    angles: Fields = {}
     if {*parts} <= {*record.signals}:
         w, x, y, z = (record[part] for part in parts)
         angles = {

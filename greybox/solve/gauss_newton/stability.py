@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.compiled.kalman_gain import KalmanGain
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, Arrays, all_finite
+from greybox.files.arrays import Array, ArrayPair, Arrays, all_finite
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate
 
@@ -60,7 +60,7 @@ def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) ->
 def stable_step(
     parts: AllParts,
     iterate: Iterate,
-    constraints: tuple[Array, Array],
+    constraints: ArrayPair,
     solve: Callable[[Array, Array], Array],
 ) -> tuple[Array, Array, Array]:
     """Return a step that keeps simulated predictors stable, and its constraints.
