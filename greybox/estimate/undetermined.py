@@ -107,7 +107,9 @@ def collinear_groups(
     for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):
         if value > 1 / 20:  # above an index of 20 parameters hardly compensate one another
             break
-        group = tuple(names[inside[i]] for i in np.argsort(-row) if row[i] > 0.2 * row.max())
+        # Rounding must not order what takes part alike.
+        order = np.argsort(-row.round(3), kind="stable")
+        group = tuple(names[inside[i]] for i in order if row[i] > 0.2 * row.max())
         groups.setdefault(frozenset(group), Combination(group, float(1 / max(value, 1e-300))))
 
     return tuple(groups.values())
