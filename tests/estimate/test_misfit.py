@@ -78,7 +78,7 @@ def test_a_right_model_explains_its_data(color):
 
 
 # Of 60 right models, 4 are called wrong; before errors were whitened by pieces, 25 were.
-@pytest.mark.parametrize("plant, least, most", [(Spring, 7, 8), (Cubic, 0, 0)])
+@pytest.mark.parametrize(("plant", "least", "most"), [(Spring, 7, 8), (Cubic, 0, 0)])
 def test_gaps_in_slow_errors_are_no_misfit_and_hide_none(plant, least, most):
     explained = 0
     for seed in range(8):
