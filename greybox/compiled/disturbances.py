@@ -21,7 +21,8 @@ from greybox.modeling.added_terms import factors_of_derivatives
 Effect = ArrayPair
 """What c terms add to next states (length, s, n, c) and residuals (length, s, k, c) of segments."""
 
-LARGE = 4.6  # logarithm of the growth of an error over a record that counts as unstable
+# Logarithm of the growth of an error over a record, beyond which its model counts as unstable.
+UNSTABLE = 4.6
 
 
 class DisturbedRecord:
@@ -48,6 +49,7 @@ class DisturbedRecord:
         self.is_predicted = bool(part.gains)
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
         self.present = segments.in_order(data[-1 - k : -1])
+        self._half_steps = self._by_sample(part.data.steps)[..., None] / 2
         self.parameters = self._placed.q
 
     @cached_property
@@ -126,7 +128,7 @@ class DisturbedRecord:
         mean = self._by_sample(mean)
         change = np.einsum("lsnj,lsjc->lsnc", self._slopes[0][..., :n][..., moved], mean)
         change[:, :, moved] += mean
-        change *= self._by_sample(self.part.data.steps)[..., None] / 2
+        change *= self._half_steps
         outputs = self._by_sample(slopes[n:])[..., None] * -self._by_sample(values)[:, :, None]
         return change, outputs
 
@@ -167,7 +169,7 @@ class DisturbedRecord:
         """Return the nodes (s, n, c) that follow such ends and residuals from zero ones."""
         transition, J, weighted = self._by_nodes
         coupled, nodes = self.part.data.coupled, np.zeros_like(ends)
-        if self.growth > LARGE:
+        if self.growth > UNSTABLE:
             # Simulated from zero, they would lose their digits: fitted, they remain small.
             exact = np.zeros(self.part.states)
             return solve_continuity(

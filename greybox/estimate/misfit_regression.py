@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.disturbances import LARGE, DisturbedRecord
+from greybox.compiled.disturbances import UNSTABLE, DisturbedRecord
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
@@ -144,7 +144,7 @@ def regression_of_record(
         lambda terms: rows(followed(terms)),
         outputs=outputs,
         causes=tuple(offsets),
-        is_unstable=record.growth > LARGE,
+        is_unstable=record.growth > UNSTABLE,
         # From known initial states, terms grow as parameters do, and differ by what does not grow.
         remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
         lost=sum(basis.shape[1] for basis in drifts),
