@@ -4,7 +4,7 @@ Begin with `compiled_problem`.
 
 | file | contents |
 | --- | --- |
-| `compiled_problem` | what a solver is given: parts, limits, scaling |
+| `compiled_problem` | what a solver is given: parts, constraints, scaling |
 | `part` | the interface of every part of a problem |
 | `response_part` | a frequency response |
 | `data_input` | the data of responses as an input of their functions |
@@ -14,7 +14,8 @@ Begin with `compiled_problem`.
 | `transient_part` | the spectrum of a manoeuvre |
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |
-| `record_part`, `record_group` | a record with its information; several evaluated together |
+| `record_part` | a record with its information, and as expressions for IPOPT |
+| `record_group` | several records evaluated together |
 | `sampled_data` | a record as gapless stretches of samples, cut into segments |
 | `sample_step` | one sample as a CasADi function |
 | `segments` | all segments simulated and linearized at once |
@@ -28,9 +29,7 @@ Begin with `compiled_problem`.
 | `disturbances` | how the outputs of a record would follow terms that its model does not have |
 | `record_sensitivity` | derivatives of the residuals |
 | `colored_errors` | residuals that are correlated in time |
-| `record_program` | a record as expressions for IPOPT |
 | `transcription` | the methods by which the states of a record become unknowns |
-| `scaling`, `limits` | between parameters and the solver's variables; the constraints |
 | `vectorized` | CasADi functions over many columns |
 | `alike_terms` | costs of terms that differ in constants |
 """

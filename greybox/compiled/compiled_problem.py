@@ -1,5 +1,6 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import field
 from typing import Any, TypeVar
@@ -8,12 +9,10 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.harmonic_numbers import with_enough_harmonics
-from greybox.compiled.limits import limits_of
 from greybox.compiled.part import Part, Portable
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.response_programs import CostProgram, ResponseCompiler
-from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import TransientPart
@@ -21,11 +20,77 @@ from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Fields, Strings, by_name, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    BoolArray,
+    ComplexArray,
+    Fields,
+    Labels,
+    Strings,
+    by_name,
+    frozen,
+)
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.parameter import Parameter
+from greybox.modeling.symbolic_reading import entries_by_name
+
+
+@frozen
+class Scaling:
+    """Parameters x and the solver's variables z, (..., p) each: x = factor · z, or x = exp(z)."""
+
+    factor: Array
+    logarithmic: BoolArray
+
+    def to_solver(self, x: Array) -> Array:
+        """Return z for x, along the last axis."""
+        # A lower bound of zero has no logarithm: -inf, no bound, is right.
+        with np.errstate(divide="ignore"):
+            return np.where(
+                self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor
+            )
+
+    def to_parameters(self, z: Array) -> Array:
+        """Return x for z, along the last axis."""
+        return np.where(
+            self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z * self.factor
+        )
+
+    def slope(self, x: Array) -> Array:
+        """Return dz/dx (p,)."""
+        return 1 / np.where(self.logarithmic, x, self.factor)
+
+    def expressions(self, z: Any) -> list[Any]:
+        """Return x for a CasADi vector z."""
+        return [
+            ca.exp(z[k]) if log else z[k] * float(f)
+            for k, (f, log) in enumerate(zip(self.factor, self.logarithmic, strict=True))
+        ]
+
+
+def scaling_of(parameters: Sequence[Parameter]) -> Scaling:
+    """Return the scaling of the unknowns."""
+    return Scaling(
+        factor=np.array([_size(p) for p in parameters], dtype=float),
+        logarithmic=np.array([p.scale == "log" for p in parameters]),
+    )
+
+
+def _size(parameter: Parameter) -> float:
+    """Return the larger end of the start box: IPOPT takes half the time that it takes unscaled.
+
+    Wider bounds would not do: IPOPT pushes starts away from bounds by a share of their distance.
+    """
+    for pair in (parameter.box, parameter.bounds, (parameter.start, parameter.start)):
+        finite = [abs(v) for v in pair if math.isfinite(v) and v != 0]
+        if finite:
+            return max(finite)
+    return 1.0
+
 
 AnyProblem = Problem | Sum[Problem]
 PartKind = TypeVar("PartKind", bound=Part)
@@ -221,3 +286,30 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         limits=limits,
         **functions,
     )
+
+
+def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]:
+    """Return what must be >= 0, in words, and (values of these names) -> its values, stacked.
+
+    A constraint that parts share counts once.
+    """
+    limits: dict[Any, tuple[str, Any]] = {}
+    x = ca.SX.sym("x", len(names))
+    for part in problem.parts:
+        if not (part.constraints or part.tied):
+            continue
+        local = part.local_values(entries_by_name(names, x))
+        for k, constraint in enumerate(part.constraints):
+            # Formulas are compared as compiled: equal lambdas are different objects in Python.
+            label, value = f"constraints[{k}] of {part.name!r}", ca.SX(constraint(local))
+            formula = ca.Function("formula", [x], [value])
+            limits.setdefault(formula.serialize(), (label, value))
+        for name in part.tied:
+            sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
+            for side, bound, sign in sides:
+                if math.isfinite(bound):
+                    label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
+                    limits.setdefault(label, (label, sign * (local[name] - bound)))
+
+    values = ca.vertcat(ca.SX(0, 1), *[value for _, value in limits.values()])
+    return tuple(label for label, _ in limits.values()), ca.Function("constraint", [x], [values])

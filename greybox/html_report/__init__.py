@@ -6,8 +6,7 @@
 | `page` | puts the page together, with `page.css` and the script `page.js` that draws the figures |
 | `entry` | one result |
 | `fit_section` | everything about one fit |
-| `comparison_section` | several results side by side |
-| `study_section` | a study in a few figures |
+| `comparison_section` | several results side by side; a study in a few figures |
 | `formula` | the formulas in the description of a model |
 | `figure` | the figures of `greybox.plotting` as elements of the page |
 | `tables` | tables of estimates |

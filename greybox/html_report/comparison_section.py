@@ -1,5 +1,6 @@
 """Several results side by side: tables, comparison, and figures that overlay them."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -13,8 +14,9 @@ from greybox.html_report.tables import Cell, number_cell, table
 from greybox.plotting.bode import bode_figure
 from greybox.plotting.figure import Figure
 from greybox.plotting.nyquist import nyquist_figures
+from greybox.plotting.study import estimates_figure, structures_figure
 from greybox.plotting.time_history import history_figure
-from greybox.study.study import shown
+from greybox.study.study import FAILURES, Study, shown
 from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
@@ -119,3 +121,20 @@ def _figures(
     if comparison is not None:
         for predictions in zip(*comparison.predictions.get(HELD_OUT, ()), strict=True):
             yield history_figure(predictions, 0, comparison.labels, COLUMNS)
+
+
+def study_section(study: Study) -> Iterator[Element]:
+    """Yield how many members are done and how good they are, and which structure is supported."""
+    if study.failed:
+        yield table(FAILURES, [[*map(Cell, row)] for row in study.failed])
+    if not study.done:
+        return
+    grades = Counter(member.answer["verdict"]["grade"] for member in study.done)
+    texts = (f"{grades[grade]} {text}" for grade, text in GRADES.items() if grades[grade])
+    yield tag("p", f"{study.state}. The fits: {', '.join(texts)}.")
+    figures = [structures_figure(study), estimates_figure(study, "cost")]
+    if len(study.select(status="done").groups(study.structures)) > 1:
+        comparison = study.ranking()
+        yield from (tag("p", text) for text in (comparison.verdict, *comparison.statements) if text)
+        figures.insert(0, structures_figure(comparison))
+    yield figure_grid(figures)

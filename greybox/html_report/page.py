@@ -12,12 +12,11 @@ from xml.etree.ElementTree import Element
 
 from greybox.experiment.margins import Margins
 from greybox.files.text_table import counted
-from greybox.html_report.comparison_section import comparison_section, overview
+from greybox.html_report.comparison_section import comparison_section, overview, study_section
 from greybox.html_report.elements import Child, html, tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.figure import figure_grid
 from greybox.html_report.fit_section import fit_section
-from greybox.html_report.study_section import study_section
 from greybox.plotting.loops import loop_figures
 from greybox.study.study import Study
 from greybox.validation.comparison import Comparison

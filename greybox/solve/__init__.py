@@ -10,7 +10,6 @@ Begin with `multistart`.
 | `shared_solver` | many responses that share one solve: starts with process noise, no IPOPT |
 | `batched_newton`, `newton_iteration` | Newton's method from many points, and its iteration |
 | `process_noise_start` | starts of state spaces by output error with process noise |
-| `zero_response` | a wall around a response of zero, where searches would end |
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |
 | `ipopt` | IPOPT on one program |

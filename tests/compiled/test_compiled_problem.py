@@ -2,6 +2,8 @@
 finds.
 """
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.compiled_problem import compile_problem, scaling_of
 from greybox.compiled.response_programs import solver_weights
 from greybox.models.tilt import PAPER_G, NonlinearTilt
 
@@ -193,3 +195,80 @@ def test_a_criterion_with_local_minima_of_its_own_is_located_by_squares(criterio
         assert float(nlp.programs[0].function(z, 0.0, nlp.data)[0]) == pytest.approx(
             2 * np.sum(e**2), rel=1e-9
         )
+
+
+PARAMETERS = [
+    gb.Parameter(0.3, bounds=(-7, 5)),
+    gb.Parameter(2.0, bounds=(0.1, 50), scale="log"),
+    gb.Parameter(0.3, bounds=(-80, 90), starts=(-4, 3)),
+]
+X = np.array([[-3.5, 20.0, 6.0], [1.4, 0.5, -1.0]])
+Z = np.array([[-0.5, np.log(20), 1.5], [0.2, np.log(0.5), -0.25]])  # in 7, the logarithm, and 4
+
+
+def test_variables_are_in_units_of_the_start_box_or_logarithms():
+    scaling = scaling_of(PARAMETERS)
+    assert_allclose(scaling.to_solver(X), Z)
+    assert_allclose(scaling.to_parameters(Z), X)
+    assert scaling.to_solver(np.array([1.0, 0.0, 1.0]))[1] == -np.inf
+    for x, z in zip(X, Z, strict=True):
+        assert_allclose(scaling.slope(x), [1 / 7, 1 / x[1], 1 / 4])
+        symbols = ca.SX.sym("z", 3)
+        assert_allclose(
+            ca.Function("x", [symbols], [ca.vertcat(*scaling.expressions(symbols))])(z)
+            .full()
+            .ravel(),
+            x,
+        )
+
+
+@pytest.mark.parametrize(
+    ("parameter", "unit"),
+    [
+        (gb.Parameter(-0.3, bounds=(-7, 5), starts=(-2, 1)), 2.0),
+        (gb.Parameter(0.3, bounds=(0, 5)), 5.0),  # an end at zero says nothing of the size
+        (gb.Parameter(0.3, bounds=(-7, 5), starts=(0, 0)), 7.0),
+        (gb.Parameter(-0.3, bounds=(-math.inf, 0)), 0.3),
+        (gb.Parameter(0.0), 1.0),
+    ],
+)
+def test_the_unit_is_the_larger_end_in_magnitude_of_what_starts_are_drawn_from(parameter, unit):
+    assert scaling_of([parameter]).factor.tolist() == [unit]
+
+
+SEVERAL_LAGS = [
+    measured(Lag(), TWO_LAGS_OMEGA, {"K": 3.0, "T": T}, noise=0.05, seed=k)
+    for k, T in enumerate((0.2, 0.4))
+]
+
+
+def part(k, *constraints, **options):
+    """One of two problems of one name."""
+    return gb.Problem(Lag(), SEVERAL_LAGS[k], constraints=constraints, name="flight", **options)
+
+
+def test_constraints_of_parts_of_one_name_all_count():
+    """Each holds its own time constant away from the truth."""
+    both = part(0, lambda p: 0.1 - p.T) + part(1, lambda p: p.T - 0.8, rename={"T": "T2"})
+    nlp = compile_problem(both)
+    values = dict(zip(nlp.names, nlp.all_values(np.arange(1.0, 1 + len(nlp.free))), strict=True))
+    missed = np.asarray(nlp.constraint(np.array([*values.values()]))).ravel()
+    assert_allclose(missed, [0.1 - values["T"], values["T2"] - 0.8])
+    fit = gb.fit(both, starts=[{}], progress=False)
+    assert_allclose([fit.estimate["T"], fit.estimate["T2"]], [0.1, 0.8], rtol=1e-6)
+
+
+def test_a_constraint_that_parts_of_one_name_share_counts_once():
+    both = part(0, lambda p: p.K - 2 * p.T) + part(1, lambda p: p.K - 2 * p.T)
+    assert compile_problem(both).limits == ("constraints[0] of 'flight'",)
+
+
+def test_a_constraint_that_parts_of_two_names_share_counts_once():
+    runs = [part(k, lambda p: p.K - 2 * p.T).with_(name=f"run {k}") for k in range(2)]
+    assert compile_problem(runs[0] + runs[1]).limits == ("constraints[0] of 'run 0'",)
+
+
+def test_bounds_of_what_is_tied_alike_count_once():
+    options = {"tied": {"T": lambda p: p.K / 10}, "bounds": {"T": (0.1, 0.5)}}
+    limits = compile_problem(part(0, **options) + part(1, **options)).limits
+    assert limits == ("the lower bound 0.1 of the tied T", "the upper bound 0.5 of the tied T")
