@@ -11,26 +11,38 @@ import re
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import DelimitedText
 from greybox.files.text_table import is_number
 
 
-class _Unit(NamedTuple):
+@dataclass(frozen=True)
+class Conversion:
+    """Numbers in a unit become ``factor * value + zero`` in `si`; a `remark` names a doubt."""
+
     factor: float
-    si: str  # a product of powers, as above
-    zero: float = 0.0  # of its scale, in SI
+    zero: float
+    si: str
+    remark: str = ""
+
+    @property
+    def changes(self) -> bool:
+        """True when numbers change."""
+        return self.factor != 1 or self.zero != 0
+
+    def apply(self, values: Array) -> Array:
+        """Return the values in SI."""
+        return self.factor * values + self.zero if self.changes else values
 
 
-def _units(table: str, zero: float = 0.0) -> dict[str, _Unit]:
+def _units(table: str, zero: float = 0.0) -> dict[str, Conversion]:
     """Return units by name; every line of the table has the names of a unit and its value in SI."""
     units = {}
     for line in table.strip().splitlines():
         names, _, value = line.partition(" = ")
         factor, _, si = value.partition(" ")
-        units |= dict.fromkeys(names.split(), _Unit(float(factor), si, zero))
+        units |= dict.fromkeys(names.split(), Conversion(float(factor), zero, si))
     return units
 
 
@@ -44,22 +56,22 @@ deg degree degrees ° º degheading deglatitude deglongitude = 0.017453292519943
 gram grams = 1e-3 kg
 K = 1 K
 N = 1 N
-Nm = 1 N m
+Nm = 1 N·m
 Pa = 1 Pa
 bar = 1e5 Pa
 J = 1 J
 W Watt watt = 1 W
 Wh = 3600 J
 A amp = 1 A
-Ah = 3600 A s
+Ah = 3600 A·s
 V volt = 1 V
 Ohm ohm Ω = 1 Ω
 T = 1 T
 gauss Gauss = 1e-4 T
 Hz = 1 Hz
-l L liter litre = 1e-3 m3
+l L liter litre = 1e-3 m³
 % pct percent = 0.01 1
-G = 9.80665 m/s2
+G = 9.80665 m/s²
 """) | _units("degC °C ºC degc = 1 K", CELSIUS)
 PREFIXES = {
     "M": 1e6,
@@ -92,7 +104,7 @@ fpm = 0.00508 m/s
 mph = 0.44704 m/s
 kph kmh = 0.2777777777777778 m/s
 kt kts kn knot knots KIAS KCAS KEAS KTAS = 0.5144444444444445 m/s
-g = 9.80665 m/s2
+g = 9.80665 m/s²
 lbm = 0.45359237 kg
 slug slugs = 14.593902937206364 kg
 lbf = 4.4482216152605 N
@@ -154,25 +166,6 @@ TOKEN = re.compile(
 LEADING = re.compile(r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s+(?=\D)")  # as in "1e-07 deg"
 
 
-@dataclass(frozen=True)
-class Conversion:
-    """Numbers in a unit become ``factor * value + zero`` in `si`; a `remark` names a doubt."""
-
-    factor: float
-    zero: float
-    si: str
-    remark: str = ""
-
-    @property
-    def changes(self) -> bool:
-        """True when numbers change."""
-        return self.factor != 1 or self.zero != 0
-
-    def apply(self, values: Array) -> Array:
-        """Return the values in SI."""
-        return self.factor * values + self.zero if self.changes else values
-
-
 @lru_cache(maxsize=1024)
 def to_si(unit: str) -> Conversion:
     """Return the conversion of numbers in `unit` to SI; numbers without a unit do not change.
@@ -188,11 +181,10 @@ def to_si(unit: str) -> Conversion:
     # A whole unit before a product: temperatures have a zero of their own, which a product loses.
     named = _named(text)
     if named is not None:
-        conversion = Conversion(named.factor, named.zero, _written(_powers(named.si)))
         if text not in DOUBTFUL:
-            return conversion
-        scale = f"{named.factor:g} {conversion.si}" if not named.zero else "degrees Celsius"
-        return replace(conversion, remark=f"{text} was taken for {scale}, not for {DOUBTFUL[text]}")
+            return named
+        scale = f"{named.factor:g} {named.si}" if not named.zero else "degrees Celsius"
+        return replace(named, remark=f"{text} was taken for {scale}, not for {DOUBTFUL[text]}")
 
     # pymavlink writes multipliers before a unit, as in ``1e-07 deg``.
     leading = LEADING.match(text)
@@ -259,13 +251,13 @@ def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
     return kinds[0] == kinds[1]
 
 
-def _named(name: str) -> _Unit | None:
+def _named(name: str) -> Conversion | None:
     """Return a unit that has a name, or a name and a prefix."""
     if name in NAMED:
         return NAMED[name]
     base = PREFIXED.get(name[1:])
     if base is not None and name[0] in PREFIXES:
-        return base._replace(factor=PREFIXES[name[0]] * base.factor)
+        return replace(base, factor=PREFIXES[name[0]] * base.factor)
     return CAPITALS.get(name.lower())
 
 
