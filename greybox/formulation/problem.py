@@ -192,24 +192,23 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         is_class = isinstance(self.model, type)
         cure = "an instance such as Tilt(), not the class" if is_class else "a model, then the data"
         _require(self.model, Model, "model", cure)
-        if not isinstance(self.data, FrequencyResponse | Record | TransientSpectrum):
-            raise TypeError(f"data is {_wrong_data(self.data)}.")
-        if isinstance(self.data, FrequencyResponse):
+        data = self.data
+        if not isinstance(data, FrequencyResponse | Record | TransientSpectrum):
+            raise TypeError(f"data is {_wrong_data(data)}.")
+        usual, kind, place = OutputError(), TimeCriterion, "a record or a TransientSpectrum"
+        if isinstance(data, FrequencyResponse):
             # In records and spectra of manoeuvres too, a hold is not a part of the model.
-            vars(self)["data"] = self.data.without_hold()
-        self._fill_in_defaults()
-
-        kind, cure = (
-            (Criterion, "RelativeError(), for a frequency response")
-            if isinstance(self.data, FrequencyResponse)
-            else (TimeCriterion, "OutputError(), for a record or a TransientSpectrum")
-        )
-        _require(self.criterion, kind, "criterion", f"a criterion such as {cure}")
+            vars(self)["data"] = data.without_hold()
+            usual, kind, place = RelativeError(), Criterion, "a frequency response"
+        self._fill_in_defaults(usual)
+        cure = f"a criterion such as {type(usual).__name__}(), for {place}"
+        _require(self.criterion, kind, "criterion", cure)
         if not is_finite_number(self.weight) or self.weight <= 0:
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
 
-        if isinstance(self.criterion, TimeCriterion) and isinstance(self.data, Record):
-            vars(self)["model"] = self.criterion.disturbed(self.model, self.data)
+        if isinstance(data, Record):
+            criterion: Any = self.criterion
+            vars(self)["model"] = criterion.disturbed(self.model, data)
 
         # An unknown word is refused here, not in the middle of a search.
         delay_order(self.delay)
@@ -227,10 +226,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
                 "where variances are known."
             )
 
-    def _fill_in_defaults(self) -> None:
+    def _fill_in_defaults(self, usual: Criterion | TimeCriterion) -> None:
         vars(self)["_has_default_criterion"] = self.criterion is None
         if self.criterion is None:
-            usual = RelativeError() if isinstance(self.data, FrequencyResponse) else OutputError()
             vars(self)["criterion"] = usual
         vars(self)["free"] = as_names(self.free)
         if not self.name:
@@ -241,21 +239,18 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     def _added_by_criterion(self) -> Parameters:
         """Check model, data and criterion; return the parameters that the criterion adds."""
-        if isinstance(self.data, FrequencyResponse) and isinstance(self.criterion, Criterion):
-            self.criterion.check(self.data)
+        criterion: Any = self.criterion  # of the kind of the data
+        if isinstance(self.data, FrequencyResponse):
+            criterion.check(self.data)
             check_response_units(self.model, self.data)
             return {}
 
-        assert isinstance(self.criterion, TimeCriterion)
         if isinstance(self.data, TransientSpectrum):
-            outputs_in_spectrum(self.criterion, self.model, self.data)
-            added = (
-                self.criterion.color(self.data) if isinstance(self.criterion, EquationError) else {}
-            )
+            outputs_in_spectrum(criterion, self.model, self.data)
+            added = criterion.color(self.data) if isinstance(criterion, EquationError) else {}
         else:
-            assert isinstance(self.data, Record)
-            self.criterion.compared(self.model, self.data)
-            added = self.criterion.parameters(self.model, self.data)
+            criterion.compared(self.model, self.data)
+            added = criterion.parameters(self.model, self.data)
         check_units(self.model, self.data)
         for name in added:
             if name in self.model.parameters:
