@@ -249,7 +249,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             outputs_in_spectrum(criterion, self.model, self.data)
             added = criterion.color(self.data) if isinstance(criterion, EquationError) else {}
         else:
-            criterion.compared(self.model, self.data)
             added = criterion.parameters(self.model, self.data)
         check_units(self.model, self.data)
         for name in added:

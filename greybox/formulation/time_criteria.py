@@ -149,8 +149,8 @@ class TimeCriterion(AnyCriterion):
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
-        result = {f"{name}_bias": bias_parameter(name, record) for name in self.biases}
         gains = self.gains(model, self.compared(model, record))
+        result = {f"{name}_bias": bias_parameter(name, record) for name in self.biases}
         # With process noise, the gains follow from the steady Kalman filter. Otherwise all runs
         # begin without corrections, which is output error.
         for state, output in () if self.driven() else gains:
