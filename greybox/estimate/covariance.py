@@ -28,6 +28,7 @@ from greybox.files.arrays import (
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 from greybox.statistics.column_space import triangle_of
+from greybox.statistics.shared_errors import shared_covariance
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
 # unit length before the initial states were fitted too.
@@ -256,6 +257,16 @@ def _with_covariance(
     turned = np.eye(k, p) @ (root @ ((stacked @ root).T @ (stacked @ first)))
     earlier = known_covariances(nlp)
     terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
+    # Errors that responses share, such as those of wind, add up.
+    shared = shared_covariance(
+        [
+            information.points(part.share.correction, information.part.problem.weight * first)
+            for information, part in zip(accuracy.informations, parts, strict=True)
+            if information.points
+        ]
+    )
+    common = [(turned @ shared[0] @ turned.T, shared[1])] if shared else []
+    terms += common
     terms += [(slope @ np.nan_to_num(covariance) @ slope.T, dof) for covariance, dof in earlier]
     covariance = np.sum([term for term, _ in terms], axis=0)
     accuracy = replace(accuracy, shares=tuple(terms))
@@ -266,10 +277,11 @@ def _with_covariance(
         # part by itself.
         dof = degrees(accuracy, np.eye(p, k)).min()
     independent = None
-    if any(part.neighbors for part in parts):
+    if shared or any(part.neighbors for part in parts):
         # Tests of terms need errors that are taken as independent: a term that is missing looks
         # like a correlation.
         change = sum(turned @ (part.independent - part.meat) @ turned.T for part in parts)
+        change -= sum(term for term, _ in common)
         numbers = sum(part.numbers for part in parts)
         independent = (covariance + change)[:p, :p], math.inf if known_noise else numbers
 

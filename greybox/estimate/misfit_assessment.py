@@ -151,8 +151,9 @@ def assessed_misfit(
     ]
 
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
-    # of more.
-    most = max(3000 // max(len(records), 1), 500)
+    # of more. A third of the samples of six outputs tells as much as all of two.
+    outputs = max((len(part.outputs) for part, _ in records), default=1)
+    most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
     disturbed = [
         DisturbedRecord(*on_excerpts(part, trajectory, most)) for part, trajectory in records
     ]

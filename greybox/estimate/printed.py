@@ -166,8 +166,9 @@ def error_statement(fit: Any) -> str:
     if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
         width = t_quantile(0.95, fit.independent[1]) / t_quantile(0.95, fit.dof)
         conditions += (
-            "; correlated along frequency like the residuals (intervals for independent errors "
-            f"would be {width / math.sqrt(fit.inflation):.2g} times as wide)"
+            f"; correlated along frequency{' or between responses' * (len(fit.responses) > 1)} "
+            "like the residuals (intervals for independent errors would be "
+            f"{width / math.sqrt(fit.inflation):.2g} times as wide)"
         )
     elif any(
         len(part.data) < FEW and not part.data.has_independent_errors for part in fit.responses

@@ -93,8 +93,8 @@ class Lines(NamedTuple):
     ----------
     omega : (n,) array, rad/s
     values : (signals, n) complex array
-        Input, output, instrument, conditioned inputs; scaled so that the variance of noise is its
-        spectral density.
+        Input, output, instrument, conditioned inputs, and their instruments; scaled so that the
+        variance of noise is its spectral density.
     stretch : (n,) array
         Index of the stretch of each line.
     spacing : float, rad/s
@@ -121,7 +121,7 @@ class Fitted(NamedTuple):
     x : (n,) array
         Their positions in the band, -1 to 1.
     regressors, basis : (n, m) complex arrays
-        Regressors of the response, then of conditioned inputs; an orthonormal basis of the
+        Regressors of the response, then of conditioned inputs; an orthonormal basis of their
         instruments. Transients are projected out of both.
     solution : (m, n) complex array
         Maps the output to the coefficients.
@@ -191,7 +191,7 @@ class Band(NamedTuple):
 
 
 def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
-    """Transform stretches; their rows are input, output, instrument and conditioned inputs."""
+    """Transform stretches; their rows are those of `Lines`."""
     omega, values, stretch = [], [], []
     for index, piece in enumerate(stretches):
         count = piece.values.shape[1]
@@ -300,15 +300,15 @@ def fit_band(
     and is left out.
     """
     order, transient_order = ORDER + extra, TRANSIENT_ORDER + extra
-    rows, x, (u, _, r, *conditioned), transients = _in_band(lines, center, half, transient_order)
+    rows, x, _, *signals, transients = _in_band(lines, center, half, transient_order)
     powers = np.vander(x, order + 1, increasing=True)
-    if rows.size - (order + 1) * (1 + len(conditioned)) - transients.shape[1] < residuals:
+    if rows.size - (order + 1) * len(signals[0]) - transients.shape[1] < residuals:
         return None
 
     # Least squares is the special case in which the regressors are their own instruments.
     regressors, instruments = (
-        _without(transients, np.hstack([c[:, None] * powers for c in (signal, *conditioned)]))
-        for signal in (u, r)
+        _without(transients, np.hstack([row[:, None] * powers for row in rows_of_signals]))
+        for rows_of_signals in signals
     )
     solved = _solved(regressors, instruments)
     alone = solved if lines.direct else _solved(instruments, instruments)
@@ -324,10 +324,11 @@ def _without(basis: NDArray[Any], columns: ComplexArray) -> ComplexArray:
 
 def _in_band(
     lines: Lines, center: float, half: float, order: int
-) -> tuple[IntArray, Array, ComplexArray, Array]:
+) -> tuple[IntArray, Array, ComplexArray, ComplexArray, ComplexArray, Array]:
     """Return the lines in a band, and an orthonormal basis (n, t) of their transients.
 
-    The lines are their indices, positions from -1 to 1, and values.
+    The lines are their indices, positions from -1 to 1, and the outputs, inputs (1 + m, n) and
+    instruments (1 + m, n) there, with m conditioned inputs.
     """
     ends = [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)]
     rows = np.arange(*np.searchsorted(lines.omega, ends))
@@ -341,7 +342,10 @@ def _in_band(
         np.linalg.qr(powers * (lines.stretch[rows] == number)[:, None])[0] for number in stretches
     ]
     transients = np.hstack([np.zeros((rows.size, 0)), *basis])
-    return rows, (omega - center) / half, lines.values[:, rows], transients
+    u, y, r, *conditioned = lines.values[:, rows]
+    m = len(conditioned) // 2
+    inputs, instruments = np.array([u, *conditioned[:m]]), np.array([r, *conditioned[m:]])
+    return rows, (omega - center) / half, y, inputs, instruments, transients
 
 
 def _solved(
@@ -467,12 +471,14 @@ def _with_pole(
     T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
     """
     center, half = fitted.center, DOUBLED * fitted.half
-    rows, x, (u, y, r, *conditioned), transients = _in_band(lines, center, half, TRANSIENT_ORDER)
+    rows, x, y, inputs, signals, transients = _in_band(lines, center, half, TRANSIENT_ORDER)
     # Divided by the frequency, the numerator allows for an integrator beside the pole.
     powers = np.vander(x, ORDER + 2, increasing=True) * (center / lines.omega[rows])[:, None]
-    shared = [c[:, None] * powers[:, :-1] for c in conditioned]
-    regressors = np.hstack([u[:, None] * powers[:, :-1], -(x * y)[:, None], *shared])
-    instruments = np.hstack([r[:, None] * powers, *shared])
+    lower = powers[:, :-1]
+    regressors = np.hstack([*(u[:, None] * lower for u in inputs), -(x * y)[:, None]])
+    instruments = np.hstack(
+        [signals[0][:, None] * powers, *(r[:, None] * lower for r in signals[1:])]
+    )
     number = rows.size - regressors.shape[1] - transients.shape[1]
     if number < LEAST_RESIDUALS:
         return None
@@ -484,10 +490,10 @@ def _with_pole(
     places = np.searchsorted(rows, fitted.rows)
 
     coefficients = solved[1] @ y
-    pole = coefficients[ORDER + 1]
+    pole = coefficients[-1]
     transient = transients @ (transients.T @ (y - regressors @ coefficients))
     # Without the column of the pole, the regressors give the numerator times the input.
-    coefficients[ORDER + 1] = 0.0
+    coefficients[-1] = 0.0
     output = (regressors @ coefficients + transient) / (1 + pole * x)
     at = (omega - center) / half
     numerator = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1]
@@ -565,9 +571,11 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
     Transients and conditioned inputs are removed. With an instrument, the coherence is the lower of
     those with input and output, and the noise is the part of the input that it does not explain.
     """
-    u, y, *_ = lines.values[:, fitted.rows]
+    u, y, _, *others = lines.values[:, fitted.rows]
     n = fitted.rows.size
-    conditioned = np.linalg.qr(fitted.regressors[:, fitted.order + 1 :])[0]
+    powers = np.vander(fitted.x, fitted.order + 1)
+    columns = [powers[:, :0], *(r[:, None] * powers for r in others[len(others) // 2 :])]
+    conditioned = np.linalg.qr(_without(fitted.transients, np.hstack(columns)))[0]
     nuisance = np.hstack([fitted.transients, conditioned])
     complete = np.hstack([fitted.transients, fitted.basis])
 

@@ -1,7 +1,7 @@
 """Frequency responses of sweeps and noise, by local polynomials over the excited band."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +27,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     output: str = "theta",
     *,
     instrument: str | None = None,
-    conditioned: Sequence[str] = (),
+    conditioned: Sequence[str] | Mapping[str, str] = (),
     omega: ArrayLike | None = None,
     band: Interval | None = None,
     points: int = 40,
@@ -50,9 +50,12 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     input, output : str
     instrument : str, optional
         The injected signal, for the joint input-output estimate; without it, the direct one.
-    conditioned : sequence of str
+    conditioned : sequence of str, or mapping from str to str
         Further inputs that act on the output and are correlated with this one; their effect is
-        removed (partial coherence, Bendat and Piersol, section 7.3).
+        removed (partial coherence, Bendat and Piersol, section 7.3). Where feedback moves them,
+        disturbances bias the response: give the injected signal of each as well, as in {"rudder":
+        "rudder_sweep"}, and records in which either input is excited, for the joint estimate of all
+        inputs.
     omega : (n,) array, rad/s, optional
         By default, frequencies where the excitation is strong. If they are closer than the
         resolution, about 8 / duration in Hz for a band of three points, the errors of neighbors are
@@ -88,7 +91,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     KeyError
         For a signal that a record does not hold.
     """
-    signals = [input, output, instrument or input, *conditioned]
+    instruments = conditioned.values() if isinstance(conditioned, Mapping) else conditioned
+    signals = [input, output, instrument or input, *conditioned, *instruments]
     stretches = uniform_stretches(records, signals)
     longest = max(s.values.shape[1] * s.step for s in stretches)
     lowest = LOWEST * HZ / longest

@@ -16,5 +16,6 @@ time.
 | `variance_components` | the variances of sensors and process noise in residuals |
 | `residual_spectrum` | covariance of an estimate whose errors are correlated in time |
 | `neighbor_correlation` | the same for errors that are correlated along frequency |
+| `shared_errors` | the same for errors that several responses share |
 | `column_space` | what fitted parameters can take from residuals |
 """

@@ -119,12 +119,14 @@ def random_lines(joint, seed=0, inputs=1):
     omega, stretch = np.concatenate([long, short]), np.repeat([0, 1], [40, 20])
     order = np.argsort(omega, kind="stable")
     omega, stretch = omega[order], stretch[order]
-    u, v, *others = rng.standard_normal((2 + inputs, 60)) + 1j * rng.standard_normal(
+    u, v, w, *others = rng.standard_normal((2 + inputs, 60)) + 1j * rng.standard_normal(
         (2 + inputs, 60)
     )
-    r = u + 0.3 * others[0] if joint else u
+    r = u + 0.3 * w if joint else u
     y = (2 + 0.01 * omega) * u + 0.1 * v
-    return local_polynomials.Lines(omega, np.array([u, y, r, *others[1:]]), stretch, 1.0, not joint)
+    instruments = [other + 0.3 * w for other in others]
+    values = np.array([u, y, r, *others, *instruments])
+    return local_polynomials.Lines(omega, values, stretch, 1.0, not joint)
 
 
 def by_matrices(lines, center, half):
@@ -137,9 +139,10 @@ def by_matrices(lines, center, half):
     )
     transients = [slow * (lines.stretch[rows] == k)[:, None] for k in (0, 1)]
     u, _, r, *others = lines.values[:, rows]
+    half = len(others) // 2
     regressors, instruments = (
-        np.hstack([*(c[:, None] * powers for c in (first, *others)), *transients])
-        for first in (u, r)
+        np.hstack([*(c[:, None] * powers for c in signals), *transients])
+        for signals in ((u, *others[:half]), (r, *others[half:]))
     )
     solution = np.linalg.solve(instruments.conj().T @ regressors, instruments.conj().T)
     return rows, regressors, solution, np.eye(rows.size) - regressors @ solution

@@ -192,6 +192,32 @@ def test_second_input_is_conditioned_out():
     assert np.all(partial.coherence > 0.6)
 
 
+def test_inputs_that_feedback_moves_are_estimated_together():
+    """Wind moves the output, and both inputs follow: only the injected signals are free of it."""
+    rng = np.random.default_rng(8)
+    flights = []
+    for axis in range(2):
+        n = 150 * RATE
+        injected = rng.standard_normal((2, n)) * (np.arange(2) == axis)[:, None]
+        gust = lfilter([0.3], [1, -0.95], rng.standard_normal(n))
+        u, other, y, x = (np.zeros(n) for _ in range(4))
+        for k in range(1, n):
+            x[k] = 0.9 * x[k - 1] + 0.3 * u[k - 1] + 0.2 * other[k - 1]
+            y[k] = x[k] + gust[k]
+            u[k] = injected[0, k] - 0.3 * y[k]
+            other[k] = injected[1, k] - 0.5 * y[k]
+        signals = {"u": u, "other": other, "theta": y, "s": injected[0], "s_other": injected[1]}
+        flights.append(record(**signals))
+    omega = np.geomspace(2, 20, 8)
+    hits = []
+    for conditioned in ({"other": "s_other"}, ["other"]):
+        got = spectral_response(flights, omega=omega, instrument="s", conditioned=conditioned)
+        hits.append(covered(got, freqz([0, 0.3], [1, -0.9], got.omega / RATE)[1]).mean())
+    joint, biased = hits
+    assert joint >= 0.8
+    assert biased <= 0.5
+
+
 def test_drift_and_trim_do_not_matter():
     b, a = resonance()
     u = flown_sweep()
