@@ -299,3 +299,30 @@ def test_segments_are_chosen_evenly_and_no_longer_than_they_are(solver):
     every = ShortSegments(part, 2, count + 5, 2)
     assert every.chosen.tolist() == list(range(count))
     assert every.length == 2
+
+
+class Decay(gb.StateSpace):
+    states, inputs, outputs = ("x",), (), ("x",)
+    rate = gb.Parameter(500.0, bounds=(1, 1e4), unit="1/s")
+
+    def derivative(self, x, u, p):
+        return (-p.rate * x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_stiff_segments_take_whole_implicit_steps():
+    """The end of a step of Radau IIA is a rational function; an accurate one would be zero."""
+    # The first segment, which is simulated, has measured zeros.
+    record = gb.Record(0.1 * np.arange(12), {"x": np.repeat([0.0, 1.0], 6)})
+    method = gb.MultipleShooting(integrator=gb.Radau(), segment=3)
+    nlp = compile_problem(gb.Problem(Decay(), record), method=method)
+    [part] = nlp.parts
+    segments = ShortSegments(part, 1, 1, 3)
+    z = nlp.scaling.to_solver(np.array([500.0]))
+    cost = segments.evaluated(z[None], np.ones((1, 1, 1))).cost
+    a = -500 * 0.1
+    end = (1 + 2 * a / 5 + a**2 / 20) / (1 - 3 * a / 5 + 3 * a**2 / 20 - a**3 / 60)
+    weight = part.initial_weight().item()
+    assert_allclose(cost, weight**2 * (1 + end**2 + end**4) / 2, rtol=1e-9)
