@@ -205,9 +205,10 @@ class Information:
         What noise adds to the residuals (rows,) of a frequency response in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
-    doubtful : tuple of str
+    doubtful : tuple of (str, bool)
         Outputs of a manoeuvre whose errors look like turbulence that the criterion does not model,
-        or like a missing term: few lines have most of them, so that no interval holds.
+        or like a missing term: few lines have most of them, so that no interval holds. And whether
+        they look like noise of the outputs, which biases equation error.
     """
 
     part: "Part"
@@ -219,7 +220,7 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
-    doubtful: Strings = ()
+    doubtful: tuple[tuple[str, bool], ...] = ()
 
 
 class Program(ABC):

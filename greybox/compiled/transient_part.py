@@ -18,6 +18,7 @@ which depends on the parameters.
 
 import math
 from collections.abc import Iterator
+from copy import copy
 from typing import Any
 
 import casadi as ca
@@ -45,9 +46,12 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
-from greybox.statistics.column_space import beside
+from greybox.statistics.column_space import beside, pseudo_inverse
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
 from greybox.statistics.score_test import scores_of_powers
+
+# Log-likelihood by which other errors must be likelier to be reported.
+LIKELIER = 8.0
 
 
 @frozen
@@ -283,8 +287,8 @@ class TransientPart(Part):
         if at is None:
             return
         _, total, change = self.derivatives(at, slope)
-        # The fitted size of the noise takes up what all lines have in common.
-        common = np.einsum("laax->lax", change).real.mean(axis=(0, 1))
+        # The fitted size of an output's noise takes up what all its lines have in common.
+        common = np.einsum("laax->alx", change).real.mean(axis=1, keepdims=True)
         errors = at.errors[..., None]
         rows = np.concatenate([errors, total - errors * common, at.basis], axis=-1)
         real, imaginary = np.split(rows, 2, axis=1)
@@ -292,8 +296,13 @@ class TransientPart(Part):
         for name, values in zip(self.outputs, turned, strict=True):
             yield name, values[:, 0], values[:, 1:]
 
-    def doubtful(self, z: Array) -> Iterator[str]:
-        """Yield the outputs whose errors at z look like turbulence, or like a missing term."""
+    def doubtful(self, z: Array) -> Iterator[tuple[str, bool]]:
+        """Yield the outputs whose errors at z are not those that the criterion assumes.
+
+        And whether they are noise of the outputs, where the criterion assumes errors of the equation.
+        """
+        # Estimates that noise has biased may leave errors of the equation that look white.
+        is_other = self.advantage_of_other_errors(z) > LIKELIER
         for output, errors, complex_slope in self.errors_by_output(z):
             slope = real_and_imaginary(complex_slope)
             scores = scores_of_powers(real_and_imaginary(errors), slope, self.data.omega)
@@ -302,8 +311,40 @@ class TransientPart(Part):
             # Strong evidence (Kass and Raftery, 1995, JASA 90): in simulated manoeuvres of 8 s
             # turbulence was reported in 3 of 280 fits without gusts, and by output error in 158 of
             # 160 with them.
-            if is_correlated or scores[0] - scores.min() > 6.0:
-                yield output
+            if is_other or is_correlated or scores[0] - scores.min() > 6.0:
+                yield output, is_other and self._is_equation_error
+
+    def advantage_of_other_errors(self, z: Array) -> float:
+        """Return by how much output error is likelier than equation error, or the reverse.
+
+        It is the difference of the log-likelihoods of the other and of this criterion, both at
+        their best near z.
+        """
+        # Equation error in gusts has an unknown that output error does not have.
+        gusts = getattr(self.problem.criterion, "gusts", False)
+        if gusts or len(self.outputs) not in (1, len(self.states)):
+            return -math.inf
+        other = copy(self)
+        other._is_equation_error = not self._is_equation_error  # noqa: SLF001
+        with np.errstate(over="ignore", invalid="ignore"):  # far from the data
+            return self._least_cost(z) - other._least_cost(z)  # noqa: SLF001
+
+    def _least_cost(self, z: Array) -> float:
+        """Return the least cost near z, by Gauss-Newton steps that are shorter after a failure."""
+        best, size = self.trajectory(z), 1.0
+        if best.detail is None:
+            return math.inf
+        for _ in range(20):
+            gradient, fisher = self.linearize(best, np.ones(1))
+            if not all_finite(gradient, fisher):
+                break
+            step = pseudo_inverse(fisher, 1e-10) @ gradient
+            if not gradient @ step > 0.1:  # twice what remains of the cost
+                break
+            moved = self.trajectory(best.z - size * step)
+            is_better = self.cost(moved, 0.0) < self.cost(best, 0.0)
+            best, size = (moved, 1.0) if is_better else (best, size / 4)
+        return self.cost(best, 0.0)
 
     # --- for Gauss-Newton
 

@@ -16,8 +16,20 @@ from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.noise_level import LEAST_RATIO
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
+from greybox.files.grouping import grouped
 from greybox.files.text_table import percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
+
+TURBULENCE = (
+    "larger at low or at high frequencies, or correlated along frequency, like those of turbulence "
+    "or of a model that misses something. Intervals would be too narrow, so there are none: in "
+    "turbulence, use EquationError(gusts=True), or, if that says the same, the record itself with "
+    "PredictionError(process_noise=states) or PredictionError(disturbance={state: 'colored'})."
+)
+NOISE_OF_OUTPUTS = (
+    "like noise of the outputs, which biases equation error, not like errors of the equation. "
+    "Intervals would not contain the bias, so there are none: use OutputError()."
+)
 
 
 def correlated_frequencies(
@@ -61,15 +73,10 @@ def correlated_frequencies(
 def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
     """Name the manoeuvres whose errors leave a fit without intervals."""
     for information in accuracy.informations:
-        if information.doubtful:
-            yield (
-                f"the errors of {some(information.doubtful)} of {information.part.name!r} "
-                "are larger at low or at high frequencies, or correlated along frequency, like "
-                "those of turbulence or of a model that misses something. Intervals would be too "
-                "narrow, so there are none: in turbulence, use EquationError(gusts=True), or, if "
-                "that says the same, the record itself with PredictionError(process_noise=states) "
-                "or PredictionError(disturbance={state: 'colored'})."
-            )
+        for group in grouped(information.doubtful, lambda finding: finding[1]):
+            outputs = some([output for output, _ in group])
+            cause = NOISE_OF_OUTPUTS if group[0][1] else TURBULENCE
+            yield f"the errors of {outputs} of {information.part.name!r} are {cause}"
 
 
 def uncertain_gusts(answer: Fit) -> Iterator[str]:
