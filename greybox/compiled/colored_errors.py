@@ -14,11 +14,6 @@ from greybox.compiled.part import ColoredErrors
 from greybox.files.arrays import Array, Arrays
 from greybox.statistics.residual_spectrum import colored_information
 
-# Least number of correlation times in the longest stretch: below it, the spectrum is not known well
-# enough. About ten are needed; the correlation time estimated from so short a record is a fifth too
-# short on average.
-FEWEST_TIMES = 12.0
-
 # Correlation times per degree of freedom, at least. The spectrum of an exponential correlation has
 # one for four at zero frequency: the coefficient φ of n samples has the variance (1 - φ²)/n, so
 # that the relative variance of 1/(1 - φ)² is 8 times per n. Estimates depend on higher frequencies

@@ -135,8 +135,9 @@ class ColoredErrors:
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
         gusts.
     slow_errors : function
-        Returns 2 log of the evidence for slow errors of every output, not white ones, and their
-        correlation times over the duration: (2, outputs).
+        Returns 2 log of the evidence for slow errors of every output, not white ones, their
+        correlation times over the duration, and the number of frequencies that show the parameters:
+        (3, outputs).
     """
 
     meat: Array

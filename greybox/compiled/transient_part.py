@@ -299,7 +299,7 @@ class TransientPart(Part):
     def doubtful(self, z: Array) -> Iterator[tuple[str, bool]]:
         """Yield the outputs whose errors at z are not those that the criterion assumes.
 
-        And whether they are noise of the outputs, where the criterion assumes errors of the equation.
+        And whether they are noise of the outputs, not of the equation as equation error assumes.
         """
         # Estimates that noise has biased may leave errors of the equation that look white.
         is_other = self.advantage_of_other_errors(z) > LIKELIER
@@ -325,9 +325,9 @@ class TransientPart(Part):
         if gusts or len(self.outputs) not in (1, len(self.states)):
             return -math.inf
         other = copy(self)
-        other._is_equation_error = not self._is_equation_error  # noqa: SLF001
+        other._is_equation_error = not self._is_equation_error
         with np.errstate(over="ignore", invalid="ignore"):  # far from the data
-            return self._least_cost(z) - other._least_cost(z)  # noqa: SLF001
+            return self._least_cost(z) - other._least_cost(z)
 
     def _least_cost(self, z: Array) -> float:
         """Return the least cost near z, by Gauss-Newton steps that are shorter after a failure."""

@@ -38,7 +38,7 @@ def test_a_record_of_a_few_correlation_times_leaves_as_few_degrees_of_freedom():
     drift = np.cumsum(np.random.default_rng(1).normal(size=n))
     e = (drift - drift.mean())[None]
     found = by_parameters(colored_errors, [J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, 1.0)
-    evidence, time = found.slow_errors()[:, 0]
+    evidence, time, _ = found.slow_errors()[:, 0]
     assert evidence > 100
     assert found.dof <= 3
     assert time > 0.2  # of the record
@@ -66,7 +66,7 @@ def test_times_are_in_seconds_and_degrees_of_freedom_do_not_depend_on_them():
     )
     assert (fast.duration, slow.duration) == (pytest.approx(4.0), 400.0)
     assert fast.dof == slow.dof
-    evidence, time = fast.slow_errors()[:, 0]
+    evidence, time, _ = fast.slow_errors()[:, 0]
     assert evidence > 100
     # In samples, the time constant of a pole of 0.8 is 4.5.
     assert time * n == pytest.approx(4.5, rel=0.3)
