@@ -206,10 +206,10 @@ class Information:
         What noise adds to the residuals (rows,) of a frequency response in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
-    doubtful : tuple of (str, bool)
+    doubtful : tuple of str, and bool
         Outputs of a manoeuvre whose errors look like turbulence that the criterion does not model,
         or like a missing term: few lines have most of them, so that no interval holds. And whether
-        they look like noise of the outputs, which biases equation error.
+        they are noise of the outputs, which biases equation error.
     """
 
     part: "Part"
@@ -221,7 +221,7 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
-    doubtful: tuple[tuple[str, bool], ...] = ()
+    doubtful: tuple[Strings, bool] = ((), False)
 
 
 class Program(ABC):

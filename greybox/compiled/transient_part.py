@@ -296,13 +296,18 @@ class TransientPart(Part):
         for name, values in zip(self.outputs, turned, strict=True):
             yield name, values[:, 0], values[:, 1:]
 
-    def doubtful(self, z: Array) -> Iterator[tuple[str, bool]]:
-        """Yield the outputs whose errors at z are not those that the criterion assumes.
+    def doubtful(self, z: Array) -> tuple[Strings, bool]:
+        """Return the outputs whose errors at z do not look as assumed, and if the others do.
 
-        And whether they are noise of the outputs, not of the equation as equation error assumes.
+        The others are noise of the outputs for equation error, and turbulence for output error.
+        Estimates that noise has biased may leave errors that look as assumed: then only the
+        likelihoods show it.
         """
-        # Estimates that noise has biased may leave errors of the equation that look white.
-        is_other = self.advantage_of_other_errors(z) > LIKELIER
+        if self._advantage_of_others(z) > LIKELIER:
+            return self.outputs, self._is_equation_error
+        return tuple(self._uneven(z)), False
+
+    def _uneven(self, z: Array) -> Iterator[str]:
         for output, errors, complex_slope in self.errors_by_output(z):
             slope = real_and_imaginary(complex_slope)
             scores = scores_of_powers(real_and_imaginary(errors), slope, self.data.omega)
@@ -311,40 +316,23 @@ class TransientPart(Part):
             # Strong evidence (Kass and Raftery, 1995, JASA 90): in simulated manoeuvres of 8 s
             # turbulence was reported in 3 of 280 fits without gusts, and by output error in 158 of
             # 160 with them.
-            if is_other or is_correlated or scores[0] - scores.min() > 6.0:
-                yield output, is_other and self._is_equation_error
+            if is_correlated or scores[0] - scores.min() > 6.0:
+                yield output
 
-    def advantage_of_other_errors(self, z: Array) -> float:
-        """Return by how much output error is likelier than equation error, or the reverse.
-
-        It is the difference of the log-likelihoods of the other and of this criterion, both at
-        their best near z.
-        """
-        # Equation error in gusts has an unknown that output error does not have.
-        gusts = getattr(self.problem.criterion, "gusts", False)
-        if gusts or len(self.outputs) not in (1, len(self.states)):
+    def _advantage_of_others(self, z: Array) -> float:
+        """Return the log-likelihood of the other criterion near z, less that of this one at z."""
+        if len(self.outputs) not in (1, len(self.states)):
             return -math.inf
         other = copy(self)
         other._is_equation_error = not self._is_equation_error
-        with np.errstate(over="ignore", invalid="ignore"):  # far from the data
-            return self._least_cost(z) - other._least_cost(z)
-
-    def _least_cost(self, z: Array) -> float:
-        """Return the least cost near z, by Gauss-Newton steps that are shorter after a failure."""
-        best, size = self.trajectory(z), 1.0
-        if best.detail is None:
-            return math.inf
-        for _ in range(20):
-            gradient, fisher = self.linearize(best, np.ones(1))
-            if not all_finite(gradient, fisher):
-                break
-            step = pseudo_inverse(fisher, 1e-10) @ gradient
-            if not gradient @ step > 0.1:  # twice what remains of the cost
-                break
-            moved = self.trajectory(best.z - size * step)
-            is_better = self.cost(moved, 0.0) < self.cost(best, 0.0)
-            best, size = (moved, 1.0) if is_better else (best, size / 4)
-        return self.cost(best, 0.0)
+        near = other.trajectory(z)
+        if near.detail is None:
+            return -math.inf
+        # A single Gauss-Newton step: where it fails, nothing is reported.
+        gradient, fisher = other.linearize(near, np.ones(1))
+        best = other.trajectory(z - pseudo_inverse(fisher, 1e-10) @ gradient)
+        least = min(other.cost(near, 0.0), other.cost(best, 0.0))
+        return self.cost(self.trajectory(z), 0.0) - least
 
     # --- for Gauss-Newton
 
@@ -436,7 +424,7 @@ class TransientPart(Part):
             numbers,
             lambda correction: (1.0, meat),
             reach,
-            doubtful=() if trajectory is None else tuple(self.doubtful(trajectory.z)),
+            doubtful=((), False) if trajectory is None else self.doubtful(trajectory.z),
         )
 
 

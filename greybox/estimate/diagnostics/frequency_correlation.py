@@ -16,7 +16,6 @@ from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.noise_level import LEAST_RATIO
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
-from greybox.files.grouping import grouped
 from greybox.files.text_table import percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
 
@@ -73,10 +72,10 @@ def correlated_frequencies(
 def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
     """Name the manoeuvres whose errors leave a fit without intervals."""
     for information in accuracy.informations:
-        for group in grouped(information.doubtful, lambda finding: finding[1]):
-            outputs = some([output for output, _ in group])
-            cause = NOISE_OF_OUTPUTS if group[0][1] else TURBULENCE
-            yield f"the errors of {outputs} of {information.part.name!r} are {cause}"
+        outputs, is_noise = information.doubtful
+        if outputs:
+            cause = NOISE_OF_OUTPUTS if is_noise else TURBULENCE
+            yield f"the errors of {some(outputs)} of {information.part.name!r} are {cause}"
 
 
 def uncertain_gusts(answer: Fit) -> Iterator[str]:
