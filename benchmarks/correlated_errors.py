@@ -195,14 +195,13 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
             [residuals],
             np.diag(1 / size.ravel()),
             initial.shape[1],
-            1.0,
             initial=[np.einsum("st,ktn->ksn", unit, initial / size**2)],
             shocks=partial(np.asarray, initial),
         )
         z = error / np.sqrt(np.diag(root @ found.meat @ root.T))
         scaled.append(z)
         holds.append(np.abs(z) < student.ppf(0.975, found.dof))
-        evidence, _, lines = found.slow_errors()
+        evidence, lines = found.slow_errors()
         rough.append(np.any((evidence > EVIDENCE) & (lines < FEWEST_LINES)))
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 

@@ -30,7 +30,6 @@ def colored_errors(
     residuals: Arrays,
     weight: Array,
     initial_states: int,
-    step: float,
     *,
     initial: Arrays,
     shocks: Callable[[], Array],
@@ -49,8 +48,6 @@ def colored_errors(
         W.
     initial_states : int
         Fitted along.
-    step : float
-        From sample to sample, s.
     initial : sequence of (k, m, n) arrays
         WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
     shocks : function
@@ -94,7 +91,6 @@ def colored_errors(
     return ColoredErrors(
         meat=larger * effect.meat,
         dof=dof,
-        duration=max(lengths) * step,
         spectrum=None
         if effect.spectrum is None
         else effect.spectrum.mixed(np.sqrt(larger) * mixing),

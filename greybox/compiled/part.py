@@ -126,8 +126,6 @@ class ColoredErrors:
         Middle matrix of the sandwich, for the given directions.
     dof : float
         Degrees of freedom of the variances that follow.
-    duration : float
-        Length of the longest gapless stretch, s.
     spectrum : ErrorSpectrum or None
         Spectrum of the errors, enlarged for what the fit took from them; None where all residuals
         are zero.
@@ -135,14 +133,12 @@ class ColoredErrors:
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
         gusts.
     slow_errors : function
-        Returns 2 log of the evidence for slow errors of every output, not white ones, their
-        correlation times over the duration, and the number of frequencies that show the parameters:
-        (3, outputs).
+        Returns 2 log of the evidence for slow errors of every output, not white ones, and the
+        number of frequencies that show the parameters: (2, outputs).
     """
 
     meat: Array
     dof: float
-    duration: float
     spectrum: ErrorSpectrum | None
     process_noise: Callable[[], float]
     slow_errors: Callable[[], Array]
@@ -206,10 +202,9 @@ class Information:
         What noise adds to the residuals (rows,) of a frequency response in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
-    doubtful : tuple of str, and bool
+    doubtful : tuple of str
         Outputs of a manoeuvre whose errors look like turbulence that the criterion does not model,
-        or like a missing term: few lines have most of them, so that no interval holds. And whether
-        they are noise of the outputs, which biases equation error.
+        or like a missing term: few lines have most of them, so that no interval holds.
     """
 
     part: "Part"
@@ -221,7 +216,7 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
-    doubtful: tuple[Strings, bool] = ((), False)
+    doubtful: Strings = ()
 
 
 class Program(ABC):

@@ -18,7 +18,6 @@ which depends on the parameters.
 
 import math
 from collections.abc import Iterator
-from copy import copy
 from typing import Any
 
 import casadi as ca
@@ -46,12 +45,9 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
-from greybox.statistics.column_space import beside, pseudo_inverse
+from greybox.statistics.column_space import beside
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
 from greybox.statistics.score_test import scores_of_powers
-
-# Log-likelihood by which other errors must be likelier to be reported.
-LIKELIER = 8.0
 
 
 @frozen
@@ -273,7 +269,7 @@ class TransientPart(Part):
         variance = np.stack([hermitian.real, hermitian.imag], axis=1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
-        reach = np.sqrt((rows**2).sum(axis=0) + (variance**2).sum(axis=0))
+        reach = np.linalg.norm(np.vstack([rows, variance]), axis=0)
 
         return projected.reshape(weighted.shape), variance, reach
 
@@ -296,18 +292,8 @@ class TransientPart(Part):
         for name, values in zip(self.outputs, turned, strict=True):
             yield name, values[:, 0], values[:, 1:]
 
-    def doubtful(self, z: Array) -> tuple[Strings, bool]:
-        """Return the outputs whose errors at z do not look as assumed, and if the others do.
-
-        The others are noise of the outputs for equation error, and turbulence for output error.
-        Estimates that noise has biased may leave errors that look as assumed: then only the
-        likelihoods show it.
-        """
-        if self._advantage_of_others(z) > LIKELIER:
-            return self.outputs, self._is_equation_error
-        return tuple(self._uneven(z)), False
-
-    def _uneven(self, z: Array) -> Iterator[str]:
+    def doubtful(self, z: Array) -> Iterator[str]:
+        """Yield the outputs whose errors at z look like turbulence, or like a missing term."""
         for output, errors, complex_slope in self.errors_by_output(z):
             slope = real_and_imaginary(complex_slope)
             scores = scores_of_powers(real_and_imaginary(errors), slope, self.data.omega)
@@ -318,21 +304,6 @@ class TransientPart(Part):
             # 160 with them.
             if is_correlated or scores[0] - scores.min() > 6.0:
                 yield output
-
-    def _advantage_of_others(self, z: Array) -> float:
-        """Return the log-likelihood of the other criterion near z, less that of this one at z."""
-        if len(self.outputs) not in (1, len(self.states)):
-            return -math.inf
-        other = copy(self)
-        other._is_equation_error = not self._is_equation_error
-        near = other.trajectory(z)
-        if near.detail is None:
-            return -math.inf
-        # A single Gauss-Newton step: where it fails, nothing is reported.
-        gradient, fisher = other.linearize(near, np.ones(1))
-        best = other.trajectory(z - pseudo_inverse(fisher, 1e-10) @ gradient)
-        least = min(other.cost(near, 0.0), other.cost(best, 0.0))
-        return self.cost(self.trajectory(z), 0.0) - least
 
     # --- for Gauss-Newton
 
@@ -424,7 +395,7 @@ class TransientPart(Part):
             numbers,
             lambda correction: (1.0, meat),
             reach,
-            doubtful=((), False) if trajectory is None else self.doubtful(trajectory.z),
+            doubtful=() if trajectory is None else tuple(self.doubtful(trajectory.z)),
         )
 
 

@@ -226,7 +226,7 @@ def assess(
     reported = (c for c in suspect if np.any(loose & np.isin(nlp.free, c.names)))
     accuracy = replace(accuracy, combinations=(*combinations, *reported))
     # No interval is better than one that is too narrow.
-    if any(part.doubtful[0] for part in parts):
+    if any(part.doubtful for part in parts):
         return replace(accuracy, covariance=np.full_like(accuracy.covariance, np.nan))
     return accuracy
 

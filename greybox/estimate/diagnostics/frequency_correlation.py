@@ -19,17 +19,6 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
 
-TURBULENCE = (
-    "larger at low or at high frequencies, or correlated along frequency, like those of turbulence "
-    "or of a model that misses something. Intervals would be too narrow, so there are none: in "
-    "turbulence, use EquationError(gusts=True), or, if that says the same, the record itself with "
-    "PredictionError(process_noise=states) or PredictionError(disturbance={state: 'colored'})."
-)
-NOISE_OF_OUTPUTS = (
-    "like noise of the outputs, which biases equation error, not like errors of the equation. "
-    "Intervals would not contain the bias, so there are none: use OutputError()."
-)
-
 
 def correlated_frequencies(
     nlp: CompiledProblem,
@@ -72,10 +61,17 @@ def correlated_frequencies(
 def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
     """Name the manoeuvres whose errors leave a fit without intervals."""
     for information in accuracy.informations:
-        outputs, is_noise = information.doubtful
-        if outputs:
-            cause = NOISE_OF_OUTPUTS if is_noise else TURBULENCE
-            yield f"the errors of {some(outputs)} of {information.part.name!r} are {cause}"
+        if information.doubtful:
+            yield (
+                f"the errors of {some(information.doubtful)} of {information.part.name!r} "
+                "are larger at low or at high frequencies, or correlated along frequency, like "
+                "those of turbulence, of noise of the outputs in equation error, or of a model "
+                "that misses something. Intervals would be too narrow, so there are none. For "
+                "noise of the outputs, use OutputError(); in turbulence, EquationError(gusts=True) "
+                "or, if that says the same, the record itself with "
+                "PredictionError(process_noise=states) or PredictionError(disturbance={state: "
+                "'colored'})."
+            )
 
 
 def uncertain_gusts(answer: Fit) -> Iterator[str]:

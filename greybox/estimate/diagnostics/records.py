@@ -82,14 +82,18 @@ def record_warnings(
     the model explains the data.
     """
     misfit = answer.misfit
-    noisy, unstable = (True, False) if misfit is None else (misfit.is_noisy, misfit.is_unstable)
+    noisy, explained, unstable = (
+        (True, True, False)
+        if misfit is None
+        else (misfit.is_noisy, misfit.explains, misfit.is_unstable)
+    )
     pairs = nlp.rows_of(RecordPart, answer.parts)
 
     return (
-        *(once(_slow(nlp, answer, accuracy)) if noisy else ()),
+        *(once(_slow(nlp, answer, accuracy)) if explained else ()),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair)),
         *(biased_by_feedback(pairs, unstable=unstable) if noisy else ()),
-        *(colored_predictions(pairs, explained=misfit is None or misfit.explains) if noisy else ()),
+        *(colored_predictions(pairs, explained=explained) if noisy else ()),
         *once(_bounded(nlp, trajectories)),
         *once(_flattened_inputs(pairs)),
         *once(_carried_over(pairs)),
@@ -160,21 +164,17 @@ def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Fin
     """Name outputs with slow errors, where few frequencies show the parameters."""
     outputs = sum(len(fitted.outputs) for fitted in answer.records)
     for part, errors in nlp.rows_of(RecordPart, accuracy.parts):
-        colored = errors.colored
-        if colored is None:
+        if not (colored := errors.colored):
             continue
-        for output, evidence, time, lines in zip(
-            part.outputs, *colored.slow_errors(), strict=False
-        ):
+        for output, evidence, lines in zip(part.outputs, *colored.slow_errors(), strict=False):
             if evidence > EVIDENCE + 2 * math.log(outputs) and lines < FEWEST_LINES:
                 yield (
                     output,
                     part.name,
-                    f"the residuals of {output} in {part.name!r} stay correlated for about "
-                    f"{time * colored.duration:.2g} s, and only about {lines:.2g} frequencies of "
-                    f"{colored.duration:.3g} s show the parameters, where such errors look like "
-                    "the response. The standard errors are rough; use an input with more "
-                    "frequencies, or a longer record.",
+                    f"the residuals of {output} in {part.name!r} stay correlated, and the record "
+                    f"shows the parameters in about {lines:.2g} of its frequencies, where slow "
+                    "errors look like the response. The standard errors are rough: use an input of "
+                    "more frequencies, or a longer record.",
                 )
 
 
