@@ -18,8 +18,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from greybox.compiled.colored_errors import FEWEST_TIMES, colored_errors
-from greybox.estimate.diagnostics.records import EVIDENCE
+from greybox.compiled.colored_errors import colored_errors
+from greybox.estimate.diagnostics.records import EVIDENCE, FEWEST_LINES
 from greybox.files.arrays import Array, BoolArray
 
 STEP = 0.05  # s
@@ -195,15 +195,14 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
             [residuals],
             np.diag(1 / size.ravel()),
             initial.shape[1],
-            1.0,
             initial=[np.einsum("st,ktn->ksn", unit, initial / size**2)],
             shocks=partial(np.asarray, initial),
         )
         z = error / np.sqrt(np.diag(root @ found.meat @ root.T))
         scaled.append(z)
         holds.append(np.abs(z) < student.ppf(0.975, found.dof))
-        evidence, time = found.slow_errors()
-        rough.append(np.any((evidence > EVIDENCE) & (time * FEWEST_TIMES > 1)))
+        evidence, lines = found.slow_errors()
+        rough.append(np.any((evidence > EVIDENCE) & (lines < FEWEST_LINES)))
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 
 

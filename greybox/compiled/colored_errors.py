@@ -14,11 +14,6 @@ from greybox.compiled.part import ColoredErrors
 from greybox.files.arrays import Array, Arrays
 from greybox.statistics.residual_spectrum import colored_information
 
-# Least number of correlation times in the longest stretch: below it, the spectrum is not known well
-# enough. About ten are needed; the correlation time estimated from so short a record is a fifth too
-# short on average.
-FEWEST_TIMES = 12.0
-
 # Correlation times per degree of freedom, at least. The spectrum of an exponential correlation has
 # one for four at zero frequency: the coefficient φ of n samples has the variance (1 - φ²)/n, so
 # that the relative variance of 1/(1 - φ)² is 8 times per n. Estimates depend on higher frequencies
@@ -35,7 +30,6 @@ def colored_errors(
     residuals: Arrays,
     weight: Array,
     initial_states: int,
-    step: float,
     *,
     initial: Arrays,
     shocks: Callable[[], Array],
@@ -54,8 +48,6 @@ def colored_errors(
         W.
     initial_states : int
         Fitted along.
-    step : float
-        From sample to sample, s.
     initial : sequence of (k, m, n) arrays
         WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
     shocks : function
@@ -99,7 +91,6 @@ def colored_errors(
     return ColoredErrors(
         meat=larger * effect.meat,
         dof=dof,
-        duration=max(lengths) * step,
         spectrum=None
         if effect.spectrum is None
         else effect.spectrum.mixed(np.sqrt(larger) * mixing),

@@ -127,8 +127,6 @@ class ColoredErrors:
         Middle matrix of the sandwich, for the given directions.
     dof : float
         Degrees of freedom of the variances that follow.
-    duration : float
-        Length of the longest gapless stretch, s.
     spectrum : ErrorSpectrum or None
         Spectrum of the errors, enlarged for what the fit took from them; None where all residuals
         are zero.
@@ -136,13 +134,12 @@ class ColoredErrors:
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
         gusts.
     slow_errors : function
-        Returns 2 log of the evidence for slow errors of every output, not white ones, and their
-        correlation times over the duration: (2, outputs).
+        Returns 2 log of the evidence for slow errors of every output, not white ones, and the
+        number of frequencies that show the parameters: (2, outputs).
     """
 
     meat: Array
     dof: float
-    duration: float
     spectrum: ErrorSpectrum | None
     process_noise: Callable[[], float]
     slow_errors: Callable[[], Array]

@@ -259,7 +259,6 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
             data.unpadded(part.residuals(trajectory)),
             weight,
             initial,
-            max(data.stretches, key=len).step,
             initial=data.unpadded(slopes.by_initial),
             shocks=slopes.shocks,
         )

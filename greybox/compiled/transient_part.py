@@ -269,7 +269,7 @@ class TransientPart(Part):
         variance = np.stack([hermitian.real, hermitian.imag], axis=1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
-        reach = np.sqrt((rows**2).sum(axis=0) + (variance**2).sum(axis=0))
+        reach = np.linalg.norm(np.vstack([rows, variance]), axis=0)
 
         return projected.reshape(weighted.shape), variance, reach
 
@@ -283,8 +283,8 @@ class TransientPart(Part):
         if at is None:
             return
         _, total, change = self.derivatives(at, slope)
-        # The fitted size of the noise takes up what all lines have in common.
-        common = np.einsum("laax->lax", change).real.mean(axis=(0, 1))
+        # The fitted size of an output's noise takes up what all its lines have in common.
+        common = np.einsum("laax->alx", change).real.mean(axis=1, keepdims=True)
         errors = at.errors[..., None]
         rows = np.concatenate([errors, total - errors * common, at.basis], axis=-1)
         real, imaginary = np.split(rows, 2, axis=1)

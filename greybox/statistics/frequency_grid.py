@@ -41,7 +41,7 @@ class FrequencyGrid:
     def of(cls, longest: int) -> "FrequencyGrid":
         """Return the grid of transforms of up to `longest` samples, padded with zeros."""
         # Products of both ends would otherwise wrap around. Errors stay correlated for less than a
-        # quarter of a long record, see `FEWEST_TIMES`. After records of up to 200 000 samples
+        # quarter of a long record. After records of up to 200 000 samples
         # 50 000 zeros suffice, after longer ones a quarter.
         size = fast_length(longest + min(longest, max(50_000, longest // 4)))
         count = size // 2 + 1

@@ -87,8 +87,8 @@ class ColoredInformation:
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
         gusts. It takes time, and is rarely needed.
     slow_errors : function
-        Returns the evidence for slow errors of every output, and their correlation times: (2, k),
-        see `ResidualSpectra.slow_errors`.
+        Returns the evidence for slow errors of every output, and the lines that show the
+        parameters: (2, k), see `ResidualSpectra.slow_errors`.
     """
 
     meat: Array
@@ -526,19 +526,21 @@ class ResidualSpectra:
         return averaged(score[likely], spectra, taken, within[likely])
 
     def slow_errors(self, *, corrected: bool) -> Array:
-        """Return 2 log of the evidence for slow errors, not white ones, and their times: (2, k).
+        """Return 2 log of the evidence for slow errors, not white ones, and lines: (2, k).
 
-        The times are shares of the longest stretch. Parameters may take most of a drift, and the
-        residuals then look white: if `corrected`, they are compared with those of white errors.
+        Lines are the number of Fourier frequencies of the longest stretch in which an output shows
+        the parameters, as the width of a flat band with as much power (Parzen). Parameters may take
+        most of a drift, and the residuals then look white: if `corrected`, they are compared with
+        those of white errors.
         """
         banded = self.periodogram[1] + (self.taken_power(self.white)[1] if corrected else 0.0)
         power = np.einsum("iib->ib", banded).real
         scale = power @ (self.grid.band_weight / self.slow).T / self.grid.mean(power)[:, None]
         half = -self.counts[:, None] / 2 * (np.log(scale) + self._slow_level)
         total = np.logaddexp.reduce(half, axis=1)
-        # The spectra are in the order of their times.
-        times = np.geomspace(1 / self.grid.longest, 1 / 3, half.shape[1])
-        return np.array([2 * (total - math.log(len(times))), np.exp(half - total[:, None]) @ times])
+        shown = np.einsum("iib->ib", self.power).real
+        lines = self.grid.longest / 2 * self.grid.mean(shown) ** 2 / self.grid.mean(shown**2)
+        return np.array([2 * (total - math.log(half.shape[1])), lines])
 
     def joint_outputs(
         self, apart: AveragedSpectrum, banded: ComplexArray, blocks: int

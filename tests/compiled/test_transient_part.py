@@ -172,17 +172,16 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
 
 
 def test_errors_by_output_follow_the_parameters(made):
-    """Turned by the phase of the modelled output, which is held, without a common factor of all errors."""
+    """Turned by the phase of the modelled output, which is held, without a factor of all its errors."""
     _, part, z, trajectory = made
     turn = np.exp(-1j * np.angle(trajectory.detail.modeled))
-    lines = len(part.data)
-    numbers, held = lines * len(part.outputs), trajectory.detail
+    lines, held = len(part.data), trajectory.detail
+    inverse = np.linalg.inv(held.transform)
 
     def errors_of_one_size(v):
-        logarithms = part.along(part.locate(v)[0].full().ravel()).logarithms
-        return fixed_ends(part, v, held.ends).ravel() / np.exp(
-            (logarithms - held.logarithms) / numbers
-        )
+        change = part.along(part.locate(v)[0].full().ravel()).transform @ inverse
+        size = np.einsum("laa->al", change).real.mean(axis=1, keepdims=True)
+        return (fixed_ends(part, v, held.ends) / size).ravel()
 
     slopes = numeric_jacobian(errors_of_one_size, z).reshape(len(part.outputs), 2 * lines, -1)
     found = list(part.errors_by_output(z))

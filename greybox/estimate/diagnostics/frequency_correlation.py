@@ -65,10 +65,12 @@ def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
             yield (
                 f"the errors of {some(information.doubtful)} of {information.part.name!r} "
                 "are larger at low or at high frequencies, or correlated along frequency, like "
-                "those of turbulence or of a model that misses something. Intervals would be too "
-                "narrow, so there are none: in turbulence, use EquationError(gusts=True), or, if "
-                "that says the same, the record itself with PredictionError(process_noise=states) "
-                "or PredictionError(disturbance={state: 'colored'})."
+                "those of turbulence, of noise of the outputs in equation error, or of a model "
+                "that misses something. Intervals would be too narrow, so there are none. For "
+                "noise of the outputs, use OutputError(); in turbulence, EquationError(gusts=True) "
+                "or, if that says the same, the record itself with "
+                "PredictionError(process_noise=states) or PredictionError(disturbance={state: "
+                "'colored'})."
             )
 
 
