@@ -71,7 +71,7 @@ class FittedPart(ABC):
     rule: str
     condition: str
     delay: str
-    data: FrequencyResponse | Record | TransientSpectrum
+    data: Any  # FrequencyResponse, Record or TransientSpectrum
     weight: float
     rename: NamedStrings
     tied: NamedStrings
@@ -114,9 +114,9 @@ class FittedPart(ABC):
         """Inputs and outputs, ``u → theta``."""
 
     @property
-    @abstractmethod
     def extent(self) -> str:
         """Band or duration of the data."""
+        return f"{self.data.omega.min():.3g} to {self.data.omega.max():.3g} rad/s"
 
     def check(self) -> None:
         """Require that the values agree with one another, for a fit from a file of a stranger.
@@ -150,10 +150,6 @@ def require_shapes(value: Any, axes_of: NamedStrings, sizes: Mapping[str, int]) 
 def _require_outputs(part: FittedPart, *signals: Mapping[str, Any]) -> None:
     """Require that the data and the fitted values have every output."""
     require(all({*part.outputs} <= {*names} for names in signals), "an output is not in the data")
-
-
-def _band(omega: Array) -> str:
-    return f"{omega.min():.3g} to {omega.max():.3g} rad/s"
 
 
 class Curve:
@@ -220,11 +216,6 @@ class FittedResponse(FittedPart):
         """Input and output, those of the model where the data have no names."""
         named = self.curve or self.data
         return f"{named.input or 'input'} → {named.output or 'output'}"
-
-    @property
-    def extent(self) -> str:
-        """Band of the data."""
-        return _band(self.data.omega)
 
     def check(self) -> None:
         """Require that the values agree with one another."""
@@ -418,11 +409,6 @@ class FittedSpectrum(FittedPart):
     def signal_path(self) -> str:
         """Inputs and outputs."""
         return f"{', '.join(self.data.inputs)} → {', '.join(self.outputs)}"
-
-    @property
-    def extent(self) -> str:
-        """Band of the data."""
-        return _band(self.data.omega)
 
     def check(self) -> None:
         """Require that the values agree with one another."""
