@@ -220,6 +220,23 @@ def sampled_data(
     stretches = gapless(
         record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
     )
+    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
+    if not usable and static:
+        what = "sample" if record.has_time else "row"
+        raise ValueError(
+            f"{_called(record)} has no {what} with all inputs and an output "
+            f"({names}; {listed(outputs)})."
+        )
+
+    if not usable:
+        delay = float(np.max(lead, initial=0.0))
+        reason = f" after the longest delay in the bounds, {delay:.3g} s" if delay else ""
+        raise ValueError(
+            f"{_called(record)} has no usable stretch, {shortest} samples in a row with all inputs"
+            f"{reason}: give a longer record, or inputs at every sample, as gb.prepare makes them"
+            f"{', or a smaller upper bound' if delay else ''}."
+        )
+
     # A system at rest with a constant input shows only its noise, which any parameters explain.
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
     if constant and not static:
@@ -231,24 +248,6 @@ def sampled_data(
                 f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
                 "nothing can be estimated from it."
             )
-
-    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
-    if not usable and static:
-        what = "sample" if record.has_time else "row"
-        raise ValueError(
-            f"{_called(record)} has no {what} with all inputs and an output "
-            f"({names}; {listed(outputs)})."
-        )
-
-    if not usable:
-        longest = max((len(s) * s.step for s in stretches), default=0.0)
-        delay = float(np.max(lead, initial=0.0))
-        reason = f" and the longest delay in the bounds is {delay:.3g} s" if delay else ""
-        raise ValueError(
-            f"{_called(record)} has no usable stretch: the longest gap-free one with all inputs "
-            f"lasts {longest:.3g} s{reason}; give a longer record"
-            f"{' or a smaller upper bound' if delay else ''}."
-        )
 
     constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
     if len(constant_outputs) == len(outputs):

@@ -59,9 +59,10 @@ def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
     for role, text in columns.items():
         column = find_column(text, header)
         if role in UNITS and not column.unit:
-            example = f"{text}:{UNITS[role].split()[-1]}"
+            unit = UNITS[role].split()[-1]
             raise ValueError(
-                f"has the column {text!r} without a unit: state {UNITS[role]}, as in {example}."
+                f"has the column {text!r} without a unit: state {UNITS[role]}, as in "
+                f"'{text} [{unit}]' in the header or {text}:{unit} among the columns."
             )
         result[role] = column
 
@@ -71,11 +72,16 @@ def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
 def written_columns(header: Labels, prefix: str) -> dict[str, str]:
     """Return the columns of a file from `write_response`, as `columns_by_role` takes them.
 
+    Another table names them by their roles, as in ``frequency [Hz], magnitude [dB], phase [deg]``.
+
     Raises
     ------
     ValueError
         If a column is missing, or the prefix of one of several responses.
     """
+    roles = {name.lower(): name for name in header if name.lower() in ROLES}
+    if "frequency" in roles and OMEGA not in header:
+        return roles
     pairs = [name.removesuffix("_alpha") for name in header if name.endswith("_alpha")]
     required = {"frequency": OMEGA, **{role: prefix + role for role in RECTANGULAR}}
     missing = [name for name in required.values() if name not in header]
@@ -88,12 +94,12 @@ def written_columns(header: Labels, prefix: str) -> dict[str, str]:
     if missing:
         raise ValueError(
             f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the "
-            "columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or "
-            "be named, columns={...}."
+            "columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof; or, "
+            "with units in brackets, frequency, magnitude, phase; or be named, columns={...}."
         )
     # Files may have more columns, for other programs.
-    roles = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
-    optional = [role for role in roles if role in EXTRAS or COMMON.fullmatch(role)]
+    others = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
+    optional = [role for role in others if role in EXTRAS or COMMON.fullmatch(role)]
 
     return required | {"frequency": f"{OMEGA}:rad/s"} | {role: prefix + role for role in optional}
 

@@ -71,7 +71,7 @@ class FittedPart(ABC):
     rule: str
     condition: str
     delay: str
-    data: FrequencyResponse | Record | TransientSpectrum
+    data: Any  # FrequencyResponse, Record or TransientSpectrum
     weight: float
     rename: NamedStrings
     tied: NamedStrings
@@ -116,8 +116,7 @@ class FittedPart(ABC):
     @property
     def extent(self) -> str:
         """Band of the data; of a record its duration and rate."""
-        data: Any = self.data
-        return f"{data.omega.min():.3g} to {data.omega.max():.3g} rad/s"
+        return f"{self.data.omega.min():.3g} to {self.data.omega.max():.3g} rad/s"
 
     def check(self) -> None:
         """Require that the values agree with one another, for a fit from a file of a stranger.

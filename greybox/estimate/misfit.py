@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from greybox.files.arrays import Strings
 from greybox.files.html_text import Printed
-from greybox.files.text_table import number, percent, some, text_table, with_error
+from greybox.files.text_table import number, percent, text_table, with_error
 from greybox.modeling.added_terms import Formula
 
 # Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
@@ -64,7 +64,7 @@ class Cause:
     @property
     def remedy(self) -> str:
         """The term, how the model gets it, and what it cannot be told apart from."""
-        also = f"; hardly distinct from {some(self.alike)}" if self.alike else ""
+        also = f"; hardly distinct from {'; or '.join(self.alike)}" if self.alike else ""
         return f"to add: {self.explained}{': ' * bool(self.code)}{self.code}{also}"
 
 
@@ -183,7 +183,7 @@ class Misfit(Printed):
             )
         left = f"{percent(self.left)} % of their variance is left and follows"
         noise = f"; noise alone would leave about {percent(self.noise)} %"
-        noise *= self.noise < self.left
+        noise *= self.noise < 0.9 * self.left  # closer shares look alike with two digits
         if self.is_drifting:
             return (
                 f"explains the data only if errors drift: {left} from earlier samples, but for "

@@ -182,11 +182,8 @@ def error_statement(fit: Any) -> str:
             f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, {freedom} freedom)"
         )
 
-    valid = (
-        ""
-        if fit.misfit is None or fit.misfit.explains
-        else ", valid only if the model explains the data"
-    )
+    is_wrong = fit.misfit is not None and not fit.misfit.explains
+    valid = ", valid only if the model explains the data" * is_wrong
     return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
 
 

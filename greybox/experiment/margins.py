@@ -146,7 +146,7 @@ class Margins:
     @property
     def verdict(self) -> str:
         """The answer in one sentence."""
-        loop = f"the loop of {self.plant}, broken at {self.signal},"
+        loop = f"the loop of {self.plant}{f', broken at {self.signal},' if self.signal else ''}"
         if not self.is_stable:
             return f"{loop} is unstable: no margin exists."
         if not self.is_safe:

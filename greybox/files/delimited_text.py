@@ -23,7 +23,7 @@ from greybox.files.text_table import counted, is_number
 
 COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separator
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
-WIDER = "name all columns, or, if its numbers have decimal commas, separate cells by semicolons"
+WIDER = ", or, if its numbers have decimal commas, separate cells by semicolons"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # first bytes of a text in UTF-16, as of Excel and PowerShell
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
 
@@ -78,8 +78,9 @@ class DelimitedText:
                     row.pop()  # separators at the end of a line
                 if len(row) > width:
                     raise ValueError(
-                        f"{self.path}, line {number}, has {len(row)} cells where the header has "
-                        f"{width}: {WIDER if self.separator == ',' else 'name all columns'}."
+                        f"{self.path}, line {number}, has {len(row)} cells where the header, "
+                        f"{self.separator.join(self.header):.40}, has {width}: name all columns, "
+                        f"begin lines above them with #{WIDER * (self.separator == ',')}."
                     )
                 yield number, [cell.strip() for cell in row]
         except csv.Error as problem:

@@ -11,8 +11,9 @@ from greybox.files.arrays import by_name
 from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (
-    "convert the record, record.with_signals(units={{{name!r}: {unit!r}}}, "
-    "{name}={factor:.10g} * record[{name!r}]{zero})"
+    "declare SI units in the model, since files are read in SI, or convert the record, "
+    "record.with_signals(units={{{name!r}: {unit!r}}}, {name}={factor:.10g} * record[{name!r}]"
+    "{zero})"
 )
 MEASURE = "measure it in {unit}, or use SI units in both"
 

@@ -43,8 +43,6 @@ def controller_in(recording: Recording, controls: Labels, measured: Labels) -> s
         if logged := present(recording, signals):
             return logged[0]
     # In a table, a setpoint is a column; in a log of messages, r may be anything.
-    table = set(next(iter(recording.values())).signals) if len(recording) == 1 else set()
-    for name in (*CONTROLLER_MESSAGES, *SETPOINTS):
-        if (name in recording.records or name in table) and name not in measured:
-            return name
-    return ""
+    columns = [name for name in present(recording, SETPOINTS) if "." not in name]
+    shown = [*filter(recording.records.__contains__, CONTROLLER_MESSAGES), *columns]
+    return next((name for name in shown if name not in measured), "")

@@ -14,7 +14,7 @@ HOLDS = (" held", " sampled")  # end a unit, see `table_columns.table`
 def renamed(
     columns: NamedArrays, units: NamedStrings, stated: NamedStrings, source: str
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return the columns of a table, the stated ones first under their new names, and the units.
+    """Return the columns of a table in its order, the stated ones under their new names, and units.
 
     Raises
     ------
@@ -23,24 +23,27 @@ def renamed(
     """
     # As in the file: messages quote it, and a name with brackets is then found.
     header = [f"{name} [{unit}]" if (unit := units.get(name)) else name for name in columns]
+    own = [*columns]
     own_names: dict[str, str] = {}
     labels: dict[str, str] = {}
     for name, text in stated.items():
         try:
             place, unit = find_column(text, header)
-            own_names[name] = [*columns][place]
-            labels[name] = _agreed(unit, units.get(own_names[name], ""))
+            own_names[name] = own[place]
+            labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:
             sentence = str(error)
             joint = " " if sentence.startswith("has ") else f": {text}: "
             raise ValueError(f"{source}{joint}{sentence.rstrip('.')}.") from None
 
     # The others stay under their own names, which may be those of the model.
-    unnamed = [name for name in columns if name not in (*own_names, *own_names.values())]
+    unnamed = [name for name in own if name not in (*own_names, *own_names.values())]
     own_names |= {name: name for name in unnamed}
     labels |= {name: unit for name in unnamed if (unit := units.get(name))}
+    # A first column that is a clock remains the first.
+    in_order = sorted(own_names, key=lambda name: own.index(own_names[name]))
 
-    return {name: columns[column] for name, column in own_names.items()}, labels
+    return {name: columns[own_names[name]] for name in in_order}, labels
 
 
 def _agreed(stated: str, written: str) -> str:

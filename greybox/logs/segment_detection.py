@@ -263,12 +263,12 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
 
 def present(data: Recording | Record, names: Iterable[str]) -> list[str]:
     """Return the names of signals that the data have; the columns of a table have bare names."""
-    if isinstance(data, Record):
-        return [name for name in names if name in data.signals]
-    fields = {f"{key}.{name}" for key, record in data.items() for name in record.signals}
-    if len(data) == 1:
-        fields.update(*(record.signals for record in data.values()))
-    return [name for name in names if name in fields]
+    records = [data] if isinstance(data, Record) else [*data.values()]
+    fields = set(records[0].signals) if len(records) == 1 else set()
+    if isinstance(data, Recording):
+        fields |= {f"{key}.{name}" for key, record in data.items() for name in record.signals}
+    # Beside p or q, a column r is a yaw rate, and no setpoint.
+    return [name for name in names if name in fields and not (name == "r" and fields & {"p", "q"})]
 
 
 def stretches(

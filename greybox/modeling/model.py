@@ -35,13 +35,12 @@ class Names(Named):
         # `copy` and `pickle` look for special methods before there are any values.
         if name.startswith("__"):
             raise AttributeError(name)
-        raise AttributeError(
-            f"{self._what} has no {name!r}; it has "
-            f"{alternatives(name, self) if self else 'nothing.'}"
-        )
+        raise AttributeError(f"{self._what} has no {name!r}; it has {alternatives(name, self)}")
 
     def __getitem__(self, name: str) -> Any:
-        # A mapping raises KeyError, an attribute the sentence above.
+        # A mapping raises KeyError. The values have no numbers, only names.
+        if name not in self.__dict__:
+            raise KeyError(f"{self._what} has no {name!r}; it has {alternatives(name, self)}")
         return self.__dict__[name]
 
     def __setattr__(self, name: str, value: Any) -> None:

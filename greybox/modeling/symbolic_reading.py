@@ -20,6 +20,8 @@ CURE = (
     "if, max or and."
 )
 
+ARGUMENTS = "write derivative(self, x, u, p), output(self, x, u, p) or response(self, s, p)."
+
 # All threads share the filters of warnings: two threads that change them at once could leave them
 # changed.
 _FILTERS = threading.RLock()
@@ -76,7 +78,9 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
     except (RuntimeError, NotImplementedError, TypeError) as error:
         # The first line has the reason, behind a path in CasADi's own sources.
         reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
-        raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {CURE}") from error
+        # So Python begins when it calls a function with too many or too few arguments.
+        cure = ARGUMENTS if reason.startswith(f"{formula.__qualname__}() ") else CURE
+        raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {cure}") from error
 
 
 def called(what: str, function: ParameterFormula, p: Any) -> Any:

@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Interval, Strings
-from greybox.files.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line, some
 from greybox.spectral.saturation import at_limit
 
 Severity = Literal["note", "warning", "refusal"]
@@ -173,8 +173,11 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
         # Nothing is interpolated across gaps: a larger share costs data but not accuracy, so the
         # limit is a convention.
         severity = "warning" if share > 0.01 else "note"
-        text = f"{counted(wide.size, 'gap')}, the longest {wide.max():.2g} s, take "
-        text += f"{100 * share:.2g} % of the time: nothing is interpolated across them."
+        text = (
+            f"{counted(wide.size, 'gap')}, the longest {wide.max():.2g} s, "
+            f"{'takes' if wide.size == 1 else 'take'} {100 * share:.2g} % of the time: nothing is "
+            "interpolated across."
+        )
         yield Finding("gaps", severity, float(share), text)
 
 
@@ -187,8 +190,10 @@ def jitter(record: Record) -> Iterator[Finding]:
     # If rows are taken for times, a
     # signal of ten samples per period then has a phase error of 2π/10 · 0.1 = 0.06 rad.
     if jitter > 0.1:
-        text = f"the sampling interval varies by {100 * jitter:.0f} %: use the time stamps, as "
-        text += "gb.prepare does, not row numbers."
+        text = (
+            f"the sampling interval varies by {100 * jitter:.0f} %: use the time stamps, as "
+            "gb.prepare does, not row numbers."
+        )
         yield Finding("jitter", "note", jitter, text)
 
 
@@ -238,8 +243,10 @@ def _spread(high: float, low: float) -> Iterator[Finding]:
         text = "there is no test segment and no response: the excitation was not judged."
         yield Finding("spread", "note", math.nan, text)
     elif high == low:
-        text = f"only {high:g} rad/s is excited: one frequency gives two numbers, too few to "
-        text += "identify dynamics; add frequencies around the ones of interest."
+        text = (
+            f"only {high:g} rad/s is excited: one frequency gives two numbers, too few to identify "
+            "dynamics; add frequencies around the ones of interest."
+        )
         yield Finding("spread", "refusal", high, text)
     elif high < 2 * low:
         text = (
@@ -281,8 +288,10 @@ def _rate(
 
     swept = max((high for low, high in bands if low < high), default=math.nan)
     if swept > reach * (1 + ROUNDING) and highest <= reach * (1 + ROUNDING):
-        text = f"the sweep runs to {swept:.4g} rad/s, but {record.rate:.4g} Hz resolve only "
-        text += f"{reach:.4g} rad/s: it is used up to {highest:.4g} rad/s."
+        text = (
+            f"the sweep runs to {swept:.4g} rad/s, but {record.rate:.4g} Hz resolve only "
+            f"{reach:.4g} rad/s: it is used up to {highest:.4g} rad/s."
+        )
         yield Finding("rate", "note", swept, text)
 
     samples = 2 * math.pi * record.rate / highest
@@ -313,9 +322,10 @@ def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
         return
     weak = response.omega[response.coherence < COHERENCE[0]]
     if 0 < weak.size < response.omega.size:
-        places = ", ".join(f"{w:.3g}" for w in weak[:5]) + (" ..." if weak.size > 5 else "")
-        text = f"the coherence is below {COHERENCE[0]} at {places} rad/s: leave out these points, "
-        text += "whose errors are understated."
+        text = (
+            f"the coherence is below {COHERENCE[0]} at {some([f'{w:.3g}' for w in weak])} rad/s: "
+            "leave out these points, whose errors are understated."
+        )
         yield Finding("coherence", "warning", float(weak.size), text, tuple(weak.tolist()))
 
     median = float(np.median(response.coherence))

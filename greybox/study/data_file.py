@@ -47,7 +47,8 @@ def read_data(
     require_file(path)
     if prepare:
         return prepared(read(path, columns=columns or None, rate=rate), **prepare)
-    is_response = _is_response(path, columns or {})
+    names = _header(path)
+    is_response = _is_response(names, columns or {})
     if rate and is_response:
         raise ValueError(f"rate={rate:g} is for a table of signals, and {path} is something else.")
     name, value = ("input", input) if input else ("output", output)
@@ -56,8 +57,7 @@ def read_data(
             f"{name}={value} is for a frequency response, and {path} is something else: leave it "
             "out."
         )
-    if is_response:
-        names = _header(path) or ()
+    if is_response and names is not None:
         has_pairs = len(model.input_names) * len(model.output_names) > 1
         matrix = not columns and any(name.endswith("_alpha") for name in names)
         if has_pairs and (matrix or {*PAIR} <= {*names}) and not (input or output):
@@ -69,18 +69,7 @@ def read_data(
             model, read_response(path, input=input, output=output, columns=columns)
         )
 
-    try:
-        log = read(path, columns=columns or None, rate=rate)
-    except ValueError as error:
-        # Options for a record: the user knows what the file is, and the first error says enough.
-        if columns or rate:
-            raise
-        raise ValueError(
-            f"{path} is neither a frequency response, with columns "
-            f"{', '.join((OMEGA, *RECTANGULAR))}, nor a record: {error}"
-        ) from None
-
-    return _record_of(log, path, model)
+    return _record_of(read(path, columns=columns or None, rate=rate), path, model)
 
 
 def _header(path: Path) -> Strings | None:
@@ -91,10 +80,9 @@ def _header(path: Path) -> Strings | None:
     return None if b"\0" in head else read_delimited(path, head).header
 
 
-def _is_response(path: Path, columns: NamedStrings) -> bool:
+def _is_response(names: Strings | None, columns: NamedStrings) -> bool:
     if columns:
         return bool({"frequency", "magnitude"} & columns.keys())
-    names = _header(path)
     if names is None:
         return False
     if OMEGA in names or not names:
@@ -102,7 +90,8 @@ def _is_response(path: Path, columns: NamedStrings) -> bool:
     has_time = any(seconds(*heading(name)) for name in names)
     # Alpha and beta are also the angles of attack and sideslip of a flight, which has a time.
     return not has_time and any(
-        name.endswith(column) for name in names for column in (OMEGA, *RECTANGULAR)
+        name.endswith((OMEGA, *RECTANGULAR)) or heading(name).name.lower() == "magnitude"
+        for name in names
     )
 
 

@@ -269,7 +269,7 @@ def test_bad_records():
         y = np.exp(-np.linspace(0, 6, samples))
         assert cut(record(samples, u=np.ones(samples), y=y)).constant_inputs
     assert not cut(record()).constant_inputs
-    with pytest.raises(ValueError, match="longest delay in the bounds is 5 s"):
+    with pytest.raises(ValueError, match="longest delay in the bounds, 5 s"):
         cut(record(), lead=5.0)
     with pytest.raises(ValueError, match="no measured value of y"):
         cut(record(y=np.full(60, np.nan)))
@@ -396,7 +396,8 @@ def test_three_samples_say_something_of_a_model_with_states(samples, is_usable):
         assert [len(s) for s in cut(data).stretches] == [3]
     else:
         with pytest.raises(
-            ValueError, match=r"gap-free one with all inputs lasts 0\.04 s; give a longer record\.$"
+            ValueError,
+            match="usable stretch, 3 samples in a row with all inputs: give a longer record",
         ):
             cut(data)
 

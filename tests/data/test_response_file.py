@@ -182,3 +182,14 @@ def test_units_below_the_header_and_a_coherence_in_percent_are_read(tmp_path):
     assert_allclose(response.omega, [np.pi, 3 * np.pi])
     assert_allclose(response.response, [-10j, -1], atol=1e-12)
     assert_allclose(response.coherence, [0.97, 0.98])
+
+
+def test_columns_may_be_named_by_their_roles(tmp_path):
+    path = tmp_path / "bode.csv"
+    path.write_text("Frequency [Hz],Magnitude [dB],Phase [deg]\n1,20,-90\n2,0,180\n")
+    response = gb.read_response(path)
+    np.testing.assert_allclose(response.omega, [2 * np.pi, 4 * np.pi])
+    np.testing.assert_allclose(response.response, [-10j, -1], atol=1e-12)
+    path.write_text("frequency,magnitude,phase\n1,20,-90\n")
+    with pytest.raises(ValueError, match="'frequency' without a unit"):
+        gb.read_response(path)

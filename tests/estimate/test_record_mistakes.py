@@ -67,13 +67,13 @@ class Wild(gb.StateSpace):
         ),
         (
             lambda: fit(gb.Problem(Lag(), short(), free=("d",))),
-            "longest delay in the bounds is 0.5 s",
+            "longest delay in the bounds, 0.5 s",
         ),
         (
             lambda: fit(gb.Problem(Spring(), irregular(), gb.PredictionError())),
             "not uniformly sampled: prepare the record",
         ),
-        (lambda: fit(gb.Problem(Spring(), DATA.rows(np.arange(1)))), "never change"),
+        (lambda: fit(gb.Problem(Spring(), DATA.rows(np.arange(1)))), "no usable stretch"),
         (
             lambda: fit(gb.Problem(Spring(), gb.Record([0.0, 0.1], {"F": [0, 1], "x": [0, 1]}))),
             "no usable stretch",

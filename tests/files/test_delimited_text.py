@@ -91,8 +91,8 @@ def test_a_typographic_minus_is_a_minus(tmp_path):
         ),
         (["1;2;3", "2;1.234,5;4"], r"line 3: '1\.234,5' has a thousands separator"),
         (["1;2;3", "2;1,234.5;4"], r"line 3: '1,234\.5' has a thousands separator"),
-        (["1;2;3", "2;3;4;5"], "line 3, has 4 cells where the header has 3: name all columns"),
-        (["1,5,2,5,3", "2,5,3,5,4"], "line 2, has 5 cells where the header has 3"),
+        (["1;2;3", "2;3;4;5"], "line 3, has 4 cells where the header, .*, has 3: name all columns"),
+        (["1,5,2,5,3", "2,5,3,5,4"], "line 2, has 5 cells where the header, .*, has 3"),
     ],
 )
 @pytest.mark.parametrize("kind", ["record", "response"])
@@ -189,11 +189,11 @@ def test_the_second_column_is_read_in_each_spelling(tmp_path, text, values):
         ("t;x\n0;1,234,567\n", "line 2: '1,234,567' has a thousands separator: leave it out"),
         (
             "t,x\n0,1,2\n",
-            "line 2, has 3 cells where the header has 2: name all columns, or, if its numbers have",
+            "line 2, has 3 cells where the header, t,x, has 2: name all columns, .*, if its numbers",
         ),
         (
             "t;x\n\n# wind\n0;1\n1;2;3\n",
-            "line 5, has 3 cells where the header has 2: name all columns\\.",
+            "line 5, has 3 cells where the header, t;x, has 2: name all columns, .* with #\\.",
         ),
     ],
 )

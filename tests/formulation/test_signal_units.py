@@ -41,11 +41,11 @@ def record(factor=1.0, **units):
     [
         (
             {"q": "deg/s"},
-            "q is in deg/s in the record 'flight' and in rad/s in Rate: convert the record",
+            "q is in deg/s in the record 'flight' and in rad/s in Rate: declare SI units in the model",
         ),
         (
             {"delta": "deg"},
-            "delta is in deg in the record 'flight' and in rad in Rate: convert the record",
+            "delta is in deg in the record 'flight' and in rad in Rate: declare SI units in the model",
         ),
         ({"q": "mrad/s"}, "q=0.001 * record['q']"),
         ({"T": "degC"}, "T=1 * record['T'] + 273.15"),

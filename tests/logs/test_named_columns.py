@@ -31,7 +31,15 @@ def test_names_may_be_replaced(tmp_path):
     path = tmp_path / "flight.csv"
     np.savetxt(path, TABLE, delimiter=",", header="tick,stick,angle", comments="")
     record = gb.read(path, columns={"time": "tick:ms", "theta": "angle:deg"})["flight"]
-    assert list(record.signals) == ["theta", "stick"]
+    assert list(record.signals) == ["stick", "theta"]
+    assert record.rate == pytest.approx(100)
+
+
+def test_a_first_column_remains_the_clock_when_others_get_names(tmp_path):
+    path = tmp_path / "flight.csv"
+    np.savetxt(path, TABLE, delimiter=",", header="Zeit [ms],stick,angle", comments="")
+    record = gb.read(path, columns={"theta": "angle:deg"})["flight"]
+    assert list(record.signals) == ["stick", "theta"]
     assert record.rate == pytest.approx(100)
 
 

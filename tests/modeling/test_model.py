@@ -30,7 +30,7 @@ def test_names_say_what_there_is():
         AttributeError, match=r"Tilt has no 'a6'; it has a1, a2, a3, a4, T_rotor, T_delay, a5\."
     ):
         _ = Tilt().values().a6
-    with pytest.raises(AttributeError, match="it has no 'a'; it has nothing"):
+    with pytest.raises(AttributeError, match="it has no 'a'; it has none"):
         _ = Names({}).a
     with pytest.raises(KeyError, match="a6"):
         Tilt().values()["a6"]

@@ -218,7 +218,7 @@ def test_a_response_is_judged_by_the_stated_coherence_and_error(measured, about,
 
 
 @pytest.mark.parametrize(
-    ("count", "places"), [(1, "1"), (5, "1, 1.23, 1.52, 1.87, 2.31"), (6, "2.31 ...")]
+    ("count", "places"), [(1, "1"), (5, "1, 1.23, 1.52, 1.87 and 2.31"), (6, "1.87 and 2 more")]
 )
 def test_points_of_low_coherence_are_named(count, places):
     made = response(0.01, 0.9)

@@ -189,6 +189,6 @@ def test_a_file_that_is_neither_response_nor_record_is_said(tmp_path):
     (tmp_path / "words.csv").write_text("some words\nand more of them\n")
     with pytest.raises(
         ValueError,
-        match=r"words\.csv is neither a frequency response, with columns omega_rad_s, alpha, beta",
+        match=r"words\.csv has no numeric column besides the time",
     ):
         read_data(tmp_path / "words.csv", Tilt())

@@ -1,5 +1,6 @@
 """Whether the answer is the global minimum, and the only one."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -63,8 +64,8 @@ def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
         excess = rival.cost - best.cost
         if excess < RIVAL * unit:
             yield (
-                f"another minimum with a different response is only exp({excess / unit:.2g}) times "
-                f"less likely: {_values(nlp, rival.estimate)}."
+                f"another minimum with a different response has {math.exp(-excess / unit):.2g} "
+                f"times the likelihood: {_values(nlp, rival.estimate)}."
             )
 
 

@@ -358,6 +358,6 @@ def rounded_outputs(records: Sequence[FittedRecord]) -> Iterator[str]:
         for fitted in records
         for output in fitted.outputs
         for values in [fitted.data[output]]
-        if 2 * np.unique(values).size < values.size
+        if 2 * np.unique(values).size < np.isfinite(values).sum()
         and not is_resolved(fitted.residual(output), values)
     )

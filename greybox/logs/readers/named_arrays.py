@@ -172,7 +172,7 @@ def recording(
             f"{path} has no numeric column besides the time: it needs one for each signal."
             if rows_allowed
             else f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
-            f"length; it holds {present or 'no vectors at all'}."
+            f"length; it holds {present or 'no samples at all: copy it again'}."
         )
 
     return Recording(by_name, path.name, checksum, {}, tuple(findings))
