@@ -20,12 +20,20 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, Fields, NamedArrays, StringPair, Strings, all_finite, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    Fields,
+    NamedArrays,
+    StringPair,
+    Strings,
+    all_finite,
+    frozen,
+)
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
-from greybox.statistics.shared_errors import PointScores
 
 NO_NODES = np.zeros((0, 0))
 # Assumed output error while continuity is a penalty, as a share of the standard deviation of a
@@ -199,8 +207,9 @@ class Information:
     correlated : function of a correction, a root (p, r) of B⁻¹ and degrees of freedom, or None
         The errors of a frequency response if neighboring points are correlated; None where nothing
         is known about that. `spread` takes them as independent.
-    points : function of a correction and a root (p, r) of B⁻¹, or None
-        The errors of a frequency response with their scores; None where errors are independent.
+    errors : (n,) array, rad/s, and (2 n,) array, or None
+        The residuals of a frequency response in the rows of the Jacobian, and their frequencies;
+        None where errors are independent.
     offset : function of a correction, or None
         What noise adds to the residuals (rows,) of a frequency response in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
@@ -218,7 +227,7 @@ class Information:
     initial: NamedArrays = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
-    points: Callable[[float, Array], PointScores] | None = None
+    errors: ArrayPair | None = None
     offset: Callable[[float], Array] | None = None
     doubtful: Strings = ()
 

@@ -38,7 +38,6 @@ from greybox.statistics.neighbor_correlation import (
     averaged_meat,
     neighbor_correlation,
 )
-from greybox.statistics.shared_errors import PointScores
 
 
 @frozen
@@ -254,20 +253,13 @@ class ResponsePart(Part):
 
             return CorrelatedPoints(meat, remaining_dof, scale, neighbors)
 
-        def points(correction: float, root: Array) -> PointScores:
-            rows = np.sqrt(independent * gradient_spread(correction)[1])[:, None] * jacobian
-            residuals = (data.response - response)[:, None]
-            errors = criterion.jacobian(response, residuals, data).reshape(2, -1)
-            size = np.sqrt(np.mean(errors**2)) or 1.0
-            order = np.argsort(data.omega, kind="stable")
-            slopes = (rows[:, : len(root)] @ root).reshape(*errors.shape, -1)
-            return PointScores(data.omega[order], errors[:, order] / size, slopes[:, order])
-
         @cache
         def offset(correction: float) -> Array:
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
 
+        residuals = (data.response - response)[:, None]
+        errors = criterion.jacobian(response, residuals, data)[:, 0]
         reach = np.linalg.norm(jacobian, axis=0)
         return Information(
             self,
@@ -276,7 +268,7 @@ class ResponsePart(Part):
             spread,
             reach,
             correlated=correlated,
-            points=None if data.has_independent_errors else points,
+            errors=None if data.has_independent_errors else (data.omega, errors),
             offset=offset,
         )
 

@@ -258,15 +258,15 @@ def _with_covariance(
     earlier = known_covariances(nlp)
     terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
     # Errors that responses share, such as those of wind, add up.
-    shared = shared_covariance(
+    shared, bins = shared_covariance(
         [
-            information.points(part.share.correction, information.part.problem.weight * first)
-            for information, part in zip(accuracy.informations, parts, strict=True)
-            if information.points
-        ]
+            (*part.errors, part.jacobian[:, :p] @ first, np.trace(known.independent))
+            for part, known in zip(accuracy.informations, parts, strict=True)
+            if part.errors
+        ],
+        first.shape[1],
     )
-    common = [(turned @ shared[0] @ turned.T, shared[1])] if shared else []
-    terms += common
+    terms.append((turned @ shared @ turned.T, bins))
     terms += [(slope @ np.nan_to_num(covariance) @ slope.T, dof) for covariance, dof in earlier]
     covariance = np.sum([term for term, _ in terms], axis=0)
     accuracy = replace(accuracy, shares=tuple(terms))
@@ -277,13 +277,13 @@ def _with_covariance(
         # part by itself.
         dof = degrees(accuracy, np.eye(p, k)).min()
     independent = None
-    if shared or any(part.neighbors for part in parts):
+    if shared.any() or any(part.neighbors for part in parts):
         # Tests of terms need errors that are taken as independent: a term that is missing looks
         # like a correlation.
-        change = sum(turned @ (part.independent - part.meat) @ turned.T for part in parts)
-        change -= sum(term for term, _ in common)
+        change = sum(part.independent - part.meat for part in parts) - shared
         numbers = sum(part.numbers for part in parts)
-        independent = (covariance + change)[:p, :p], math.inf if known_noise else numbers
+        alone = (covariance + turned @ change @ turned.T)[:p, :p]
+        independent = alone, math.inf if known_noise else numbers
 
     # The bias is the least-squares response to what noise adds to the residuals on average.
     bias = np.eye(k, p) @ inverse @ sum(part.share.pull for part in parts)

@@ -539,7 +539,8 @@ class ResidualSpectra:
         half = -self.counts[:, None] / 2 * (np.log(scale) + self._slow_level)
         total = np.logaddexp.reduce(half, axis=1)
         shown = np.einsum("iib->ib", self.power).real
-        lines = self.grid.longest / 2 * self.grid.mean(shown) ** 2 / self.grid.mean(shown**2)
+        width = self.grid.mean(shown) ** 2 / (self.grid.mean(shown**2) + TINY)
+        lines = self.grid.longest / 2 * width
         return np.array([2 * (total - math.log(half.shape[1])), lines])
 
     def joint_outputs(

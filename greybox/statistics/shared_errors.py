@@ -2,84 +2,80 @@
 
 Each response alone shows only its own errors. The estimate follows the sum of the scores of all of
 them, and scores at the same frequency that add up make it vary more. Their covariance is estimated
-from the products of the residuals of different responses, over bins of frequency as wide as their
-points are apart, with the lag window of Bartlett over neighboring bins: no spectrum of the errors
-is assumed, and the phase between two responses may change along frequency. Residuals that are
-shifted along frequency, each response by another number of points, show what chance adds up.
+from the products of the residuals of different responses in bins of frequency as wide as their
+points are apart: no spectrum of the errors is assumed, and the phase between two responses may
+change along frequency. Residuals that are shifted along frequency, each response by another number
+of points, show what chance adds up.
 
 Of parameters of a simulated aircraft whose six responses were measured in the same gusts, standard
 errors without this were up to 2.2 times too small.
 
-Sources: Newey and West (1987), Econometrica 55 (the window); Driscoll and Kraay (1998), Review of
-Economics and Statistics 80 (the same for many series).
+Sources: Liang and Zeger (1986), Longitudinal data analysis using generalized linear models,
+Biometrika 73 (scores summed over clusters); Driscoll and Kraay (1998), Review of Economics and
+Statistics 80 (clusters of what happens at the same time).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array
 
 # Shifts of the residuals. What exceeds all of them happens by chance in 2 to 5 % of fits.
 SHIFTS = 49
-# Points of a response below which the shifts hardly differ.
+# Frequencies of a response below which the shifts hardly differ.
 FEWEST = 8
 
 
-@frozen
-class PointScores:
-    """The errors of a response by frequency, and how the estimate follows them.
-
-    Attributes
-    ----------
-    omega : (n,) array, rad/s
-    errors : (2, n) array
-        Real and imaginary parts of the residuals, of mean square one.
-    slopes : (2, n, r) array
-        Scores by errors of mean square one.
-    """
-
-    omega: Array
-    errors: Array
-    slopes: Array
-
-
-def shared_covariance(responses: Sequence[PointScores]) -> tuple[Array, float] | None:
+def shared_covariance(
+    responses: Iterable[tuple[Array, Array, Array, float]], size: int
+) -> tuple[Array, float]:
     """Return the covariance (r, r) of scores that responses share, and its degrees of freedom.
 
-    It has only the directions in which scores add up to more than by chance. None without such.
+    It has only the directions in which scores add up to more than by chance.
+
+    Parameters
+    ----------
+    responses : iterable of tuples
+        Of every response, frequencies (n,) in rad/s, residuals (2 n,), their derivatives (2 n, r),
+        real parts first, and the sum of the variances of its scores.
+    size : int
+        r.
     """
-    responses = [each for each in responses if each.omega.size >= FEWEST]
-    if len(responses) < 2:
-        return None
-    logarithms = [np.log(each.omega) for each in responses]
-    spacing = np.median(np.concatenate([*map(np.diff, logarithms)]))
-    lowest = min(row[0] for row in logarithms)
-    bins = [np.rint((row - lowest) / spacing).astype(int) for row in logarithms]
-    count, random = 1 + max(row[-1] for row in bins), np.random.default_rng(0)
+    bins, rows = [], []
+    for omega, errors, slopes, variance in responses:
+        if np.unique(omega).size >= FEWEST:
+            order = np.argsort(omega, kind="stable")
+            # Of errors of mean square one, with as much variance as the response has.
+            size_of = np.linalg.norm(errors) * np.linalg.norm(slopes) / errors.size**0.5
+            scale = np.sqrt(variance) / (size_of or 1.0)
+            bins.append(np.log(omega[order]))
+            rows.append(
+                (
+                    scale * errors.reshape(2, -1)[:, order],
+                    slopes.reshape(2, omega.size, size)[:, order],
+                )
+            )
+    if len(rows) < 2:
+        return np.zeros((size, size)), 1.0
+    spacing = np.median(np.concatenate([np.diff(np.unique(row)) for row in bins]))
+    lowest = min(row[0] for row in bins)
+    places = [np.rint((row - lowest) / spacing).astype(int) for row in bins]
+    count, random = 1 + max(row[-1] for row in places), np.random.default_rng(0)
 
-    def added(shifts: Sequence[int]) -> Array:
-        sums = np.zeros((len(responses), count, responses[0].slopes.shape[2]))
-        for row, places, each, shift in zip(sums, bins, responses, shifts, strict=True):
-            errors = np.roll(each.errors, shift, axis=1)
-            np.add.at(row, places, np.einsum("cn,cnr->nr", errors, each.slopes))
-        return _windowed(sums.sum(axis=0)) - sum(map(_windowed, sums))
+    def added(shifts: Sequence[float]) -> Array:
+        sums = np.zeros((len(rows), count, size))
+        for row, at, (errors, slopes), shift in zip(sums, places, rows, shifts, strict=True):
+            shifted = np.roll(errors, int(shift * len(at)), axis=1)
+            np.add.at(row, at, np.einsum("cn,cnr->nr", shifted, slopes))
+        total = sums.sum(axis=0)
+        return total.T @ total - np.einsum("pbr,pbs->rs", sums, sums)
 
-    def apart() -> list[int]:
-        # Two responses that are shifted alike would show what they share.
-        places = random.permutation(len(responses)) + random.uniform(0.25, 0.75, len(responses))
-        share = places / len(responses)
-        return [int(s * each.omega.size) for s, each in zip(share, responses, strict=True)]
-
-    by_chance = [np.linalg.eigvalsh(added(apart()))[-1] for _ in range(SHIFTS)]
-    values, vectors = np.linalg.eigh(added([0] * len(responses)))
-    kept = values > max(by_chance)
-    if not kept.any():
-        return None
-    return (vectors[:, kept] * values[kept]) @ vectors[:, kept].T, float(count)
-
-
-def _windowed(scores: Array) -> Array:
-    """Return the covariance (r, r) of the sum of scores (bins, r), by that of neighbors."""
-    beside = scores[1:].T @ scores[:-1]
-    return scores.T @ scores + (beside + beside.T) / 2
+    # Two responses that are shifted alike would show what they share.
+    shifts = (
+        (random.permutation(len(rows)) + random.uniform(0.25, 0.75, len(rows))) / len(rows)
+        for _ in range(SHIFTS)
+    )
+    by_chance = max(np.linalg.eigvalsh(added(each))[-1] for each in shifts)
+    values, vectors = np.linalg.eigh(added(np.zeros(len(rows))))
+    return (vectors * values * (values > by_chance)) @ vectors.T, float(count)

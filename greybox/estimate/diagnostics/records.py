@@ -82,15 +82,13 @@ def record_warnings(
     the model explains the data.
     """
     misfit = answer.misfit
-    noisy, explained, unstable = (
-        (True, True, False)
-        if misfit is None
-        else (misfit.is_noisy, misfit.explains, misfit.is_unstable)
-    )
+    noisy = misfit is None or misfit.is_noisy
+    explained = misfit is None or misfit.explains
+    unstable = misfit is not None and misfit.is_unstable
     pairs = nlp.rows_of(RecordPart, answer.parts)
 
     return (
-        *(once(_slow(nlp, answer, accuracy)) if explained else ()),
+        *(once(_slow(nlp, answer, accuracy)) if noisy and explained else ()),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair)),
         *(biased_by_feedback(pairs, unstable=unstable) if noisy else ()),
         *(colored_predictions(pairs, explained=explained) if noisy else ()),
@@ -167,7 +165,7 @@ def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Fin
         if not (colored := errors.colored):
             continue
         for output, evidence, lines in zip(part.outputs, *colored.slow_errors(), strict=False):
-            if evidence > EVIDENCE + 2 * math.log(outputs) and lines < FEWEST_LINES:
+            if evidence > EVIDENCE + 2 * math.log(outputs) and 0 < lines < FEWEST_LINES:
                 yield (
                     output,
                     part.name,
