@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Fields, Labels
+from greybox.files.arrays import Fields, Labels, NamedStrings
 
 # Options that several commands have in common, in the form that `declare` reads.
 SHARED = """
@@ -158,7 +158,7 @@ def by_name(words: Labels, flag: str, form: str) -> Fields:
 # --- how options are written, and how messages name them
 
 
-def option_words(values: Mapping[str, str | Mapping[str, str]]) -> list[str]:
+def option_words(values: Mapping[str, str | NamedStrings]) -> list[str]:
     """Return the words that state texts, or texts by name; empty ones are left out."""
     words: list[str] = []
     for name, value in values.items():

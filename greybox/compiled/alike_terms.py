@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, ArrayTriple, IntArray
 from greybox.modeling.formula_structure import walk
 from greybox.modeling.one_thread import one_thread_at_a_time
 
@@ -43,7 +43,7 @@ class SecondOrder:
         if not (groups and remainder.is_zero()):
             self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
 
-    def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
+    def __call__(self, *inputs: Array) -> ArrayTriple:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
         p, m = inputs[0].shape
         if self._remainder is None:

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ArrayPair
+from greybox.files.arrays import Array, ArrayPair, ArrayTriple
 from greybox.modeling.added_terms import factors_of_derivatives
 
 Effect = ArrayPair
@@ -180,7 +180,7 @@ class DisturbedRecord:
         return nodes
 
     @cached_property
-    def _by_nodes(self) -> tuple[Array, Array, Array]:
+    def _by_nodes(self) -> ArrayTriple:
         """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
         part, n = self.part, self.part.states
         nodes = np.tile(np.eye(n), (part.segments.count, 1, 1))

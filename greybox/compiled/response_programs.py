@@ -32,7 +32,7 @@ from greybox.compiled.shared_response import (
 )
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, Fields, Named, StringPair, frozen
+from greybox.files.arrays import Array, Fields, Labels, Named, StringPair, frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
@@ -119,7 +119,7 @@ class ResponseCompiler:
     def __init__(
         self,
         problem: Problem | Sum[Problem],
-        names: Sequence[str],
+        names: Labels,
         constants: Array,
         values_at: Callable[[Any, Any], Named],
         constraint: ca.Function,

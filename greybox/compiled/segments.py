@@ -19,7 +19,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns, Remembering
-from greybox.files.arrays import Array, ArrayPair, Arrays, IntArray
+from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -291,7 +291,7 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(self, at: Course, batch: slice) -> tuple[Array, Array, Array]:
+    def sensitivities(self, at: Course, batch: slice) -> ArrayTriple:
         """Return derivatives of ends (n, v, c) and residuals (length, k, v, c), and the residuals.
 
         They are those of the c segments of a `batch`, by node and active parameters.

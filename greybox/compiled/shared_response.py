@@ -23,6 +23,7 @@ import numpy as np
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import (
     Array,
+    ArrayTriple,
     BoolArray,
     ComplexArray,
     IntArray,
@@ -133,7 +134,7 @@ class SineTest(Rebuilt):
         self._guess = balance.guess.map(balance.omega.size)
         self._linear = Columns(balance.linear)
         # Points whose motions are stored: the last and the best one of two searches, and some more.
-        self.last: deque[tuple[Array, Array, Array]] = deque(maxlen=8)
+        self.last: deque[ArrayTriple] = deque(maxlen=8)
 
     def of_pairs(self) -> Iterator[tuple[int, "SineTest"]]:
         """Yield the part with itself."""
@@ -240,7 +241,7 @@ class SharedResponses:
         values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
         return values, slopes
 
-    def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
+    def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).
 
         The columns of `data` (g, k) are those of `CompiledProblem`.

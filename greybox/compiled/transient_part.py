@@ -29,6 +29,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,
     ArrayPair,
+    ArrayTriple,
     ComplexArray,
     Named,
     Strings,
@@ -206,7 +207,7 @@ class TransientPart(Part):
         q, slope = (value.full() for value in self.locate(z))
         return self.along(q.ravel()), slope
 
-    def derivatives(self, at: Along, by: Array) -> tuple[Array, Array, Array]:
+    def derivatives(self, at: Along, by: Array) -> ArrayTriple:
         """Return the derivatives of the errors by x, with the end values held.
 
         `by` (q, x) are the derivatives of the parameters.
@@ -246,7 +247,7 @@ class TransientPart(Part):
             relative,
         )
 
-    def fisher_root(self, at: Along, mean: Array, change: Array) -> tuple[Array, Array, Array]:
+    def fisher_root(self, at: Along, mean: Array, change: Array) -> ArrayTriple:
         """Return a root of the Fisher information of x, for derivatives of mean and transform by x.
 
         Returns

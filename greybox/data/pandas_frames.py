@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import Array, Named, Strings
+from greybox.files.arrays import AnyArray, Array, Named, Strings
 from greybox.files.heading import heading
 from greybox.files.optional_package import required
 
@@ -17,7 +16,7 @@ Frame = Any
 
 
 def frame_of(
-    columns: Mapping[str, Sequence[Any] | NDArray[Any]],
+    columns: Mapping[str, Sequence[Any] | AnyArray],
     index: Any,
     index_name: str,
     attributes: Named,

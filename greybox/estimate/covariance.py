@@ -18,6 +18,7 @@ from greybox.files.arrays import (
     Array,
     ArrayPair,
     IntArray,
+    Labels,
     Strings,
     Values,
     all_finite,
@@ -345,7 +346,7 @@ def known_directions(
 def directions_beside(
     nlp: CompiledProblem,
     x: Array,
-    at_bound: Sequence[str],
+    at_bound: Labels,
     trajectories_at: Callable[[Array], Sequence[Trajectory | None]],
 ) -> KnownDirections | None:
     """Return the directions of the free parameters at a point near the estimate `x` (p,).

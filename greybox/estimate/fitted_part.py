@@ -147,7 +147,7 @@ def require_shapes(value: Any, axes_of: NamedStrings, sizes: Mapping[str, int]) 
             require(is_right, f"{name} has another shape")
 
 
-def _require_outputs(part: FittedPart, *signals: Mapping[str, Any]) -> None:
+def _require_outputs(part: FittedPart, *signals: Named) -> None:
     """Require that the data and the fitted values have every output."""
     require(all({*part.outputs} <= {*names} for names in signals), "an output is not in the data")
 

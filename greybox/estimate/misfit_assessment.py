@@ -27,7 +27,7 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import KNOTS, Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, Arrays, Strings, frozen
+from greybox.files.arrays import Array, Arrays, Labels, Strings, frozen
 from greybox.modeling.added_terms import Formula
 from greybox.statistics.autoregressive_test import (
     Outputs,
@@ -131,7 +131,7 @@ def assessed_misfit(
     nlp: CompiledProblem,
     x: Array,
     trajectories: Sequence[Trajectory],
-    at_bound: Sequence[str],
+    at_bound: Labels,
     candidates: Mapping[str, Formula],
 ) -> Misfit | None:
     """Return whether a model explains its data at `x` (p,); None where that cannot be decided.

@@ -27,6 +27,7 @@ from greybox.files.arrays import (
     BoolArray,
     ComplexArray,
     IntArray,
+    Labels,
     NamedArrays,
     frozen,
     real_and_imaginary,
@@ -223,7 +224,7 @@ def on_excerpts(
 
 
 def regression_of_response(
-    part: ResponsePart, values: Array, names: Sequence[str], moves: BoolArray
+    part: ResponsePart, values: Array, names: Labels, moves: BoolArray
 ) -> Regression:
     """Return the regression of a response at all `values`; of the free ones some are fitted."""
     free, places = moves.size, np.flatnonzero(moves)

@@ -25,7 +25,7 @@ from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Array, Interval, Strings, frozen
+from greybox.files.arrays import Array, Interval, Labels, Strings, frozen
 from greybox.files.progress import bar
 from greybox.files.text_table import as_names, number
 from greybox.formulation.starts import Sobol
@@ -45,7 +45,7 @@ GROWTH = 3.0  # largest change of a step
 
 def profile(
     fit: Fit,
-    names: Sequence[str] | str | None = None,
+    names: Labels | str | None = None,
     *,
     problem: AnyProblem | None = None,
     level: float = 0.95,

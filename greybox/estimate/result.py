@@ -2,14 +2,14 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from inspect import Parameter, Signature
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
@@ -34,6 +34,7 @@ from greybox.estimate.response_band import (
 )
 from greybox.estimate.summary import summary
 from greybox.files.arrays import (
+    AnyArray,
     Array,
     Fields,
     Interval,
@@ -524,7 +525,7 @@ class Fit(Printed):
         )
 
     @property
-    def residuals(self) -> tuple[NDArray[Any], ...]:
+    def residuals(self) -> tuple[AnyArray, ...]:
         """Measured minus fitted values of every part; `plotting.residuals` draws them.
 
         A response has (n,) complex ones, a record (outputs, n), a manoeuvre (outputs, n) complex
@@ -588,6 +589,8 @@ class Fit(Printed):
     def __str__(self) -> str:
         return text(self)
 
+
+Fits = Sequence[Fit]
 
 # `fit` and `load` make fits: thirty arguments would hide what a reader of help() looks for.
 Fit.__init__.__dict__["__signature__"] = Signature([Parameter("self", Parameter.POSITIONAL_ONLY)])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array, NamedArrays, Strings
+from greybox.files.arrays import Array, Labels, NamedArrays, Strings
 from greybox.statistics.column_space import triangle_of
 
 BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
@@ -78,7 +78,7 @@ def collinear_groups(
     jacobian: Array,
     active: Array,
     names: Strings,
-    at_bound: Sequence[str],
+    at_bound: Labels,
     invisible: Array,
 ) -> tuple[Combination, ...]:
     """Return combinations whose effects nearly cancel, apart from `invisible` ones (p, b).

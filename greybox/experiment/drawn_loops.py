@@ -13,7 +13,7 @@ from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array, Labels, Values
 from greybox.modeling.model import Model
 
 DRAWS = 512  # a quantile of 2.5 % is then known to 4 % of a standard error
@@ -60,7 +60,7 @@ def drawn_loops(
     )
 
 
-def _plants(fit: Fit, names: Sequence[str]) -> Array:
+def _plants(fit: Fit, names: Labels) -> Array:
     """Return values (plants, parameters): the estimate, draws from its distribution, others.
 
     The others differ from the estimate in directions on which the data contain no information.

@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
 from greybox.estimate.response_band import require_level
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Fits
 from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
@@ -24,6 +24,7 @@ from greybox.files.arrays import (
     BoolArray,
     Fields,
     Interval,
+    Labels,
     NamedArrays,
     Strings,
     Values,
@@ -156,9 +157,9 @@ class SafeGains:
 
 
 def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
-    fits: Fit | Sequence[Fit],
+    fits: Fit | Fits,
     controller: Controller | Sequence[Controller],
-    gains: Mapping[str, Interval | None] | Sequence[str],
+    gains: Mapping[str, Interval | None] | Labels,
     *,
     phase_margin: float = 45.0,
     gain_margin: float = 6.0,

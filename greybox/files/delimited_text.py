@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.files.arrays import Array, NamedStrings, Strings, by_name, frozen
+from greybox.files.arrays import Array, Labels, NamedStrings, Strings, by_name, frozen
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, is_number
 
@@ -56,7 +56,7 @@ class DelimitedText:
     path: Path
     separator: str
     header: Strings
-    lines: Sequence[str]
+    lines: Labels
     line_numbers: Sequence[int]
     facts: NamedStrings
 

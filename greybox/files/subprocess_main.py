@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, Named
 
 # Bytes of arrays that are accepted from a log of any size, 16 MB.
 SMALL = 2**24
@@ -183,7 +183,7 @@ def matlab(path: str, collector: Collector, _: list[str]) -> None:
     keep_struct("", contents, collector)
 
 
-def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -> None:
+def keep_struct(group: str, contents: Named, collector: Collector) -> None:
     """Collect the numeric vectors and matrices of a struct, and of the structs in it."""
     simulink = _simulink(contents)
     for key, value in {**contents, **simulink}.items():
@@ -208,7 +208,7 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
             collector.add(f"{group}{key}", value, unit="")
 
 
-def _simulink(contents: Mapping[str, Any]) -> Fields:
+def _simulink(contents: Named) -> Fields:
     """Return the signals of a "structure with time" by their labels."""
     signals = contents.get("signals") if "time" in contents else None
     columns = {}

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Fields, Interval, Named, NamedStrings, Values, frozen
+from greybox.files.arrays import Fields, Interval, Labels, Named, NamedStrings, Values, frozen
 from greybox.files.text_table import as_names, one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
@@ -173,7 +173,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     data: FrequencyResponse | Record | TransientSpectrum
     criterion: Criterion | TimeCriterion = None  # type: ignore[assignment]
     fixed: Mapping[str, float | HeldEstimate] | HeldEstimate = field(default_factory=dict)
-    free: Sequence[str] = ()
+    free: Labels = ()
     tied: Mapping[str, ParameterFormula] = field(default_factory=dict)
     constraints: Sequence[ParameterFormula] = ()
     delay: str = "exact"

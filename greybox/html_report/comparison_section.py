@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fits
 from greybox.files.grouping import grouped
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
@@ -104,9 +104,7 @@ def _comparison(comparison: Comparison) -> Iterator[Element]:
     yield table(["data", "output", "measure", "unit", *comparison.labels], rows)
 
 
-def _figures(
-    fits: Sequence[Fit], labels: Sequence[str], comparison: Comparison | None
-) -> Iterator[Figure]:
+def _figures(fits: Fits, labels: Sequence[str], comparison: Comparison | None) -> Iterator[Figure]:
     """Yield responses and histories of all, and predictions of records that no fit has used."""
     if all(fit.responses for fit in fits):
         yield bode_figure(fits, labels)

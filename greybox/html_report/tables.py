@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
-from greybox.files.arrays import by_name
+from greybox.files.arrays import Labels, by_name
 from greybox.files.text_table import is_number, number, percent, with_error
 from greybox.html_report.elements import Child, tag
 from greybox.html_report.formula import with_formulas
@@ -24,7 +24,7 @@ class Cell:
     mark: str = ""
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
+def table(header: Labels, rows: Sequence[Sequence[Cell]]) -> Element:
     """Return a table; columns of numbers are flush right."""
     # One number makes a column of numbers: dashes stand for those that are not known.
     is_number = [any(row[k].value is not None for row in rows) for k in range(len(header))]

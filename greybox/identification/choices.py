@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Fields, StringPair
+from greybox.files.arrays import Fields, Labels, StringPair
 from greybox.files.text_table import some
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
@@ -107,7 +107,7 @@ def _as_stated(recording: Recording, stated: Fields) -> Settings:
     return Settings(**stated)
 
 
-def _first(recording: Recording, signals: Sequence[str]) -> str:
+def _first(recording: Recording, signals: Labels) -> str:
     """Return the first of the signals that the log has; empty without one."""
     return next(iter(present(recording, signals)), "")
 

@@ -22,7 +22,7 @@ from greybox.identification.measurement import Measurement, measure
 from greybox.identification.orders import select_orders
 from greybox.identification.selection import Candidate, Selection, held_by_bounds, select
 from greybox.identification.structure_fit import Structure, problem_of_structure, stated_for
-from greybox.logs.known_filters import KnownFilter
+from greybox.logs.known_filters import KnownFilter, KnownFilters
 from greybox.logs.readers import read
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import included_model
@@ -202,7 +202,7 @@ def _judged(measurement: Measurement) -> Measurement:
     return replace(measurement, quality=measurement.quality.with_findings(*refusals))
 
 
-def _filters(measurement: Measurement, names: Labels | None) -> dict[str, tuple[KnownFilter, ...]]:
+def _filters(measurement: Measurement, names: Labels | None) -> KnownFilters:
     """Return the filters of these names, or those that the output has passed before its log."""
     assert measurement.response is not None
     if names is None:

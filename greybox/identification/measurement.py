@@ -5,7 +5,7 @@ Begin with `measure`.
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -36,7 +36,7 @@ from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
 from greybox.spectral.sweeps_and_noise import spectral_response
-from greybox.spectral.test_quality import Finding, Quality, check, jitter
+from greybox.spectral.test_quality import Finding, Findings, Quality, check, jitter
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
 
@@ -484,7 +484,7 @@ def _estimated(
     return measured, str(measured), None, linear
 
 
-def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
+def _on_points(points: FiniteFrequency | None) -> Findings:
     """Yield the findings on the points of sine tests."""
     if points is None:
         return
@@ -499,7 +499,7 @@ def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
         yield Finding("sines", "note", math.nan, f"{text}.")
 
 
-def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Iterator[Finding]:
+def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Findings:
     """Yield a warning on the points beyond the sweeps, which only their transients excite."""
     # A test that is not a sweep may excite any frequency.
     bands = [segment.band for segment in used if segment.kind == "sweep"]

@@ -5,7 +5,7 @@ from greybox.logs.ardupilot import filters as of_ardupilot
 from greybox.logs.ardupilot.signals import AXES as ARDUPILOT_AXES
 from greybox.logs.axis_signals import AxisSignals
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
-from greybox.logs.known_filters import KnownFilter
+from greybox.logs.known_filters import KnownFilter, KnownFilters
 from greybox.logs.px4 import AXES as PX4_AXES, FILTERED, named_filters as px4_filters
 
 CONTROLLERS = (ARDUPILOT_AXES, PX4_AXES, BETAFLIGHT_AXES)
@@ -43,6 +43,6 @@ def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]
     return (*filters.get("gyro-notch", ()), *filters.get("gyro-filter", ()))
 
 
-def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
+def named_filters(recording: Recording, axis: str = "") -> KnownFilters:
     """Return the filters whose parameters the log has by name, such as ``gyro-filter``."""
     return px4_filters(recording) | of_ardupilot.named_filters(recording, axis)

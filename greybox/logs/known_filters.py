@@ -27,6 +27,9 @@ class KnownFilter:
         return f"{type(self).__name__}({', '.join(map(repr, self.values))})"
 
 
+KnownFilters = dict[str, tuple[KnownFilter, ...]]  # in series, by signal
+
+
 @dataclass(frozen=True)
 class LowPass(KnownFilter):
     """A second-order low-pass filter: cutoff, Hz; damping; if digital, its sampling rate, Hz."""

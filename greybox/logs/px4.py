@@ -8,7 +8,7 @@ NotchFilter.hpp of the firmware, for what they mean.
 
 from greybox.data.record import Recording
 from greybox.logs.axis_signals import AxisSignals
-from greybox.logs.known_filters import KnownFilter, LowPass, Notch
+from greybox.logs.known_filters import KnownFilters, LowPass, Notch
 
 FILTERED = ("vehicle_angular_velocity",)  # topics behind the filters of the gyro
 
@@ -31,11 +31,11 @@ AXES = {
 }
 
 
-def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
+def named_filters(recording: Recording) -> KnownFilters:
     """Return the filters of the gyro whose parameters are known, by name."""
     parameters = recording.parameters
     low_passes = {"gyro-filter": "IMU_GYRO_CUTOFF", "d-term-filter": "IMU_DGYRO_CUTOFF"}
-    filters: dict[str, tuple[KnownFilter, ...]] = {
+    filters: KnownFilters = {
         name: (LowPass(parameters[key]),)
         for name, key in low_passes.items()
         if parameters.get(key, 0) > 0

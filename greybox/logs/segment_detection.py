@@ -16,6 +16,7 @@ from greybox.files.arrays import (
     ArrayPair,
     Fields,
     IntArray,
+    Labels,
     NamedArrays,
     NamedStrings,
     Strings,
@@ -51,7 +52,7 @@ def find_segments(
     data: Recording | Record,
     message: str = "",
     fields: NamedStrings | None = None,
-    setpoint: str | Sequence[str] = (),
+    setpoint: str | Labels = (),
 ) -> tuple[Segment, ...]:
     """Return the excited segments of a flight, in order of time.
 

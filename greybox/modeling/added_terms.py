@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Fields, Named
+from greybox.files.arrays import Array, Fields, Labels, Named
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
@@ -25,7 +25,7 @@ class ExtendedModel(StateSpace):
     accelerations.
     """
 
-    def __init__(self, model: StateSpace, states: Sequence[str], parameters: Parameters) -> None:
+    def __init__(self, model: StateSpace, states: Labels, parameters: Parameters) -> None:
         self.model, self.derived = model, model.derived  # type: ignore[misc]
         self.states = (*model.states, *states)
         self.inputs, self.outputs = tuple(model.inputs), tuple(model.outputs)

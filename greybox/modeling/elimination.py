@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import AnyArray, Array
 
 
 def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> list[list[Any]]:
@@ -87,7 +86,7 @@ def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[i
     return min(errors, key=errors.__getitem__)
 
 
-def solve_pencils(pencil: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+def solve_pencils(pencil: AnyArray, right: AnyArray) -> AnyArray:
     """Solve (..., n, n) x = (..., n) with pivoting; NaN where the matrix is singular, at a pole."""
     try:
         return np.linalg.solve(pencil, right[..., None])[..., 0]

@@ -4,15 +4,13 @@ Source: Van Loan, Computing integrals involving the matrix exponential, IEEE Tra
 Control 23 (1978) 395-404.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from greybox.files.arrays import AnyArray
 
 
-def held_response(
-    A: NDArray[Any], B: NDArray[Any], time: ArrayLike
-) -> tuple[NDArray[Any], NDArray[Any]]:
+def held_response(A: AnyArray, B: AnyArray, time: ArrayLike) -> tuple[AnyArray, AnyArray]:
     """Return exp(A t) and its integral times B, the effect of inputs that are held over `time`.
 
     A (..., n, n), B (..., n, m) and `time` (...), s, may be stacks.

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.record import Record, Recording, median_step, runs_between_gaps
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Labels
 from greybox.plotting.figure import GRAY, Figure, Panel, Series
 from greybox.plotting.long_lines import drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -127,7 +127,7 @@ def signal_line(name: str, time: Array, values: Array, color: int) -> Series:
     return Series(name, "line", x, y, color)
 
 
-def _panel(recording: Recording, signals: Sequence[str], color: int) -> Panel:
+def _panel(recording: Recording, signals: Labels, color: int) -> Panel:
     series = []
     unit = ""
     for k, signal in enumerate(signals, color):

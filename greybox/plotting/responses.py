@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, StringPair, frozen
+from greybox.files.arrays import Array, Labels, StringPair, frozen
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, INK, Series
 from greybox.plotting.signals import distinct_labels
@@ -77,7 +77,7 @@ class _Part:
 
 
 def drawn_responses(
-    items: Sequence[Fit | FrequencyResponse], labels: Sequence[str], level: float | None
+    items: Sequence[Fit | FrequencyResponse], labels: Labels, level: float | None
 ) -> list[DrawnResponse]:
     """Return the curves of all items, then their data; shared data only once.
 

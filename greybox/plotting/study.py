@@ -1,14 +1,13 @@
 """Figures of a study or of fits: a parameter over operating points or members, and maps."""
 
 import math
-from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fits
 from greybox.files.arrays import Array, StringPair, Values
 from greybox.files.text_table import number, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
@@ -101,7 +100,7 @@ def _line(model: str, x: Array, y: Array, error: Array, color: int) -> Series:
     )
 
 
-def estimates(study: Study | Sequence[Fit], quantity: str, ax: Axes | None = None) -> Axes:
+def estimates(study: Study | Fits, quantity: str, ax: Axes | None = None) -> Axes:
     """Draw a quantity of all members with standard errors; ``"cost"`` sorted, as a waterfall.
 
     Parameters
@@ -120,7 +119,7 @@ def estimates(study: Study | Sequence[Fit], quantity: str, ax: Axes | None = Non
     return draw([estimates_figure(study, quantity)], ax)[0]
 
 
-def estimates_figure(study: Study | Sequence[Fit], quantity: str) -> Figure:
+def estimates_figure(study: Study | Fits, quantity: str) -> Figure:
     """Return a quantity of all members, the first or lowest one at the top."""
     if not isinstance(study, Study):
         # A study that is stored nowhere, a member a fit.

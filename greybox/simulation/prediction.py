@@ -8,7 +8,7 @@ from statistics import NormalDist
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, Strings, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, Labels, Strings, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
@@ -197,7 +197,7 @@ class Prediction:
         notes = ["", *("  " + note for note in self.notes)] if self.notes else []
         return "\n".join([head, "", *("  " + line for line in table.splitlines()), *notes])
 
-    def _row(self, name: str, shares: Sequence[float]) -> Sequence[str]:
+    def _row(self, name: str, shares: Sequence[float]) -> Labels:
         k = self._place(name)
         grown = [number(self.rms(name, share), 3) for share in shares]
         standard_error = float(np.sqrt(np.mean(self.error[k] ** 2)))

@@ -27,7 +27,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray
+from greybox.files.arrays import Array, ArrayPair, ArrayTriple, BoolArray, IntArray
 from greybox.modeling.one_thread import Stored, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
@@ -126,7 +126,7 @@ class BatchedNewton:
 
     def __init__(
         self,
-        function: Callable[..., tuple[Array, Array, Array]],
+        function: Callable[..., ArrayTriple],
         lower: Array,
         upper: Array,
         data: Array = NO_DATA,

@@ -33,7 +33,7 @@ from greybox.solve.blas_threads import one_blas_thread
 from greybox.solve.interruption import interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.local_solver import Runner
 from greybox.solve.run_storage import Memory
-from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Outcome
+from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Outcome, Outcomes
 from greybox.solve.worker_pool import ExecutorLostError, WorkerLostError
 
 Batch = list[tuple[int, Array]]
@@ -127,7 +127,7 @@ def _batches(numbered: Iterable[tuple[int, Array]], first: int, size: int) -> It
         yield batch
 
 
-def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
+def _recalled(memory: Memory, batch: Batch) -> Outcomes | None:
     """Return the stored outcomes of a batch if all of them are stored.
 
     Otherwise the whole batch is run: the last digits of a run depend on how many are run together.
@@ -144,7 +144,7 @@ def _begins(batch: Batch, begins: Mapping[int, Array]) -> Array:
 
 def _tasks(
     batches: Iterator[Batch], memory: Memory, most: int
-) -> Iterator[tuple[Batch, list[Outcome] | None]]:
+) -> Iterator[tuple[Batch, Outcomes | None]]:
     """Yield batches, joined up to this many starts, and stored ones with their outcomes."""
     starts: Batch = []
     for batch in batches:
@@ -161,7 +161,7 @@ def _tasks(
         yield starts, None
 
 
-def _stored(memory: Memory, batch: Batch, outcomes: list[Outcome]) -> Made:
+def _stored(memory: Memory, batch: Batch, outcomes: Outcomes) -> Made:
     """Store the outcomes of a batch, and yield its runs."""
     for (number, start), outcome in zip(batch, outcomes, strict=True):
         memory.keep(number, start, outcome)
@@ -173,18 +173,16 @@ def _on_workers(
     executor: Executor,
     memory: Memory,
     begins: Mapping[int, Array],
-    tasks: Iterator[tuple[Batch, list[Outcome] | None]],
+    tasks: Iterator[tuple[Batch, Outcomes | None]],
 ) -> Made:
     """Yield the runs of all tasks in order; some tasks at a time are handed out."""
     payload = pickle.dumps(solver)
     most = min(max(MOST_BYTES // len(payload), 2), MOST_WAITING)
-    waiting: deque[tuple[Batch, Future[list[Outcome]]]] = deque()
+    waiting: deque[tuple[Batch, Future[Outcomes]]] = deque()
 
-    def submitted(
-        batch: Batch, recalled: list[Outcome] | None = None
-    ) -> tuple[Batch, Future[list[Outcome]]]:
+    def submitted(batch: Batch, recalled: Outcomes | None = None) -> tuple[Batch, Future[Outcomes]]:
         if recalled is not None:
-            future: Future[list[Outcome]] = Future()
+            future: Future[Outcomes] = Future()
             future.set_result(recalled)
             return batch, future
         # The time limit belongs to this thread, which the worker does not share.
@@ -229,7 +227,7 @@ def _cancel(waiting: Iterable[tuple[Batch, Future[Any]]]) -> None:
 
 
 def _look(
-    executor: Executor, memory: Memory, waiting: Iterable[tuple[Batch, Future[list[Outcome]]]]
+    executor: Executor, memory: Memory, waiting: Iterable[tuple[Batch, Future[Outcomes]]]
 ) -> None:
     """Store the runs of all finished tasks, whichever task is waited for."""
     for batch, future in waiting:
@@ -243,7 +241,7 @@ def _look(
         raise ExecutorLostError(LOST)
 
 
-def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
+def _result(future: Future[Outcomes]) -> Outcomes | None:
     """Return the outcomes of a task; None if its worker was lost and has been replaced."""
     try:
         return future.result()
@@ -268,7 +266,7 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
 _solvers = Stored(4)
 
 
-def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> list[Outcome]:
+def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> Outcomes:
     """Run the pickled solver `payload` from every row of `starts` (r, p).
 
     `coordinator` is the process that decides about Ctrl-C, `end` the time of day at which its

@@ -9,7 +9,7 @@ from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array, Arrays, IntArray, frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.runs import Outcome, Runs
+from greybox.solve.runs import Outcome, Outcomes, Runs
 
 
 @frozen
@@ -37,7 +37,7 @@ class Runner(Rebuilt, ABC):
     def run(self, start: Array) -> Outcome:
         """Make the run from `start` (s,)."""
 
-    def run_together(self, starts: Array) -> list[Outcome]:
+    def run_together(self, starts: Array) -> Outcomes:
         """Make the runs from the rows of `starts` (r, s), at most `together`."""
         return [self.run(start) for start in starts]
 
@@ -98,7 +98,7 @@ class LocalSolver(Runner):
         """Return a run that did not converge with more iterations, if the solver can."""
         return outcome
 
-    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
+    def judged(self, outcomes: Outcomes) -> Outcomes:
         """Return outcomes with costs and signatures."""
         return outcomes
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.shared_response import resolvents
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ArrayTriple, ComplexArray
 
 # Noise over the derivatives of the states, with relative errors of one in the responses: at first,
 # for every second pair of starts, and over that, stage by stage. Starts with much noise and starts
@@ -56,7 +56,7 @@ class ProcessNoise:
             sizes = np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)[places]
             self._terms.append((system, places, measured, weight, sizes))
 
-    def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
+    def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
 
         The `data` (1, k) are the ratios of noise to errors.

@@ -35,7 +35,7 @@ from greybox.solve.minima import (
     likelihood_unit,
     same_cost,
 )
-from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs, spent
+from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Outcomes, Run, Runs, spent
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 
@@ -133,7 +133,7 @@ class ResponseSolver(LocalSolver):
         trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
         return Profile(z, trajectories, self.problem.costs(x[None]).item(), converged=True)
 
-    def judged(self, outcomes: list[Outcome]) -> list[Outcome]:
+    def judged(self, outcomes: Outcomes) -> Outcomes:
         """Return outcomes with costs, without smoothing, and signatures; blocks are exchanged."""
         ends = np.array([outcome.estimate for outcome in outcomes])
         arrived = [k for k, outcome in enumerate(outcomes) if outcome.converged]
@@ -196,7 +196,7 @@ class ResponseSolver(LocalSolver):
         values = np.where(np.isfinite(values), values, np.inf)
         return Screened(np.argsort(values, kind="stable"), values, starts)
 
-    def run_together(self, starts: Array) -> list[Outcome]:
+    def run_together(self, starts: Array) -> Outcomes:
         """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
         # With few starts, IPOPT's own options apply exactly.
         if len(starts) < (6 if self._options else self.fewest) or self.together == 1:

@@ -11,7 +11,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, BoolArray, IntArray, frozen
+from greybox.files.arrays import AnyArray, Array, BoolArray, IntArray, frozen
 from greybox.files.text_table import counted, one_line
 
 # Statuses of a run besides those of its solver: it could not begin, ended where the integration
@@ -119,6 +119,8 @@ class Outcome:
         )
 
 
+Outcomes = list[Outcome]  # one for each start
+
 Texts = NDArray[np.object_]
 
 NAMES = tuple(field.name for field in fields(Run))
@@ -187,7 +189,7 @@ class Runs(Sequence[Run]):
     def __getitem__(self, key: int) -> Run: ...
 
     @overload
-    def __getitem__(self, key: "slice | NDArray[Any]") -> "Runs": ...
+    def __getitem__(self, key: "slice | AnyArray") -> "Runs": ...
 
     def __getitem__(self, key: Any) -> "Run | Runs":
         """Return one run, or the runs that a slice, indices or booleans (r,) select."""

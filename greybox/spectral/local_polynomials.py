@@ -32,9 +32,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, IntArray, all_finite
+from greybox.files.arrays import AnyArray, Array, ComplexArray, IntArray, all_finite
 from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -317,7 +316,7 @@ def fit_band(
     return Fitted(center, half, rows, x, regressors, *solved, transients, order, alone[1])
 
 
-def _without(basis: NDArray[Any], columns: ComplexArray) -> ComplexArray:
+def _without(basis: AnyArray, columns: ComplexArray) -> ComplexArray:
     """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
     return columns - basis @ (basis.conj().T @ columns)
 
@@ -579,7 +578,7 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
     nuisance = np.hstack([fitted.transients, conditioned])
     complete = np.hstack([fitted.transients, fitted.basis])
 
-    def unexplained(signal: ComplexArray, basis: NDArray[Any]) -> float:
+    def unexplained(signal: ComplexArray, basis: AnyArray) -> float:
         residual = _without(basis, signal)
         return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, Labels
 from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import (
     EPS,
@@ -72,7 +72,7 @@ def periodic_response(
 
 
 def period_spectra(
-    records: Record | Sequence[Record], period: float, signals: Sequence[str]
+    records: Record | Sequence[Record], period: float, signals: Labels
 ) -> tuple[list[UniformStretch], ComplexArray]:
     """Return the stretches, and the transforms (periods, signals, lines) of their whole periods.
 

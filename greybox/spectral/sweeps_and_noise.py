@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ComplexArray, Interval
+from greybox.files.arrays import Array, ComplexArray, Interval, Labels, NamedStrings
 from greybox.spectral.estimated_points import HZ, response_at, without_incoherent
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches
@@ -27,7 +27,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     output: str = "theta",
     *,
     instrument: str | None = None,
-    conditioned: Sequence[str] | Mapping[str, str] = (),
+    conditioned: Labels | NamedStrings = (),
     omega: ArrayLike | None = None,
     band: Interval | None = None,
     points: int = 40,

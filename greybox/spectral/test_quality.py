@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Interval, Strings
+from greybox.files.arrays import Interval, Labels, Strings
 from greybox.files.text_table import counted, one_line, some
 from greybox.spectral.saturation import at_limit
 
@@ -54,6 +54,9 @@ class Finding:
     value: float
     text: str
     omega: tuple[float, ...] = ()
+
+
+Findings = Iterator[Finding]
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ def check(
     return Quality(()).with_findings(*findings)
 
 
-def graded(about: str, value: float, limits: Interval, text: str) -> Iterator[Finding]:
+def graded(about: str, value: float, limits: Interval, text: str) -> Findings:
     """Yield a warning beyond the first limit, and a refusal beyond the second."""
     warning, refusal = limits
     sign = 1 if refusal > warning else -1  # too much, or too little
@@ -151,7 +154,7 @@ def graded(about: str, value: float, limits: Interval, text: str) -> Iterator[Fi
         yield Finding(about, severity, value, text)
 
 
-def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
+def _filters(record: Record, names: Labels) -> Findings:
     for name in names:
         for low_pass in record.filters.get(name, ()):
             text = (
@@ -161,7 +164,7 @@ def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
             yield Finding("filters", "note", math.nan, text)
 
 
-def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
+def _gaps(record: Record, segments: Sequence[Segment]) -> Findings:
     spans = [(s.start, s.end) for s in segments] or [(-math.inf, math.inf)]
     # Gaps between tests lose nothing.
     time = record.time
@@ -181,7 +184,7 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
         yield Finding("gaps", severity, float(share), text)
 
 
-def jitter(record: Record) -> Iterator[Finding]:
+def jitter(record: Record) -> Findings:
     """Yield a finding if the sampling interval varies."""
     steps = np.diff(record.time)
     # Gaps have a finding of their own.
@@ -197,7 +200,7 @@ def jitter(record: Record) -> Iterator[Finding]:
         yield Finding("jitter", "note", jitter, text)
 
 
-def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Iterator[Finding]:
+def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Findings:
     within = [(record.time >= s.start) & (record.time <= s.end) for s in segments]
     rows = np.flatnonzero(np.any(within, axis=0))
     # Without segments, the whole record is judged.
@@ -210,7 +213,7 @@ def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Itera
     yield from graded("saturation", share, SATURATED, text)
 
 
-def _amplitude(record: Record, control: str, output: str) -> Iterator[Finding]:
+def _amplitude(record: Record, control: str, output: str) -> Findings:
     for name in (control, output):
         levels = np.unique(record[name][np.isfinite(record[name])])
         if levels.size == 1:
@@ -227,7 +230,7 @@ def _amplitude(record: Record, control: str, output: str) -> Iterator[Finding]:
             )
 
 
-def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
+def _segments(segments: Sequence[Segment]) -> Findings:
     for segment in segments:
         if not segment.usable:
             reasons = "; ".join(segment.findings).rstrip(".")
@@ -238,7 +241,7 @@ def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
         yield Finding("segments", "refusal", 0.0, text)
 
 
-def _spread(high: float, low: float) -> Iterator[Finding]:
+def _spread(high: float, low: float) -> Findings:
     if math.isnan(high):
         text = "there is no test segment and no response: the excitation was not judged."
         yield Finding("spread", "note", math.nan, text)
@@ -256,7 +259,7 @@ def _spread(high: float, low: float) -> Iterator[Finding]:
         yield Finding("spread", "warning", high / low, text)
 
 
-def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Iterator[Finding]:
+def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Findings:
     if segments:
         # The shortest test has the largest errors.
         fewest = min(segments, key=lambda s: s.periods)
@@ -279,7 +282,7 @@ def _rate(
     highest: float,
     response: FrequencyResponse | None,
     segments: Sequence[Segment],
-) -> Iterator[Finding]:
+) -> Findings:
     reach = 2 * math.pi * record.rate / SAMPLES[1]
     bands = [segment.band for segment in segments]
     if response is None and any(low < reach for low, _ in bands):
@@ -304,7 +307,7 @@ def _rate(
     )
 
 
-def _noise(response: FrequencyResponse) -> Iterator[Finding]:
+def _noise(response: FrequencyResponse) -> Findings:
     if response.variance is None:
         return
     error = float(np.median(response.relative_error))
@@ -317,7 +320,7 @@ def _noise(response: FrequencyResponse) -> Iterator[Finding]:
     )
 
 
-def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
+def _coherence(response: FrequencyResponse) -> Findings:
     if response.coherence is None:
         return
     weak = response.omega[response.coherence < COHERENCE[0]]

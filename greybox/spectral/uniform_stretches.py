@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps
-from greybox.files.arrays import Array, NamedStrings, Values
+from greybox.files.arrays import Array, Labels, NamedStrings, Values
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
@@ -26,9 +26,7 @@ class UniformStretch(NamedTuple):
     hold: Values
 
 
-def uniform_stretches(
-    records: Record | Sequence[Record], signals: Sequence[str]
-) -> list[UniformStretch]:
+def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> list[UniformStretch]:
     """Cut records at gaps and missing samples.
 
     Parameters

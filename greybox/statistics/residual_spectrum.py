@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, Arrays, ComplexArray, frozen
+from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
@@ -216,13 +216,13 @@ class AveragedSpectrum:
         -2 log of the evidence; of the average of all, the evidence for process noise over others.
     """
 
-    density: NDArray[Any]
+    density: AnyArray
     taken: float
     uncertainty: float
     score: float
 
 
-def averaged(score: Array, density: NDArray[Any], taken: Array, within: Array) -> AveragedSpectrum:
+def averaged(score: Array, density: AnyArray, taken: Array, within: Array) -> AveragedSpectrum:
     """Return the average of m spectra by their scores (m,), -2 log of their likelihoods.
 
     Their disagreement on what the fit took is part of the uncertainty, besides that `within` each.
@@ -240,7 +240,7 @@ def averaged(score: Array, density: NDArray[Any], taken: Array, within: Array) -
     )
 
 
-def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[NDArray[Any]]:
+def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[AnyArray]:
     """Return scores (m,), densities, what was taken, and its uncertainties."""
     fields = attrgetter("score", "density", "taken", "uncertainty")
     return map(np.array, zip(*map(fields, averages), strict=True))
@@ -472,7 +472,7 @@ class ResidualSpectra:
         return np.fft.rfft(self.shocks() / self.deviation[:, None, None], self.grid.size)
 
     @cached_property
-    def _sensor_parts(self) -> list[tuple[NDArray[Any], ComplexArray]]:
+    def _sensor_parts(self) -> list[tuple[AnyArray, ComplexArray]]:
         flat = np.ones(len(self.grid.omega), dtype=complex)
         white = [np.diag(row)[..., None] * flat for row in np.eye(len(self.counts))]
         return [(density, self._left(density, self.grid.spread_out(density))) for density in white]

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, of_diagonal
+from greybox.files.arrays import Array, ArrayTriple, of_diagonal
 from greybox.statistics.column_space import column_basis, outside, triangle_of
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
@@ -46,7 +46,7 @@ SIZES = np.vstack([RATIOS ** np.isin(TWELFTHS, range(*band)) for band in BANDS])
 # of one that acts where the input does, through zeros.
 POWERS = np.array([0, 1, 2, 4, 6, -2, -4])[:, None, None]
 
-Fits = tuple[Array, Array, Array]  # see `correlated_fits`
+Fits = ArrayTriple  # see `correlated_fits`
 
 
 def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = REMAINS) -> Array:

@@ -15,7 +15,7 @@ Biometrika 73 (scores summed over clusters); Driscoll and Kraay (1998), Review o
 Statistics 80 (clusters of what happens at the same time).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -58,12 +58,12 @@ def shared_covariance(
             )
     if len(rows) < 2:
         return np.zeros((size, size)), 1.0
-    spacing = np.median(np.concatenate([np.diff(np.unique(row)) for row in bins]))
+    spacing = np.median([np.ptp(row) / (row.size - 1) for row in bins])
     lowest = min(row[0] for row in bins)
     places = [np.rint((row - lowest) / spacing).astype(int) for row in bins]
     count, random = 1 + max(row[-1] for row in places), np.random.default_rng(0)
 
-    def added(shifts: Sequence[float]) -> Array:
+    def added(shifts: Array) -> Array:
         sums = np.zeros((len(rows), count, size))
         for row, at, (errors, slopes), shift in zip(sums, places, rows, shifts, strict=True):
             shifted = np.roll(errors, int(shift * len(at)), axis=1)

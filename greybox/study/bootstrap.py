@@ -36,7 +36,7 @@ from greybox.solve.interruption import Interrupted, Response, listening, respond
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import ProgressReport, multistart, solver_for
 from greybox.solve.run_storage import Memory
-from greybox.solve.runs import Outcome
+from greybox.solve.runs import Outcomes
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.replicates import Replicates
 from greybox.study.response_replicates import ResponseReplicates, response_draws
@@ -419,9 +419,9 @@ def _made(
     executor: Executor | None,
     folder: str | Path | None,
     progress: bool | ProgressReport,
-) -> tuple[list[Outcome], bool]:
+) -> tuple[Outcomes, bool]:
     """Make the replicates; return their outcomes by number, and whether Ctrl-C ended them."""
-    outcomes: list[Outcome] = []
+    outcomes: Outcomes = []
     # A replicate is its number: workers draw the data themselves, so that the result does not
     # depend on how many there are.
     rows = ((k, np.array([float(k)])) for k in range(replicates))

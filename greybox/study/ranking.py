@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import StringPair
 from greybox.files.text_table import counted, percent, some
 from greybox.modeling.one_thread import unchanged
@@ -120,7 +120,7 @@ def _evidence(
     return best, {name: values[first[name]] for name in best if values[first[name]] < math.inf}
 
 
-def _rows_of_shared_samples(fits: Sequence[Fit]) -> list[Row]:
+def _rows_of_shared_samples(fits: Fits) -> list[Row]:
     """Return information criteria of fits of records, by the samples that all of them compare.
 
     A free delay leaves out the first samples. The errors of each output are normal, with a variance

@@ -17,7 +17,7 @@ from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import WARM
 from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, ResponseSolver
-from greybox.solve.runs import IMPROVED, Outcome
+from greybox.solve.runs import IMPROVED, Outcome, Outcomes
 from greybox.study.replicates import Draws, Replicates
 
 
@@ -152,7 +152,7 @@ class ResponseReplicates(Replicates):
         """Refit the replicate with this number (1,)."""
         return self.run_together(start[None])[0]
 
-    def run_together(self, starts: Array) -> list[Outcome]:
+    def run_together(self, starts: Array) -> Outcomes:
         """Refit the replicates with these numbers (r, 1)."""
         began = time.perf_counter()
         data = [self.nlp.data_of(*self.draws.of(int(number))) for [number] in starts]
@@ -160,7 +160,7 @@ class ResponseReplicates(Replicates):
         seconds = (time.perf_counter() - began) / len(starts)
         return [replace(outcome, seconds=seconds) for outcome in outcomes]
 
-    def _solved(self, data: Array) -> list[Outcome]:
+    def _solved(self, data: Array) -> Outcomes:
         """Solve for the data in the columns (g, m)."""
         if self._newton is None:
             return [self._by_ipopt(column) for column in data.T]

@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
-from greybox.files.arrays import Array, Named, Strings, frozen
+from greybox.files.arrays import Array, Fields, Labels, Named, Strings, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
@@ -249,11 +249,11 @@ class _StoredAnswer(Named):
 
 
 @lru_cache(16)  # members are used in turn, and several numbers of each
-def _values(answer: bytes) -> dict[str, Any]:
+def _values(answer: bytes) -> Fields:
     return dict(json.loads(unpacked(answer)))
 
 
-def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
+def add_members(folder: Path, names: Labels) -> dict[str, StudyMember]:
     """Add the names that a study does not have, and return its members by name."""
     with _database(folder, create=True) as database:
         rows = [(name,) for name in names]

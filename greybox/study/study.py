@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.pandas_frames import Frame
-from greybox.files.arrays import Fields, Strings, frozen
+from greybox.files.arrays import Fields, Labels, Strings, frozen
 from greybox.files.grouping import grouped
 from greybox.files.html_text import Printed
 from greybox.files.optional_package import required
@@ -312,7 +312,7 @@ def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
     return [{"member": member.name} for member in members]
 
 
-def _differences(texts: Sequence[str]) -> list[str]:
+def _differences(texts: Labels) -> list[str]:
     """Return texts without the values, such as ``a = 1``, that all of them have."""
     words = [text.split(", ") for text in texts]
     common = set.intersection(*map(set, words)) if len({*texts}) > 1 else set()

@@ -1,13 +1,11 @@
 """One likelihood for fits of frequency responses by different criteria, for AIC and BIC."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from greybox.estimate.fit import SolverChoice
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import frozen
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood, RelativeLikelihood
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -45,7 +43,7 @@ class Likelihoods:
         return [len(fit.free) + self.criterion.nuisances * len(fit.parts) for fit in self.originals]
 
 
-def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
+def common_likelihood(fits: Fits) -> Likelihoods | None:
     """Return fits of responses on the scale of one likelihood; None for other data or weights."""
     parts = [part for fit in fits for part in fit.parts]
     if not all(isinstance(part, FittedResponse) and part.weight == 1 for part in parts):

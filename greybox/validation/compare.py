@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from greybox.data.record import Record
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fits
 from greybox.files.arrays import Labels
 from greybox.simulation.windows import require_lengths
 from greybox.validation.common_likelihood import common_likelihood
@@ -153,7 +153,7 @@ def compare(
 
 
 def _predictions(
-    fits: Sequence[Fit],
+    fits: Fits,
     names: Labels,
     held_out: Sequence[Record],
     lengths: tuple[float | None, float | None],

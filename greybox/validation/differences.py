@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import StringPair, frozen
+from greybox.files.arrays import Labels, StringPair, frozen
 from greybox.files.text_table import counted, listed, one_line, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT, p_text
@@ -85,7 +85,7 @@ class Differences:
         return "\n".join([self.verdict, "", text_table(header, rows, left=(0, 4, 6))])
 
 
-def differences(first: Fit, second: Fit, names: Sequence[str] | None = None) -> Differences:
+def differences(first: Fit, second: Fit, names: Labels | None = None) -> Differences:
     """Test which parameters of two fits to different data differ beyond their errors.
 
     Every parameter is tested by Welch's t, since the errors of two flights differ in size, and all

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.record import Record, share_samples
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import BoolArray, Labels, Strings
 from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -20,7 +20,7 @@ Predictions = tuple[tuple[Prediction, ...], ...]
 
 
 def window_lengths(
-    fits: Sequence[Fit], records: Sequence[Record], window: float | None, lead: float | None
+    fits: Fits, records: Sequence[Record], window: float | None, lead: float | None
 ) -> tuple[float, float]:
     """Return the lengths of window and lead in s for these records; NaN without time."""
     records = [record for record in records if record.has_time]
@@ -40,7 +40,7 @@ def window_lengths(
 
 
 def predict_same_windows(
-    fits: Sequence[Fit],
+    fits: Fits,
     labels: Labels,
     data: Sequence[Sequence[Record]],
     lengths: tuple[float, float],
@@ -139,7 +139,7 @@ def with_all_signals(records: Sequence[Record]) -> Record:
     return replace(first, signals=signals, units=units, hold=hold)
 
 
-def not_held_out(fits: Sequence[Fit], labels: Labels, records: Sequence[Record]) -> list[str]:
+def not_held_out(fits: Fits, labels: Labels, records: Sequence[Record]) -> list[str]:
     """Return a warning for every held-out record to which a fit was made after all."""
     return [
         f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of "

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Array, StringPair
 from greybox.files.json_numbers import finite
 from greybox.simulation.prediction import Prediction
@@ -17,7 +17,7 @@ from greybox.validation.same_data import LIKELIHOOD, count_unknowns, is_likeliho
 
 
 def fit_rows(
-    fits: Sequence[Fit],
+    fits: Fits,
     *,
     same_data: bool,
     comparable: bool,
@@ -95,7 +95,7 @@ def _finite(values: Sequence[float]) -> tuple[float | None, ...]:
     return tuple(map(finite, values))
 
 
-def prediction_rows(kind: str, predictions: Predictions, fits: Sequence[Fit]) -> list[Row]:
+def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> list[Row]:
     """Return the measures of every output over all windows of all records of a `kind` of data."""
     rows = []
     estimated = [sum(len(p.own) for p in of_fit) for of_fit in predictions]

@@ -1,16 +1,14 @@
 """Whether fits have the same data, and whether their costs may be compared."""
 
-from collections.abc import Sequence
-
 from greybox.estimate.fitted_part import FittedPart
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Labels, Strings
 from greybox.files.text_table import number
 
 LIKELIHOOD = "negative log-likelihood"
 
 
-def check_fits(fits: Sequence[Fit]) -> None:
+def check_fits(fits: Fits) -> None:
     """Raise TypeError or ValueError for other things, a single fit, or one without an estimate."""
     for fit in fits:
         if not isinstance(fit, Fit):
@@ -22,7 +20,7 @@ def check_fits(fits: Sequence[Fit]) -> None:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
 
 
-def labels_of(fits: Sequence[Fit]) -> Strings:
+def labels_of(fits: Fits) -> Strings:
     """Return the names of the models, with problems or numbers where they are alike."""
     # Names of models are the most useful. Only if these are equal, names of problems or numbers are
     # needed.
@@ -34,7 +32,7 @@ def labels_of(fits: Sequence[Fit]) -> Strings:
     return tuple(f"{model} {k}" for k, model in enumerate(models, 1))
 
 
-def data_difference(fits: Sequence[Fit], names: Labels) -> str:
+def data_difference(fits: Fits, names: Labels) -> str:
     """Return how the data of a fit differ from those of the first; empty if they do not."""
     first = fits[0].parts
     for fit, name in zip(fits[1:], names[1:], strict=True):
@@ -61,7 +59,7 @@ def _same(a: FittedPart, b: FittedPart) -> bool:
     return type(a.data) is type(b.data) and a.data.is_same_as(b.data)  # type: ignore[arg-type]
 
 
-def shared_data(fits: Sequence[Fit]) -> str:
+def shared_data(fits: Fits) -> str:
     """Say which data the fits share."""
     parts = [f"{part.data.name or part.name} ({part.data.checksum[:8]})" for part in fits[0].parts]
     count = sum(part.compared_numbers for part in fits[0].parts)
@@ -78,7 +76,7 @@ def is_likelihood(fit: Fit) -> bool:
     return all(part.weight == 1 and part.is_likelihood for part in fit.parts)
 
 
-def other_samples(fits: Sequence[Fit], names: Labels) -> str:
+def other_samples(fits: Fits, names: Labels) -> str:
     """Return how the samples left out differ from those of the first fit; empty if they do not."""
     for k, first in enumerate(fits[0].parts):
         count = first.compared_numbers
@@ -94,7 +92,7 @@ def other_samples(fits: Sequence[Fit], names: Labels) -> str:
     return ""
 
 
-def why_not_comparable(fits: Sequence[Fit], names: Labels) -> str:
+def why_not_comparable(fits: Fits, names: Labels) -> str:
     """Return why the costs of fits to the same data cannot be compared; empty where they can.
 
     Costs in time and those of MaximumLikelihood are negative log-likelihoods; those of other
@@ -114,7 +112,7 @@ def why_not_comparable(fits: Sequence[Fit], names: Labels) -> str:
     return ""
 
 
-def have_one_criterion(fits: Sequence[Fit]) -> bool:
+def have_one_criterion(fits: Fits) -> bool:
     """Return whether all fits to the same data were made by the same criteria."""
     return all(
         a.has_criterion_of(b)

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from greybox.estimate.response_band import t_quantile
-from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Arrays, StringPair, Strings
+from greybox.estimate.result import Fit, Fits
+from greybox.files.arrays import Arrays, ArrayTriple, Labels, StringPair, Strings
 from greybox.files.text_table import counted, listed, number
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
@@ -21,8 +21,8 @@ from greybox.validation.same_data import other_samples
 
 
 def verdicts(
-    fits: Sequence[Fit],
-    labels: Sequence[str],
+    fits: Fits,
+    labels: Labels,
     predictions: Mapping[str, Predictions],
     *,
     same_data: bool,
@@ -176,7 +176,7 @@ def _sign_test(differences: Arrays, error: float) -> float:
     )
 
 
-def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, Array]:
+def mean_squares(first: Prediction, second: Prediction) -> ArrayTriple:
     """Return the mean squared errors of both in every window (w,), and their rounding.
 
     Errors are in multiples of the smaller noise of the two models.
@@ -199,7 +199,7 @@ def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, A
     return totals[0], totals[1], rounding
 
 
-def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator[str]:
+def _residuals_not_white(fits: Fits, labels: Labels) -> Iterator[str]:
     """Warn of information criteria that assume white residuals where they are not."""
     colored = []
     for fit, label in zip(fits, labels, strict=True):
@@ -215,7 +215,7 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
         )
 
 
-def _which_likelihood(labels: Sequence[str], likelihoods: Likelihoods) -> str:
+def _which_likelihood(labels: Labels, likelihoods: Likelihoods) -> str:
     """Say which likelihood AIC, AICc and BIC are based on, and where it is not at its maximum."""
     criterion = likelihoods.criterion
     name = f"{type(criterion).__name__} ({criterion.description})"

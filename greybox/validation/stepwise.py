@@ -18,7 +18,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Strings, Values, frozen
+from greybox.files.arrays import Labels, Strings, Values, frozen
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.formulation.problem import Problem
@@ -132,7 +132,7 @@ class StepwiseSelection:
 
 def stepwise(
     problem: AnyProblem,
-    candidates: Sequence[str] | Values | Misfit,
+    candidates: Labels | Values | Misfit,
     *,
     starts: int = 4,
 ) -> StepwiseSelection:

@@ -11,7 +11,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.covariance import Accuracy
-from greybox.estimate.diagnostics.repeated import Finding, once
+from greybox.estimate.diagnostics.repeated import Finding, Findings, once
 from greybox.files.arrays import by_name
 from greybox.files.text_table import counted, some
 
@@ -42,7 +42,7 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
 
 def _of_response(
     part: ResponsePart, trajectory: Trajectory, remaining: float, level: float
-) -> Iterator[Finding]:
+) -> Findings:
     if not part.criterion.known_noise:
         return
     dof = max(part.numbers * remaining, 1.0)
@@ -84,7 +84,7 @@ def _of_record(
     remaining: float,
     total: int,
     shared: Mapping[str, int],
-) -> Iterator[Finding]:
+) -> Findings:
     """Judge the outputs of a record; `total` numbers determine all unknowns.
 
     A share `remaining` of the numbers are degrees of freedom. Records share the variances of

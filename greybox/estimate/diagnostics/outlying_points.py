@@ -22,7 +22,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.diagnostics.repeated import Finding
+from greybox.estimate.diagnostics.repeated import Findings
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number, percent
@@ -106,7 +106,7 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
         )
 
 
-def outlying_samples(records: Sequence[FittedRecord]) -> Iterator[Finding]:
+def outlying_samples(records: Sequence[FittedRecord]) -> Findings:
     """Name the outliers among the samples of records whose errors count as normal."""
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 

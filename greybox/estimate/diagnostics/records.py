@@ -14,7 +14,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.record import Record, share_samples
 from greybox.estimate.covariance import Accuracy
-from greybox.estimate.diagnostics.repeated import Finding, once
+from greybox.estimate.diagnostics.repeated import Findings, once
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.missing_terms import dynamic_equations
 from greybox.estimate.result import Fit
@@ -98,7 +98,7 @@ def record_warnings(
     )
 
 
-def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
+def _flattened_inputs(pairs: Pairs) -> Findings:
     """Name inputs of a limited band that lines between samples attenuate."""
     for part, _ in pairs:
         stretch = max(part.data.stretches, key=len)
@@ -128,7 +128,7 @@ def _flattened_inputs(pairs: Pairs) -> Iterator[Finding]:
                 )
 
 
-def _carried_over(pairs: Pairs) -> Iterator[Finding]:
+def _carried_over(pairs: Pairs) -> Findings:
     """Name outputs that repeat values while the model moves, as where missing samples are filled.
 
     Where the model moves by more than the resolution, rounding leads to the next value at least as
@@ -158,7 +158,7 @@ def _carried_over(pairs: Pairs) -> Iterator[Finding]:
                 )
 
 
-def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Finding]:
+def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Findings:
     """Name outputs with slow errors, where few frequencies show the parameters."""
     outputs = sum(len(fitted.outputs) for fitted in answer.records)
     for part, errors in nlp.rows_of(RecordPart, accuracy.parts):
@@ -176,7 +176,7 @@ def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[Fin
                 )
 
 
-def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Iterator[Finding]:
+def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
     """Name outputs that the model hardly reproduces."""
     # With constant inputs a static model is a mean, which reproduces no variation by definition.
     is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
@@ -315,7 +315,7 @@ def biased_by_feedback(pairs: Pairs, *, unstable: bool = False) -> Iterator[str]
         )
 
 
-def _bounded(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[Finding]:
+def _bounded(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Findings:
     """Warn where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)

@@ -1,6 +1,6 @@
 """One sentence in place of many alike, where a finding applies to many records."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from operator import itemgetter
 
 from greybox.files.grouping import grouped
@@ -8,9 +8,10 @@ from greybox.files.text_table import some
 
 Finding = tuple[str, str, str]
 """The kind of a finding, the name of the data, and the sentence."""
+Findings = Iterator[Finding]
 
 
-def once(findings: Iterable[Finding]) -> Iterator[str]:
+def once(findings: Findings) -> Iterator[str]:
     """Yield up to three sentences of each kind; of more, the first and the other data by name."""
     for alike in grouped(findings, itemgetter(0)):
         if len(alike) <= 3:

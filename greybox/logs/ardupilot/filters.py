@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.files.arrays import Values
-from greybox.logs.known_filters import FirstOrderLowPass, KnownFilter, LowPass, Notch
+from greybox.logs.known_filters import FirstOrderLowPass, KnownFilters, LowPass, Notch
 
 # Fields that are logged behind the filters of the gyro.
 GYRO_RATES = {
@@ -32,10 +32,10 @@ FIXED, THROTTLE = 0, 1
 DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
 
 
-def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
+def named_filters(recording: Recording, axis: str = "") -> KnownFilters:
     """Return the known filters of the gyro and of the rate controller of an axis, by name."""
     parameters = recording.parameters
-    filters: dict[str, tuple[KnownFilter, ...]] = {}
+    filters: KnownFilters = {}
     if parameters.get("INS_GYRO_FILTER", 0) > 0:
         filters["gyro-filter"] = (LowPass(parameters["INS_GYRO_FILTER"]),)
         notches = _harmonic_notches(recording)

@@ -1,7 +1,7 @@
 """Tables of measured signals as text: a header line, a time column, and numeric columns."""
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 from greybox.data.record import Recording
 from greybox.data.time_column import TIMES, seconds
 from greybox.data.units import with_units_in_header
-from greybox.files.arrays import Array, NamedStrings
+from greybox.files.arrays import Array, Labels, NamedStrings
 from greybox.files.delimited_text import (
     MISSING,
     DelimitedText,
@@ -25,13 +25,14 @@ from greybox.files.heading import Heading, heading
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable, some
 from greybox.logs.readers.betaflight import completed, with_units, without_settings
+from greybox.logs.readers.messages import MessageNames
 from greybox.logs.readers.named_arrays import Contents, Variable, recording
 from greybox.logs.readers.table_columns import time_column
 
 
 def read(
     path: Path,
-    messages: Collection[str] | None = None,
+    messages: MessageNames = None,
     stated: NamedStrings | None = None,
     rate: float | None = None,
 ) -> Recording:
@@ -132,7 +133,7 @@ def _headings(text: DelimitedText) -> list[Heading]:
     return headings
 
 
-def _nanoseconds(cells: Sequence[str]) -> Array:
+def _nanoseconds(cells: Labels) -> Array:
     """Return dates (n,) in the format of ISO 8601, UTC, in ns since 1970; ValueError for others."""
     return np.array([cell.removesuffix("Z") for cell in cells], "datetime64[ns]").astype(float)
 

@@ -6,7 +6,6 @@ the last bit.
 """
 
 import mmap
-from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,14 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import Bytes, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.messages import Messages, bare, checksum_of, on_one_clock, records
+from greybox.logs.readers.messages import (
+    MessageNames,
+    Messages,
+    bare,
+    checksum_of,
+    on_one_clock,
+    records,
+)
 
 # About the log or the vehicle: no time histories.
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "ISBH", "ISBD")
@@ -28,7 +34,7 @@ TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
 
 
-def read(path: Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: MessageNames = None) -> Recording:
     """Read a DataFlash log.
 
     Parameters
@@ -60,7 +66,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
 def recording(
     groups: list[Messages],
     path: Path,
-    messages: Collection[str] | None,
+    messages: MessageNames,
     findings: Labels,
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
@@ -82,7 +88,7 @@ def recording(
     return Recording(by_name, path.name, checksum, metadata, findings)
 
 
-def _contents(data: Bytes, messages: Collection[str] | None) -> tuple[list[Messages], Strings]:
+def _contents(data: Bytes, messages: MessageNames) -> tuple[list[Messages], Strings]:
     """Return the messages, the requested ones with their columns, and findings."""
     positions = index(data)
     # One sort instead of a comparison for each type: a file may describe many types.
@@ -117,7 +123,7 @@ def _decoded(
     offsets: IntArray,
     order: IntArray,
     units: Units,
-    messages: Collection[str] | None,
+    messages: MessageNames,
 ) -> Messages:
     """Return the messages of one layout; of messages that are not requested, only the times.
 
@@ -147,7 +153,7 @@ def _decoded(
     return Messages(layout.name, order, time, columns, texts, units.columns, units.instance)
 
 
-def is_wanted(name: str, messages: Collection[str] | None) -> bool:
+def is_wanted(name: str, messages: MessageNames) -> bool:
     """Return whether messages of this name are read, for their signals or as metadata."""
     if messages is None:
         return name != "FILE"  # whole files of the vehicle, as text
@@ -161,7 +167,7 @@ def clock_column(layout: Layout) -> str:
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 
-def _missing(present: set[str], messages: Collection[str] | None) -> Strings:
+def _missing(present: set[str], messages: MessageNames) -> Strings:
     """Return findings on requested or necessary messages that are missing."""
     # A missing RATE has a finding of its own, with the cure.
     names = ", ".join(sorted(present - {*ABOUT}))

@@ -2,7 +2,6 @@
 
 import math
 from array import array
-from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from greybox.files.text_table import is_number
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, is_wanted, recording
 from greybox.logs.readers.dataflash_index import Layout, sound_layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
-from greybox.logs.readers.messages import Messages, bare
+from greybox.logs.readers.messages import MessageNames, Messages, bare
 
 TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number
 
@@ -76,7 +75,7 @@ class _MessageLines:
         return Messages(self.layout.name, np.asarray(self.order), time, numbers, texts, *units)
 
 
-def read(path: Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: MessageNames = None) -> Recording:
     """Read a DataFlash text log.
 
     Parameters

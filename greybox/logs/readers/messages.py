@@ -9,9 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import GAP, Record
-from greybox.files.arrays import Array, IntArray, NamedArrays, NamedStrings, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    IntArray,
+    Labels,
+    NamedArrays,
+    NamedStrings,
+    Strings,
+    Values,
+    frozen,
+)
 from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
+
+MessageNames = Collection[str] | None  # all if None
 
 
 @frozen
@@ -40,7 +51,7 @@ class Messages:
     order: IntArray
     time: Array | None
     columns: NamedArrays
-    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    texts: Mapping[str, Labels] = field(default_factory=dict)
     units: NamedStrings = field(default_factory=dict)
     instance: str = ""
     hold: Values = field(default_factory=dict)
@@ -65,7 +76,7 @@ def checksum_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def bare(messages: Collection[str] | None) -> Strings | None:
+def bare(messages: MessageNames) -> Strings | None:
     """Return names without instances: a request for ``IMU[0]`` reads all of IMU."""
     return (
         None

@@ -3,7 +3,6 @@
 The same records are made of the topics of PX4 logs and of tables of text.
 """
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from greybox.files.arrays import Array, Fields, NamedStrings, Values
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.messages import checksum_of, on_one_clock, records
+from greybox.logs.readers.messages import MessageNames, checksum_of, on_one_clock, records
 from greybox.logs.readers.table_columns import table
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -37,7 +36,7 @@ class Contents(NamedTuple):
 
 def read(
     path: Path,
-    messages: Collection[str] | None = None,
+    messages: MessageNames = None,
     stated: NamedStrings | None = None,
     rate: float | None = None,
 ) -> Recording:
@@ -122,7 +121,7 @@ def read_contents(kind: str, path: Path, *wanted: str) -> Contents:
 def recording(
     path: Path,
     contents: Contents,
-    messages: Collection[str] | None = None,
+    messages: MessageNames = None,
     parameters: Values | None = None,
     stated: NamedStrings | None = None,
     rate: float | None = None,

@@ -1,14 +1,12 @@
 """Makes messages of the columns of a table: units in headings, and the time column."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.time_column import seconds, tick, times_in_seconds
-from greybox.files.arrays import Array, NamedArrays, NamedStrings, Strings
+from greybox.files.arrays import AnyArray, Array, NamedArrays, NamedStrings, Strings
 from greybox.files.text_table import some
 from greybox.logs.readers.messages import Messages
 
@@ -74,7 +72,7 @@ def table(
     )
 
 
-def time_column(columns: Mapping[str, NDArray[Any]], units: NamedStrings) -> str:
+def time_column(columns: Mapping[str, AnyArray], units: NamedStrings) -> str:
     """Return the name of the time: a vector of this name, or a first one that is a clock."""
     vectors = [key for key, values in columns.items() if values.ndim == 1 and values.size]
     timer = next((key for key in vectors if seconds(key, units.get(key, ""))), "")
@@ -91,7 +89,7 @@ def _unit_and_hold(text: str) -> tuple[str, float | None]:
     return (text, None) if hold is None else (unit.strip(), hold)
 
 
-def _split(name: str, values: NDArray[Any], size: int) -> dict[str, Array]:
+def _split(name: str, values: AnyArray, size: int) -> dict[str, Array]:
     """Return the signals of a variable of the right length: itself, or the columns of a matrix."""
     if values.shape[:1] != (size,):
         return {}

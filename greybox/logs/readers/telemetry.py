@@ -6,7 +6,7 @@ starts with the vehicle.
 """
 
 import mmap
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +16,14 @@ from greybox.files.arrays import Array, IntArray, Labels
 from greybox.logs.readers import telemetry_metadata, time_stamps
 from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.messages import Messages, bare, checksum_of, records
+from greybox.logs.readers.messages import MessageNames, Messages, bare, checksum_of, records
 from greybox.logs.readers.telemetry_packets import TICKS, Kind, Packets
 
 ABOUT = ("HEARTBEAT", "PARAM_VALUE", "STATUSTEXT")  # the metadata are made of these
 SENDER = "sender"  # the text column that distinguishes senders and instances
 
 
-def read(path: Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: MessageNames = None) -> Recording:
     """Read a MAVLink telemetry log.
 
     Parameters
@@ -98,7 +98,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     return Recording(by_name, path.name, checksum, about, findings)
 
 
-def _kinds(packets: Packets, messages: Collection[str] | None) -> tuple[dict[str, Kind], float]:
+def _kinds(packets: Packets, messages: MessageNames) -> tuple[dict[str, Kind], float]:
     """Return the packets by the name of their kind, and when the first was received, µs."""
     kinds: dict[str, Kind] = {}
     first_received = 0.0

@@ -1,19 +1,17 @@
 """PX4 logs (.ulg), through pyulog, which the extra ``px4`` installs."""
 
 import re
-from collections.abc import Collection, Mapping
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, Named
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers import named_arrays
-from greybox.logs.readers.messages import bare
+from greybox.logs.readers.messages import MessageNames, bare
 
 MODES = {  # vehicle_status.nav_state
     0: "MANUAL",
@@ -44,7 +42,7 @@ RATES = {  # fields in rad/s
 }
 
 
-def read(path: Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: MessageNames = None) -> Recording:
     """Read a PX4 log.
 
     Parameters
@@ -99,7 +97,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     )
 
 
-def _about(facts: Mapping[str, Any]) -> Fields:
+def _about(facts: Named) -> Fields:
     release, commit = facts["firmware"]
     about = {
         "vehicle": facts["vehicle"],

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import SMOOTHING, Part
 from greybox.compiled.record_group import Groups, sharing
-from greybox.files.arrays import Array, Arrays
+from greybox.files.arrays import Array, Arrays, Labels
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
 from greybox.solve.gauss_newton.settings import Settings
@@ -31,7 +31,7 @@ class AllParts:
     """
 
     def __init__(
-        self, parts: Sequence[Part], free: Sequence[str], limits: Limits, settings: Settings
+        self, parts: Sequence[Part], free: Labels, limits: Limits, settings: Settings
     ) -> None:
         """Group the parts; `free` are the names of the solver's variables."""
         self.groups = Groups(parts)

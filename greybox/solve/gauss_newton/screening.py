@@ -20,7 +20,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Course, Segments
 from greybox.compiled.transient_part import TransientPart
-from greybox.files.arrays import Array, BoolArray, of_diagonal
+from greybox.files.arrays import Array, ArrayTriple, BoolArray, of_diagonal
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
 
@@ -48,7 +48,7 @@ class Points(NamedTuple):
     cross: Array
     slope: Array
 
-    def reduced(self, damping: Array) -> tuple[Array, Array, Array]:
+    def reduced(self, damping: Array) -> ArrayTriple:
         """Return gradient and Hessian without the states, and how these follow (r, m, n, 1 + p)."""
         right = np.concatenate([self.slope[..., None], self.cross], axis=3)
         damped = _damped(self.curvature, damping[:, None])

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.compiled.kalman_gain import KalmanGain
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, ArrayPair, Arrays, all_finite
+from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, all_finite
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate
 
@@ -62,7 +62,7 @@ def stable_step(
     iterate: Iterate,
     constraints: ArrayPair,
     solve: Callable[[Array, Array], Array],
-) -> tuple[Array, Array, Array]:
+) -> ArrayTriple:
     """Return a step that keeps simulated predictors stable, and its constraints.
 
     These are normals (n, p) and limits (n,) with normals · step >= limits, and `solve` gives the
