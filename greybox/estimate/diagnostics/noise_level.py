@@ -37,7 +37,7 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
         findings += _of_response(part, trajectory, remaining, 0.01 / len(parts))
     for part, trajectory in nlp.rows_of(RecordPart, trajectories):
         findings += _of_record(part, trajectory, remaining, total, shared)
-    return once(findings)
+    return once(iter(findings))
 
 
 def _of_response(
