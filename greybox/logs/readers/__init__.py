@@ -36,7 +36,6 @@ from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import printable
 from greybox.logs.named_columns import in_si
-from greybox.logs.readers.messages import MessageNames
 
 HEAD = 4096  # bytes by which a format is recognized
 
@@ -99,7 +98,7 @@ FORMATS = (
 
 def read(
     path: str | Path,
-    messages: MessageNames = None,
+    messages: Collection[str] | None = None,
     columns: NamedStrings | None = None,
     rate: float | None = None,
 ) -> Recording:
