@@ -169,10 +169,10 @@ def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Findings:
                 yield (
                     output,
                     part.name,
-                    f"the residuals of {output} in {part.name!r} stay correlated, and the record "
-                    f"shows the parameters in about {lines:.2g} of its frequencies, where slow "
-                    "errors look like the response. The standard errors are rough: use an input of "
-                    "more frequencies, or a longer record.",
+                    f"the residuals of {output} in {part.name!r} stay correlated, and only about "
+                    f"{lines:.1g} frequencies of the record show the parameters, where slow errors "
+                    "look like the response. The standard errors are rough: use an input of more "
+                    "frequencies, or a longer record.",
                 )
 
 
