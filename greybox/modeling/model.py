@@ -35,7 +35,10 @@ class Names(Named):
         # `copy` and `pickle` look for special methods before there are any values.
         if name.startswith("__"):
             raise AttributeError(name)
-        raise AttributeError(f"{self._what} has no {name!r}; it has {alternatives(name, self)}")
+        try:
+            return self[name]
+        except KeyError as error:
+            raise AttributeError(*error.args) from None
 
     def __getitem__(self, name: str) -> Any:
         # A mapping raises KeyError. The values have no numbers, only names.

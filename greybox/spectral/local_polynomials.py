@@ -119,9 +119,9 @@ class Fitted(NamedTuple):
         Indices of the lines in the band.
     x : (n,) array
         Their positions in the band, -1 to 1.
-    regressors, basis : (n, m) complex arrays
-        Regressors of the response, then of conditioned inputs; an orthonormal basis of their
-        instruments. Transients are projected out of both.
+    regressors, instruments, basis : (n, m) complex arrays
+        Regressors of the response, then of conditioned inputs; their instruments; an orthonormal
+        basis of these. Transients are projected out of all.
     solution : (m, n) complex array
         Maps the output to the coefficients.
     transients : (n, t) array
@@ -137,6 +137,7 @@ class Fitted(NamedTuple):
     rows: IntArray
     x: Array
     regressors: ComplexArray
+    instruments: ComplexArray
     basis: ComplexArray
     solution: ComplexArray
     transients: Array
@@ -313,7 +314,9 @@ def fit_band(
     alone = solved if lines.direct else _solved(instruments, instruments)
     if solved is None or alone is None:
         return None
-    return Fitted(center, half, rows, x, regressors, *solved, transients, order, alone[1])
+    return Fitted(
+        center, half, rows, x, regressors, instruments, *solved, transients, order, alone[1]
+    )
 
 
 def _without(basis: AnyArray, columns: ComplexArray) -> ComplexArray:
@@ -570,11 +573,9 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
     Transients and conditioned inputs are removed. With an instrument, the coherence is the lower of
     those with input and output, and the noise is the part of the input that it does not explain.
     """
-    u, y, _, *others = lines.values[:, fitted.rows]
+    u, y, *_ = lines.values[:, fitted.rows]
     n = fitted.rows.size
-    powers = np.vander(fitted.x, fitted.order + 1)
-    columns = [powers[:, :0], *(r[:, None] * powers for r in others[len(others) // 2 :])]
-    conditioned = np.linalg.qr(_without(fitted.transients, np.hstack(columns)))[0]
+    conditioned = np.linalg.qr(fitted.instruments[:, fitted.order + 1 :])[0]
     nuisance = np.hstack([fitted.transients, conditioned])
     complete = np.hstack([fitted.transients, fitted.basis])
 

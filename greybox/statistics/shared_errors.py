@@ -42,14 +42,14 @@ def shared_covariance(
     size : int
         r.
     """
-    bins, rows = [], []
+    logarithms, rows = [], []
     for omega, errors, slopes, variance in responses:
         if np.unique(omega).size >= FEWEST:
             order = np.argsort(omega, kind="stable")
             # Of errors of mean square one, with as much variance as the response has.
-            size_of = np.linalg.norm(errors) * np.linalg.norm(slopes) / errors.size**0.5
-            scale = np.sqrt(variance) / (size_of or 1.0)
-            bins.append(np.log(omega[order]))
+            norm = np.linalg.norm(errors) * np.linalg.norm(slopes) / errors.size**0.5
+            scale = np.sqrt(variance) / (norm or 1.0)
+            logarithms.append(np.log(omega[order]))
             rows.append(
                 (
                     scale * errors.reshape(2, -1)[:, order],
@@ -58,14 +58,14 @@ def shared_covariance(
             )
     if len(rows) < 2:
         return np.zeros((size, size)), 1.0
-    spacing = np.median([np.ptp(row) / (row.size - 1) for row in bins])
-    lowest = min(row[0] for row in bins)
-    places = [np.rint((row - lowest) / spacing).astype(int) for row in bins]
-    count, random = 1 + max(row[-1] for row in places), np.random.default_rng(0)
+    spacing = np.median([np.ptp(row) / (row.size - 1) for row in logarithms])
+    lowest = min(row[0] for row in logarithms)
+    bins = [np.rint((row - lowest) / spacing).astype(int) for row in logarithms]
+    count, random = 1 + max(row[-1] for row in bins), np.random.default_rng(0)
 
     def added(shifts: Array) -> Array:
         sums = np.zeros((len(rows), count, size))
-        for row, at, (errors, slopes), shift in zip(sums, places, rows, shifts, strict=True):
+        for row, at, (errors, slopes), shift in zip(sums, bins, rows, shifts, strict=True):
             shifted = np.roll(errors, int(shift * len(at)), axis=1)
             np.add.at(row, at, np.einsum("cn,cnr->nr", shifted, slopes))
         total = sums.sum(axis=0)

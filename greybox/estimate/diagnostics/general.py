@@ -85,7 +85,7 @@ def warnings(
         *repeated_data(nlp),
         *discretization_warnings(nlp, trajectories, error),
         *(() if explained else (UNEXPLAINED,)),
-        *record_warnings(nlp, answer, trajectories, accuracy),
+        *record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy, explained=explained),
         *gusts(nlp, trajectories, accuracy, noisy=noisy),
         *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),

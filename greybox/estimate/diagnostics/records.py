@@ -74,17 +74,20 @@ def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
 
 
 def record_warnings(
-    nlp: CompiledProblem, answer: Fit, trajectories: Sequence[Trajectory], accuracy: Accuracy
+    nlp: CompiledProblem,
+    answer: Fit,
+    trajectories: Sequence[Trajectory],
+    accuracy: Accuracy,
+    *,
+    noisy: bool,
+    explained: bool,
 ) -> Strings:
     """Return the warnings about the records of a fit.
 
     Residuals of a wrong model look like feedback, which is then not tested, and like gusts unless
     the model explains the data.
     """
-    misfit = answer.misfit
-    noisy = misfit is None or misfit.is_noisy
-    explained = misfit is None or misfit.explains
-    unstable = misfit is not None and misfit.is_unstable
+    unstable = answer.misfit is not None and answer.misfit.is_unstable
     pairs = nlp.rows_of(RecordPart, answer.parts)
 
     return (
