@@ -6,6 +6,7 @@ delays, modes and steps of the gain.
 """
 
 import itertools
+import math
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,7 +19,16 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ComplexArray, Labels, StringPair, Values, by_name, frozen
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    IntArray,
+    Labels,
+    StringPair,
+    Values,
+    by_name,
+    frozen,
+)
 from greybox.files.text_table import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
@@ -27,6 +37,7 @@ from greybox.modeling.model import Names
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
 from greybox.statistics.column_space import beside
+from greybox.statistics.score_test import score_tests
 
 # A term in words, also for a negative factor if that differs, and the code that adds it.
 TEXTS = {
@@ -70,6 +81,11 @@ TEXTS = {
         "- p.play / 2, 0) + gb.minimum(u.{a} - x.{a}_moved + p.play / 2, 0)) / T_short, a few "
         "samples",
     ),
+    "slip": (
+        "a delay behind {a} that grows along the record, as of lost rows of {a}, or of two clocks",
+        "a delay behind {a} that falls along the record, as of lost rows of outputs, or two clocks",
+        "a record in which all signals have one clock, and NaN where rows are lost",
+    ),
     "side": (
         "a gain of {a} that is larger beyond {level}",
         "a gain of {a} that is smaller beyond {level}, as with a saturation of one side",
@@ -107,6 +123,21 @@ TEXTS = {
         "a constant -{size} in the equation of {b}",
         "the derivative of {b} gets + p.c",
     ),
+    "load": (
+        "a constant {size} in the equation of {b} from {level} s on, such as a load",
+        "a constant -{size} in the equation of {b} from {level} s on, such as a load",
+        "the derivative of {b} gets + p.load * u.is_loaded, an input that is 1 from {level} s on",
+    ),
+    "jump": (
+        "an offset of {b} by {size} from {level} s on",
+        "an offset of {b} by -{size} from {level} s on",
+        "two records, {b} with an offset in the second",
+    ),
+    "input load": (
+        "a constant {size} beside {b} from {level} s on, such as a load",
+        "a constant -{size} beside {b} from {level} s on, such as a load",
+        "a record whose input {b} has this constant added",
+    ),
     "equation": (
         "{a} in the equation of {b}",
         "the derivative of {b} gets + p.c * {code}",
@@ -136,6 +167,10 @@ TEXTS = {
     "sensor curve": (
         "a sensor of {b} with a curved characteristic",
         "a function of the output {b} in place of it, which gb.plotting.residuals draws",
+    ),
+    "sensor play": (
+        "a sensor of {b} with a backlash of about {level}",
+        "a function of its earlier values in place of the output {b}, or another sensor",
     ),
     "sensor scale": (
         "a sensor of {b} whose scale changes along the record",
@@ -227,6 +262,8 @@ NEAR_HALF = 0.6
 # Shares of the samples below stops and overflows, which act seldom.
 STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
+ONSETS = (20, 5)  # of loads: parts of the record, and of each part, from which the best is tried
+PLAYS = (0.02, 0.05, 0.15)  # of sensors, over the range of their output
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 KNOTS, FINE = 11, 41  # of functions, and of those of inputs, which an actuator may quantize
 DAMPING = 0.05  # of modes in records
@@ -347,24 +384,8 @@ def terms_of_record(
         if np.ptp(u) > 0:
             yield from _of_input(record, j, u, a)
 
-    outputs = [*zip(record.outputs, part.outputs, strict=True)]
-    for k, (y, b) in enumerate(outputs):
-        by_output = partial(record.by_output, k)
-        yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
-        for power in (2, 3):
-            yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
-        # From each sample on, the errors along the output and its squares: a jump of its scale is
-        # where the errors show it best.
-        along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
-        later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
-        yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
-        for row, T in _delays(record, y) if len(outputs) > 1 else ():
-            yield Term("sensor", row, by_output, b=b, scale=T)
-        yield from (Term("cross", row, by_output, a, b) for row, a in outputs if a != b)
-        for u, a in inputs:
-            # A controller responds at once: the noise of a sample is in the input at the same time.
-            past = record.by_stretch(_delayed, u, record.step)
-            yield Term("direct", past, by_output, a, b)
+    for k in range(len(part.outputs)):
+        yield from _of_output(record, k, inputs)
 
     # As an impulse that lasts half of the first step.
     impulse = record.by_stretch(
@@ -377,6 +398,7 @@ def terms_of_record(
         yield from _of_equations(record, candidates)
     else:
         yield from _of_feedback(record)
+    yield from _of_loads(record)
     yield from _of_parameters(record, at_bound)
 
 
@@ -395,15 +417,62 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
     signals = by_name(part.system.states, record.states)
     for u, a in zip(record.inputs, part.system.inputs, strict=True):
         signals |= {a: u, f"rate of {a}": record.by_stretch(_backward, u)}
-    return signals | {"time, s": part.data.at_samples(part.model.record.time)[0]}
+    return signals | {"time, s": _time(record)}
+
+
+def _of_loads(record: DisturbedRecord) -> Iterator[Term]:
+    """Yield constants in the equations, or else beside the input, from some sample on."""
+    part, time = record.part, _time(record)
+    places = [
+        ("load", part.system.states[i], partial(record.by_state, i))
+        for i in dynamic_equations(part)
+    ]
+    if not isinstance(part.problem.model, StateSpace):
+        places = [("input load", part.system.inputs[0], partial(record.by_input, 0))]
+    for kind, b, place in places:
+        effect = record.followed_by([(place, np.ones(part.samples))])[:, 0]
+        for level in time[_onsets(record, effect)].tolist():
+            yield Term(kind, 1.0 * (time >= level), place, b=b, level=level, tries=ONSETS[1])
+
+
+def _time(record: DisturbedRecord) -> Array:
+    """Return the time of the samples of a record, s."""
+    return record.part.data.at_samples(record.part.model.record.time)[0]
+
+
+def _onsets(record: DisturbedRecord, effect: Array) -> IntArray:
+    """Return for each part of the record where a constant of this effect (k, samples) may begin.
+
+    From a later sample on, the effect is that from the first one, shifted.
+    """
+    _, n = effect.shape
+    onsets = np.linspace(0, n, math.prod(ONSETS), endpoint=False, dtype=int)
+    effects = [np.hstack([np.zeros((len(effect), i)), effect[:, : n - i]]) for i in onsets]
+    rows = np.array([record.residuals, *effects]) * record.present
+    # Slow errors have jumps of their own, which those of neighbors foretell.
+    e = rows[0]
+    along = np.sum(e[:, 1:] * e[:, :-1], axis=1) / (np.sum(e**2, axis=1) + 1e-300)
+    white = rows[..., 1:] - along[:, None] * rows[..., :-1]
+    white /= np.std(white[0], axis=1, keepdims=True) + 1e-300
+    # An offset and a trend look like a drift of the errors.
+    lines = np.kron(np.eye(len(e)), np.vander(np.linspace(-1, 1, n - 1), 2))
+    first, *others = white.reshape(len(rows), -1)
+    decreases = score_tests(first, lines, np.transpose(others))[0]
+    best = np.argmax(decreases.reshape(ONSETS), axis=1)[:, None]
+    return np.take_along_axis(onsets.reshape(ONSETS), best, axis=1)[:, 0]
+
+
+def _along(samples: int) -> list[Array]:
+    """Return a slope and jumps along a record, (samples,) each."""
+    slope = np.linspace(-0.5, 0.5, samples)
+    return [slope, *(1.0 * (slope > share) for share in JUMPS)]
 
 
 def _of_parameters(record: DisturbedRecord, at_bound: Labels) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
-    samples, ones = np.linspace(-0.5, 0.5, part.samples), np.ones(part.samples)
+    ones = np.ones(part.samples)
     # Among several records, one may need different values.
-    jumps = [1.0 * (samples > share) for share in JUMPS]
-    changes = [("own", ones, part.name), *(("change", row, "") for row in (samples, *jumps))]
+    changes = [("own", ones, part.name), *(("change", row, "") for row in _along(part.samples))]
     # A signal that the model does not use, such as an airspeed, may order the flights, or act.
     motion = np.vstack([record.states, record.inputs, ones]).T
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
@@ -451,6 +520,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 
     for row, T in _delays(record, u):
         yield term("timing", row, scale=T)
+        yield from (term("slip", row * along, scale=T) for along in _along(len(u)))
         # A shorter lag would change a sample by a rounding error only.
         if step < 9 * T:
             decay = np.exp(-step / T)  # of a lag; the input itself is taken off
@@ -475,6 +545,34 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
         yield term("curve", np.clip(about, -level, level), level)
         yield term("side", np.maximum(about, level), middle + level)
         yield term("side", np.minimum(about, -level), middle - level)
+
+
+def _of_output(
+    record: DisturbedRecord, k: int, inputs: Sequence[tuple[Array, str]]
+) -> Iterator[Term]:
+    outputs = [*zip(record.outputs, record.part.outputs, strict=True)]
+    (y, b), by_output = outputs[k], partial(record.by_output, k)
+    yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
+    for power in (2, 3):
+        yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
+    for level in np.ptp(y) * np.array(PLAYS):
+        row = record.by_stretch(_followed, y, level / 2, False)
+        yield Term("sensor play", row, by_output, b=b, level=level)
+    # Where the errors jump most.
+    level = float(_time(record)[np.argmax(np.abs(np.diff(record.residuals[k]))) + 1])
+    yield Term("jump", 1.0 * (_time(record) >= level), by_output, b=b, level=level, tries=len(y))
+    # From each sample on, the errors along the output and its squares: a jump of its scale is
+    # where the errors show it best.
+    along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
+    later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
+    yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
+    for row, T in _delays(record, y) if len(outputs) > 1 else ():
+        yield Term("sensor", row, by_output, b=b, scale=T)
+    yield from (Term("cross", row, by_output, a, b) for row, a in outputs if a != b)
+    for u, a in inputs:
+        # A controller responds at once: the noise of a sample is in the input at the same time.
+        past = record.by_stretch(_delayed, u, record.step)
+        yield Term("direct", past, by_output, a, b)
 
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:

@@ -1,6 +1,7 @@
 """A term that a model with many states lacks is found in its equation, among terms of its kind."""
 
 import re
+from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -66,11 +67,11 @@ class Lag(gb.StateSpace):
         return (x.v,)
 
 
-def lagging(acting, seed=0, n=600, **signals):
+def lagging(acting, seed=0, n=600, sensor=lambda v: v, **signals):
     """Fit the lag with the input `u` to a record of a lag that `acting` drives."""
     decay = np.exp(-0.1)
-    v = lfilter([0, 1.5 * (1 - decay)], [1, -decay], acting)
-    v += 0.01 * np.random.default_rng(seed).normal(size=n)
+    v = sensor(lfilter([0, 1.5 * (1 - decay)], [1, -decay], acting))
+    v = v + 0.01 * np.random.default_rng(seed).normal(size=n)
     record = gb.Record(0.05 * np.arange(n), {"v": v, **signals}, hold={"u": np.inf})
     return gb.fit(gb.Problem(Lag(), record), starts=1, progress=False, profiles=False).misfit
 
@@ -81,6 +82,31 @@ def test_an_input_that_an_actuator_quantizes_is_named():
     assert not misfit.explains
     assert misfit.likely[0].text == "an input u with a curved characteristic"
     assert lagging(u, u=u).explains
+
+
+STEPS = np.repeat(np.random.default_rng(7).uniform(-1, 1, 60), 10)
+IS_LATE = np.arange(600) > 340  # from 17 s on
+AFTER_LOST_ROWS = np.where(IS_LATE, np.roll(STEPS, 6), STEPS)
+
+
+@pytest.mark.parametrize(
+    ("acting", "sensor", "text"),
+    [
+        (STEPS + 0.3 * IS_LATE, lambda v: v, r"a constant 0\.\d+ in the equation of v from 1[678]"),
+        (STEPS, lambda v: v + 0.1 * IS_LATE, r"an offset of v by 0\.\d+ from 1[678]"),
+        (AFTER_LOST_ROWS, lambda v: v, "a delay behind u that grows along the record"),
+        (
+            STEPS,
+            lambda v: [*accumulate(v, lambda old, new: np.clip(old, new - 0.3, new + 0.3))],
+            r"a sensor of v with a backlash of about 0\.\d+",
+        ),
+    ],
+    ids=["load", "offset", "lost rows", "backlash"],
+)
+def test_what_acts_on_a_part_of_the_record_or_its_sensor_is_named(acting, sensor, text):
+    misfit = lagging(acting, sensor=sensor, u=STEPS)
+    assert not misfit.explains
+    assert re.match(text, misfit.likely[0].text)
 
 
 def test_a_mode_of_the_input_is_named_whatever_its_phase():
