@@ -22,12 +22,12 @@ from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import (
     Array,
     ComplexArray,
-    IntArray,
     Labels,
     StringPair,
     Values,
     by_name,
     frozen,
+    positive_or_one,
 )
 from greybox.files.text_table import number
 from greybox.modeling.added_terms import Formula
@@ -37,7 +37,6 @@ from greybox.modeling.model import Names
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
 from greybox.statistics.column_space import beside
-from greybox.statistics.score_test import score_tests
 
 # A term in words, also for a negative factor if that differs, and the code that adds it.
 TEXTS = {
@@ -440,26 +439,22 @@ def _time(record: DisturbedRecord) -> Array:
     return record.part.data.at_samples(record.part.model.record.time)[0]
 
 
-def _onsets(record: DisturbedRecord, effect: Array) -> IntArray:
+def _onsets(record: DisturbedRecord, effect: Array) -> list[int]:
     """Return for each part of the record where a constant of this effect (k, samples) may begin.
 
     From a later sample on, the effect is that from the first one, shifted.
     """
-    _, n = effect.shape
+    # Slow errors, an offset and a trend hardly change from sample to sample.
+    e, effect = np.diff([record.residuals * record.present, effect])
+    n, weight = e.shape[1], 1 / positive_or_one(np.var(e, axis=1, keepdims=True))
+
+    def decrease(onset: int) -> float:
+        following = effect[:, : n - onset]
+        along = np.sum(weight * e[:, onset:] * following)
+        return float(along**2 / (np.sum(weight * following**2) + 1e-300))
+
     onsets = np.linspace(0, n, math.prod(ONSETS), endpoint=False, dtype=int)
-    effects = [np.hstack([np.zeros((len(effect), i)), effect[:, : n - i]]) for i in onsets]
-    rows = np.array([record.residuals, *effects]) * record.present
-    # Slow errors have jumps of their own, which those of neighbors foretell.
-    e = rows[0]
-    along = np.sum(e[:, 1:] * e[:, :-1], axis=1) / (np.sum(e**2, axis=1) + 1e-300)
-    white = rows[..., 1:] - along[:, None] * rows[..., :-1]
-    white /= np.std(white[0], axis=1, keepdims=True) + 1e-300
-    # An offset and a trend look like a drift of the errors.
-    lines = np.kron(np.eye(len(e)), np.vander(np.linspace(-1, 1, n - 1), 2))
-    first, *others = white.reshape(len(rows), -1)
-    decreases = score_tests(first, lines, np.transpose(others))[0]
-    best = np.argmax(decreases.reshape(ONSETS), axis=1)[:, None]
-    return np.take_along_axis(onsets.reshape(ONSETS), best, axis=1)[:, 0]
+    return [max(part, key=decrease) for part in onsets.reshape(ONSETS).tolist()]
 
 
 def _along(samples: int) -> list[Array]:
