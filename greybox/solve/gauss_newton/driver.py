@@ -172,14 +172,12 @@ class GaussNewton(LocalSolver):
         points = improved(self.nlp, self.limits, z)
         order = distinct(points)
         promising = [k + 1 for k in order]
-        begins = starts.copy()
-        begins[promising] = self.nlp.estimate_at(points.z)[order]
         untried = sorted(set(range(1, len(starts))) - set(promising))
 
         # Declared values may be good ones: they are always among the first.
         ahead = self.promising[0] - 1
         order = np.array([*promising[:ahead], 0, *promising[ahead:], *untried])
-        return Screened(order, np.full(len(starts), np.inf), begins)
+        return Screened(order, np.full(len(starts), np.inf))
 
     # --- at given parameters
 
