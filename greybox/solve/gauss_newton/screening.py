@@ -131,15 +131,8 @@ class ShortSegments:
     def states_from_data(self, z: Array) -> Array:
         """Return the first states (r, m, n), as measured where outputs show them."""
         part = self._part
-        measured, inputs = (values[:, self.chosen] for values in part.at_nodes)
-        initial = part.model.initial_states
-        begins = []
-        for point in z:
-            placed = part.place(point)
-            p = placed.q[: len(part.system.parameters)]
-            states = initial.at(measured, inputs, p, placed.initial)
-            begins.append(initial.as_measured(states, measured).T)
-        return np.array(begins)
+        placed = map(part.place, z)
+        return np.array([part.initial_nodes(at.q, at.initial)[self.chosen] for at in placed])
 
     def evaluated(self, z: Array, states: Array) -> Points:
         """Return the points z (r, p) with the segments simulated from these states (r, m, n)."""
