@@ -157,16 +157,19 @@ def test_what_is_not_finite_promises_nothing():
     assert sorted(screened.order) == list(range(6))
 
 
-def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_elsewhere(solver):
+def test_the_declared_start_is_the_fourth_and_starts_that_lead_to_one_point_are_tried_last(solver):
     starts = drawn(gb.Problem(ShortPeriod(), flight()), 8, 0)
-    starts[7] = starts[6]  # leads to the same point: it is tried last, as it is
-    screened = solver.screened(starts)
-    assert screened.order[3] == 0
-    assert_array_equal(screened.begins[0], starts[0])
-    first = screened.order[:3]
-    assert not np.any(screened.begins[first] == starts[first])
-    last = screened.order[-1]
-    assert_array_equal(screened.begins[last], starts[last])
+    starts[7] = starts[6]
+    order = solver.screened(starts).order.tolist()
+    assert order[3] == 0
+    assert order[-1] in (6, 7)
+
+
+def test_starts_that_predict_worse_than_none_begin_where_short_segments_lead(aircraft, solver):
+    """Four of these ten fail where nodes follow segments that diverge."""
+    best = solver.run(np.array(list(VALUES.values()))).cost
+    runs = [solver.run(start / 3) for start in drawn(aircraft, 10, 1)]
+    assert sum(run.converged and run.cost < best + 0.1 for run in runs) > 8
 
 
 # --- quadratic models of points and the states of their segments
