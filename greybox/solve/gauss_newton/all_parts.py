@@ -119,7 +119,7 @@ class AllParts:
         return total
 
     def unexplained(self, iterate: Iterate) -> float:
-        """Return the share of the variance of the records that predictions by segments leave."""
+        """Return the share of the records' variance that predictions over segments leave."""
         if not iterate.finite:
             return math.inf
         records = [(part, t) for part, t in self.along(iterate) if part.has_nodes]

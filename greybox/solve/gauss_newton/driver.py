@@ -65,12 +65,12 @@ class GaussNewton(LocalSolver):
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,), or from where short segments lead from there.
 
-        They do if the start predicts worse than none, see `screening`.
+        It is moved if predictions over whole segments are worse than the means of the outputs.
         """
         parts = self._parts
         begin = parts.at(self._nearest(start))
-        # Segments that diverge pull the nodes off the data: of 40 starts of the tilt plant in wide
-        # boxes, 30 to 32 arrive without this (`time_fit.py`).
+        # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
+        # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
         if can_screen(self.nlp) and parts.unexplained(begin) > 1:
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             begin = min(begin, moved, key=parts.unexplained)
@@ -161,8 +161,8 @@ class GaussNewton(LocalSolver):
     def screened(self, starts: Array) -> Screened | None:
         """Compare the starts (r, p) by prediction errors over short segments, see `screening`.
 
-        The first start, the declared values, is among the promising ones in any case, and as it is.
-        If several lead to one point, the best begins there; the others are tried last, unchanged.
+        The first start, the declared values, is among the promising ones in any case. If several
+        lead to one point, the best of them is promising; the others are tried last.
         """
         # Ten of 17 fits from the default starts take 1.5 to 8 times as long without screening, and
         # four of NIST's regressions more than 40 s; MGH17 takes half as long.

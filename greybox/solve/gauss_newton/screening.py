@@ -4,7 +4,8 @@ Some segments of the records are simulated, each from a state of its own that co
 and is free to move. Nothing can diverge for long, and neither instability nor many turns of an
 oscillation hide the parameters. A few Gauss-Newton steps of the parameters and of these states,
 over a few samples first and then over whole segments, lead from nearly everywhere to a good start
-of a run. The remaining prediction errors give the order in which the starts are tried.
+of a run. The remaining prediction errors give the order in which the starts are tried; a run from a
+poor start begins where these steps lead.
 
 The result is a start and no estimate: free states at every segment leave out what connects the
 segments. All starts are evaluated in one call, as if each were a record with its own parameters.

@@ -165,7 +165,7 @@ def test_the_declared_start_is_the_fourth_and_starts_that_lead_to_one_point_are_
     assert order[-1] in (6, 7)
 
 
-def test_starts_that_predict_worse_than_none_begin_where_short_segments_lead(aircraft, solver):
+def test_starts_that_predict_worse_than_the_mean_begin_where_short_segments_lead(aircraft, solver):
     """Four of these ten fail where nodes follow segments that diverge."""
     best = solver.run(np.array(list(VALUES.values()))).cost
     runs = [solver.run(start / 3) for start in drawn(aircraft, 10, 1)]
