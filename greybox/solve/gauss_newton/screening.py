@@ -12,7 +12,6 @@ segments. All starts are evaluated in one call, as if each were a record with it
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -121,12 +120,13 @@ class ShortSegments:
         self.length = min(length, part.data.segment_length)
         self._weight = part.initial_weight()
         copies = np.repeat(np.arange(points), len(self.chosen))
-        # From free states, stiff models begin with fast transients in every segment. Whole implicit
-        # steps damp them; accurate ones took minutes for chains of enzymes.
-        model, scheme = part.model, part.model.method.scheme
-        step = model.step(replace(scheme, substeps=1), 1) if scheme.implicit else part.step
         self._segments = Segments(
-            step, len(copies), self.length, model.active, records=copies, own=True
+            part.whole_step,
+            len(copies),
+            self.length,
+            part.model.active,
+            records=copies,
+            own=True,
         )
 
     def states_from_data(self, z: Array) -> Array:

@@ -1,5 +1,6 @@
 """Starts of records that are improved and compared on short segments before any of them is run."""
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -170,6 +171,14 @@ def test_starts_that_predict_worse_than_the_mean_begin_where_short_segments_lead
     best = solver.run(np.array(list(VALUES.values()))).cost
     runs = [solver.run(start / 3) for start in drawn(aircraft, 10, 1)]
     assert sum(run.converged and run.cost < best + 0.1 for run in runs) > 8
+
+
+def test_workers_move_starts_of_implicit_steps_too(aircraft):
+    """They have no criterion, from which a sample could be compiled."""
+    solver = GaussNewton(compile_problem(aircraft, gb.MultipleShooting(integrator=gb.Radau())))
+    start = drawn(aircraft, 3, 1)[2] / 3
+    elsewhere = pickle.loads(pickle.dumps(solver))
+    assert elsewhere.run(start).cost == solver.run(start).cost
 
 
 # --- quadratic models of points and the states of their segments
