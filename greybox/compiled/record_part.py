@@ -53,7 +53,12 @@ class RecordPart(SegmentedPart):
         A `covariance` is that of a part with other data: the criterion stays behind when a part is
         sent to a worker.
         """
-        step = model.step(model.method.scheme, substeps)
+        scheme = model.method.scheme
+        step = model.step(scheme, substeps)
+        # Compiled here, because a worker has no criterion. From free states, stiff models begin
+        # with fast transients in every segment. Whole implicit steps damp them; accurate ones took
+        # minutes for chains of enzymes.
+        self.whole_step = model.step(replace(scheme, substeps=1), 1) if scheme.implicit else step
         super().__init__(
             model,
             data,

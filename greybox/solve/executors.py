@@ -17,12 +17,11 @@ import pickle
 import signal
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, wait
 from contextlib import suppress
 from functools import partial
 from itertools import islice, starmap
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -58,14 +57,13 @@ def run_all(
     count: int,
     executor: Executor | None,
     memory: Memory | None = None,
-    begins: Mapping[int, Array] = MappingProxyType({}),
 ) -> Made:
     """Yield (number, start, outcome) for every run, until a stop is requested.
 
     The runs come in the order of the `count` starts (s,) in `numbered`. As many are made at once as
     the solver runs together; if a stop cuts a batch short, its finished runs count. With an
     executor the first batch is run here to measure how long a run takes. Runs in the `memory` are
-    not made again. A run begins at its start, or where `begins` says for its number.
+    not made again.
 
     Raises
     ------
@@ -85,7 +83,7 @@ def run_all(
         remaining -= len(batch)
 
         recalled = _recalled(memory, batch)
-        outcomes = recalled or solver.run_together(_begins(batch, begins))
+        outcomes = recalled or solver.run_together(_starts(batch))
         finished = [outcome.status not in CUT_SHORT for outcome in outcomes]
         for run, is_finished in zip(_stored(memory, batch, outcomes), finished, strict=True):
             if is_finished or not any(finished):
@@ -98,7 +96,7 @@ def run_all(
             size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
             size = min(size, math.ceil(remaining / 16))
             tasks = _tasks(batches, memory, size)
-            yield from _on_workers(solver, executor, memory, begins, tasks)
+            yield from _on_workers(solver, executor, memory, tasks)
             return
 
 
@@ -137,9 +135,9 @@ def _recalled(memory: Memory, batch: Batch) -> Outcomes | None:
     return complete if len(complete) == len(batch) else None
 
 
-def _begins(batch: Batch, begins: Mapping[int, Array]) -> Array:
-    """Return where the runs of a batch begin, (r, s)."""
-    return np.array(list(starmap(begins.get, batch)))
+def _starts(batch: Batch) -> Array:
+    """Return the starts of a batch, (r, s)."""
+    return np.array([start for _, start in batch])
 
 
 def _tasks(
@@ -172,7 +170,6 @@ def _on_workers(
     solver: Runner,
     executor: Executor,
     memory: Memory,
-    begins: Mapping[int, Array],
     tasks: Iterator[tuple[Batch, Outcomes | None]],
 ) -> Made:
     """Yield the runs of all tasks in order; some tasks at a time are handed out."""
@@ -186,7 +183,7 @@ def _on_workers(
             future.set_result(recalled)
             return batch, future
         # The time limit belongs to this thread, which the worker does not share.
-        arguments = payload, _begins(batch, begins), os.getpid(), search_end()
+        arguments = payload, _starts(batch), os.getpid(), search_end()
         return batch, executor.submit(run_starts, *arguments)
 
     try:

@@ -52,13 +52,10 @@ class Screened:
         Numbers of the starts, the most promising first.
     costs : (r,) array
         Costs at the starts; infinite where the criterion was not evaluated.
-    begins : (r, p) array
-        Where the runs begin: at the starts, or where the comparison has moved them.
     """
 
     order: IntArray
     costs: Array
-    begins: Array
 
 
 class LocalSolver(Runner):

@@ -91,7 +91,6 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     memory = Memory() if storage is None else Memory(storage, value_fingerprint(solver))
     *counts, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and counts[-1] < len(starts) else None
-    begins = {} if screened is None else dict(enumerate(screened.begins))
 
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf
@@ -101,7 +100,7 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
         waves[-1].sort()
     for wave in waves:
         numbered = ((number, points[number]) for number in wave)
-        for number, start, ended in run_all(solver, numbered, len(wave), executor, memory, begins):
+        for number, start, ended in run_all(solver, numbered, len(wave), executor, memory):
             outcome = _continued(solver, ended, lowest, memory, number)
             results[number] = start, outcome
             lowest = min(lowest, outcome.cost) if outcome.converged else lowest

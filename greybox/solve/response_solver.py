@@ -194,7 +194,7 @@ class ResponseSolver(LocalSolver):
         # A constraint missed by a thousandth weighs as much as a cost of one.
         values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
         values = np.where(np.isfinite(values), values, np.inf)
-        return Screened(np.argsort(values, kind="stable"), values, starts)
+        return Screened(np.argsort(values, kind="stable"), values)
 
     def run_together(self, starts: Array) -> Outcomes:
         """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""

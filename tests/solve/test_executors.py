@@ -466,24 +466,6 @@ def test_tasks_whose_worker_was_lost_are_tried_one_by_one_in_their_order():
     assert (lost.cost, lost.converged) == (np.inf, False)
 
 
-def test_a_run_begins_where_it_is_told_to():
-    begun = run_all(Fragile(-1.0), enumerate(STARTS[:3]), 3, None, begins={1: np.array([7.0])})
-    assert [outcome.estimate[0] for _, _, outcome in begun] == [0.0, 14.0, 4.0]
-    seen = []
-    executor = LastFirst()
-    submit = executor.submit
-    executor.submit = lambda f, payload, starts, *more: (
-        seen.append(starts) or submit(f, payload, starts, *more)
-    )
-    made = run_all(Fragile(-1.0), enumerate(STARTS[:3]), 3, executor, begins={1: np.array([7.0])})
-    assert [(start[0], outcome.estimate[0]) for _, start, outcome in made] == [
-        (0.0, 0.0),
-        (1.0, 14.0),
-        (2.0, 4.0),
-    ]
-    assert np.concatenate(seen).ravel().tolist() == [7.0, 2.0]
-
-
 BUILT = []
 
 

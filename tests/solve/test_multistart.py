@@ -213,7 +213,7 @@ class Compared(ResponseSolver):
 
     def screened(self, starts):
         order = np.arange(len(starts))[::-1]
-        return Screened(order, np.full(len(starts), 7.0), starts)
+        return Screened(order, np.full(len(starts), 7.0))
 
     def run(self, start):
         return Outcome(start, "converged", 1, 0.0, True, float(start[0]), np.zeros(1))

@@ -40,8 +40,10 @@ The nodes follow the data, so an unstable plant does not diverge, whatever the p
 **Far from the minimum** continuity is a penalty on the gaps instead, with a standard deviation that
 shrinks in stages to zero; the first iterations move the nodes alone.
 
-**Many starts.** Of the default starts only the promising ones are run, from where short segments,
-evaluated for all starts at once, have led. Starts whose number the user chose are all run.
+**Many starts.** Of the default starts only the promising ones are run: short segments, evaluated
+for all starts at once, give their order. Starts whose number the user chose are all run. A run
+begins at its start, or, if predictions over whole segments are worse there than the means of the
+outputs, where short segments lead from it.
 
 **Where Newton steps fail**, delays at which the cost jumps are held. A run that no step decreases
 has converged if some combination of the linearizations beside it has a gradient of zero: the

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import SMOOTHING, Part
+from greybox.compiled.part import ASSUMED_ERROR, SMOOTHING, Part
 from greybox.compiled.record_group import Groups, sharing
 from greybox.files.arrays import Array, Arrays, Labels
 from greybox.solve.constraints import Limits
@@ -117,6 +117,14 @@ class AllParts:
             gaps = float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2
             total += part.weight * (part.squared_cost(t, weight) + gaps)
         return total
+
+    def unexplained(self, iterate: Iterate) -> float:
+        """Return the share of the records' variance that predictions over segments leave."""
+        if not iterate.finite:
+            return math.inf
+        records = [(part, t) for part, t in self.along(iterate) if part.has_nodes]
+        squares = sum(part.squared_cost(t, part.initial_weight()) for part, t in records)
+        return 2 * ASSUMED_ERROR**2 * squares / sum(part.numbers for part, _ in records)
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse residual covariances at an iterate."""

@@ -4,14 +4,14 @@ Some segments of the records are simulated, each from a state of its own that co
 and is free to move. Nothing can diverge for long, and neither instability nor many turns of an
 oscillation hide the parameters. A few Gauss-Newton steps of the parameters and of these states,
 over a few samples first and then over whole segments, lead from nearly everywhere to a good start
-of a run. The remaining prediction errors give the order in which the starts are tried.
+of a run. The remaining prediction errors give the order in which the starts are tried; a run from a
+poor start begins where these steps lead.
 
 The result is a start and no estimate: free states at every segment leave out what connects the
 segments. All starts are evaluated in one call, as if each were a record with its own parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -120,26 +120,20 @@ class ShortSegments:
         self.length = min(length, part.data.segment_length)
         self._weight = part.initial_weight()
         copies = np.repeat(np.arange(points), len(self.chosen))
-        # From free states, stiff models begin with fast transients in every segment. Whole implicit
-        # steps damp them; accurate ones took minutes for chains of enzymes.
-        model, scheme = part.model, part.model.method.scheme
-        step = model.step(replace(scheme, substeps=1), 1) if scheme.implicit else part.step
         self._segments = Segments(
-            step, len(copies), self.length, model.active, records=copies, own=True
+            part.whole_step,
+            len(copies),
+            self.length,
+            part.model.active,
+            records=copies,
+            own=True,
         )
 
     def states_from_data(self, z: Array) -> Array:
         """Return the first states (r, m, n), as measured where outputs show them."""
         part = self._part
-        measured, inputs = (values[:, self.chosen] for values in part.at_nodes)
-        initial = part.model.initial_states
-        begins = []
-        for point in z:
-            placed = part.place(point)
-            p = placed.q[: len(part.system.parameters)]
-            states = initial.at(measured, inputs, p, placed.initial)
-            begins.append(initial.as_measured(states, measured).T)
-        return np.array(begins)
+        placed = map(part.place, z)
+        return np.array([part.initial_nodes(at.q, at.initial)[self.chosen] for at in placed])
 
     def evaluated(self, z: Array, states: Array) -> Points:
         """Return the points z (r, p) with the segments simulated from these states (r, m, n)."""

@@ -1,5 +1,6 @@
 """Starts of records that are improved and compared on short segments before any of them is run."""
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -157,16 +158,27 @@ def test_what_is_not_finite_promises_nothing():
     assert sorted(screened.order) == list(range(6))
 
 
-def test_the_declared_start_is_the_fourth_as_it_is_and_the_promising_ones_begin_elsewhere(solver):
+def test_the_declared_start_is_the_fourth_and_starts_that_lead_to_one_point_are_tried_last(solver):
     starts = drawn(gb.Problem(ShortPeriod(), flight()), 8, 0)
-    starts[7] = starts[6]  # leads to the same point: it is tried last, as it is
-    screened = solver.screened(starts)
-    assert screened.order[3] == 0
-    assert_array_equal(screened.begins[0], starts[0])
-    first = screened.order[:3]
-    assert not np.any(screened.begins[first] == starts[first])
-    last = screened.order[-1]
-    assert_array_equal(screened.begins[last], starts[last])
+    starts[7] = starts[6]
+    order = solver.screened(starts).order.tolist()
+    assert order[3] == 0
+    assert order[-1] in (6, 7)
+
+
+def test_starts_that_predict_worse_than_the_mean_begin_where_short_segments_lead(aircraft, solver):
+    """Four of these ten fail where nodes follow segments that diverge."""
+    best = solver.run(np.array(list(VALUES.values()))).cost
+    runs = [solver.run(start / 3) for start in drawn(aircraft, 10, 1)]
+    assert sum(run.converged and run.cost < best + 0.1 for run in runs) > 8
+
+
+def test_workers_move_starts_of_implicit_steps_too(aircraft):
+    """They have no criterion, from which a sample could be compiled."""
+    solver = GaussNewton(compile_problem(aircraft, gb.MultipleShooting(integrator=gb.Radau())))
+    start = drawn(aircraft, 3, 1)[2] / 3
+    elsewhere = pickle.loads(pickle.dumps(solver))
+    assert elsewhere.run(start).cost == solver.run(start).cost
 
 
 # --- quadratic models of points and the states of their segments
