@@ -154,7 +154,10 @@ class ResponseCompiler:
             return None
         fields = "model", "signals", "amplitude", "criterion", "rename", "tied"
         stated = [[getattr(part, field) for field in fields] for part in parts]
-        shapes = [(part.response.omega, *columns_of(part.response)) for part in parts]
+        shapes = [
+            (part.response.omega, part.response.divided_hold, *columns_of(part.response))
+            for part in parts
+        ]
         common = *self.problem.parameters.items(), *self.weights, len(self.problem.parts)
         with suppress(Exception):  # a lambda has no key
             return study, value_fingerprint((stated, shapes, common))
@@ -361,8 +364,8 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
     """
 
     def place(part: Problem) -> tuple[Any, ...]:
-        omega = part.response.omega.tobytes()
-        return id(part.model), part.at, part.delay, part.amplitude is None, omega
+        omega, hold = part.response.omega.tobytes(), part.response.divided_hold
+        return id(part.model), part.at, part.delay, part.amplitude is None, omega, hold
 
     for _, alike in groupby(parts, place):
         members = [*alike]
@@ -375,7 +378,13 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
         pairs = [(part.signals["input"], part.signals["output"]) for part in members]
         symbol = ca.SX.sym("omega") if is_large else None
         for formula in response_formulas(
-            first.model, omega, pairs, symbol, at=first.at, pade=delay_order(first.delay)
+            first.model,
+            omega,
+            pairs,
+            symbol,
+            at=first.at,
+            pade=delay_order(first.delay),
+            hold=first.response.divided_hold,
         ):
             if is_large:
                 p, w, _ = formula.function.mx_in()

@@ -15,12 +15,14 @@ small where the residuals are, and may be indefinite far away from a minimum.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
+from greybox.data.intersample import sampled_response
 from greybox.files.arrays import (
     Array,
     ArrayTriple,
@@ -58,6 +60,8 @@ class SharedSystem:
         (e + m, p), column by column.
     pairs : tuple of (part, points)
         The points (3, n) of a part: outputs, inputs, and places in `omega`.
+    hold : float, s
+        See `sampled_response`.
     """
 
     states: int
@@ -67,6 +71,7 @@ class SharedSystem:
     rows: IntArray
     entries: Columns
     pairs: tuple[tuple[int, IntArray], ...]
+    hold: float
 
     def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
         """Return S (k, n + l, n + m), delays (k, m), and their derivatives by z (p, k).
@@ -88,27 +93,36 @@ class SharedSystem:
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
+        at = np.hstack([places for _, (_, _, places) in self.pairs])
+        response = partial(self._responses, z)
+        result = sampled_response(response, 1j * self.omega[at, None], self.hold)
+        return result[..., 0], result[..., 1:]
+
+    def _responses(self, z: Array, s: Any) -> ComplexArray:
+        """Return the points of all pairs, or at one real s what they would be, and derivatives."""
+        omega = self.omega if np.ndim(s) else np.full(self.omega.shape, s / 1j)
         n = self.states
         S, delays, slopes, delay_slopes = self.matrices(z)
-        inverse = resolvents(S[:, :n, :n], self.omega)
+        inverse = resolvents(S[:, :n, :n], omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
         shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
         E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-        right *= np.exp(-1j * self.omega[:, None] * delays[:, None])[:, :, None]
+        right *= np.exp(-1j * omega[:, None] * delays[:, None])[:, :, None]
 
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
         outputs, inputs, at = points
         response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
-        by_delay = (1j * self.omega[at] * response)[..., None] * delay_slopes[:, inputs]
+        by_delay = (1j * omega[at] * response)[..., None] * delay_slopes[:, inputs]
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
         outputs, inputs, at = points[..., None]
         by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
-        return response, by_entry @ slopes[:, moving] - by_delay
+        by_z = by_entry @ slopes[:, moving] - by_delay
+        return np.concatenate([response[..., None], by_z], axis=-1)
 
 
 class SineTest(Rebuilt):
@@ -283,7 +297,8 @@ def shared_systems(
             continue
         if not part.model.state_names or part.delay != "exact":
             return None
-        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
+        own = repr(sorted(part.at.items())), local[k].serialize(), part.response.divided_hold
+        key = id(part.model), *own
         groups.setdefault(key, []).append(k)
     for members in groups.values():
         systems.append(_system(parts, members, point, values[members[0]]))
@@ -319,4 +334,5 @@ def _system(
         rows=np.array(system.sparsity().get_triplet(), dtype=int).T,
         entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
+        hold=data.divided_hold,
     )

@@ -1,6 +1,7 @@
 """The frequency response of a model, in numbers and compiled; an ODE is linearized."""
 
 from collections.abc import Sequence
+from functools import cache, partial
 from typing import Any
 
 import casadi as ca
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import sampled_response
 from greybox.files.arrays import Array, StringPair, Values, all_finite
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
@@ -95,9 +97,11 @@ def response_formulas(
     *,
     at: Values | None = None,
     pade: int | None = None,
+    hold: float = 0.0,
 ) -> list[Trimmed]:
     """Compile frequency responses at `omega` (n,): real and imaginary parts.
 
+    After a `hold` (s) of the input they are those of samples, see `sampled_response`.
     `pairs` are inputs and outputs; the responses of a state space share one elimination. With a
     `symbol`, the functions take one frequency as their last input; `omega` are the values that will
     occur.
@@ -109,7 +113,9 @@ def response_formulas(
     if isinstance(model, TransferFunction):
         _, p = symbols(model)
         require_operating_point(model, at)
-        result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
+        formula = partial(traced, f"{model.label}.response", model.response)
+        names = parameter_names(model, p)
+        result = sampled_response(lambda line: formula(line, names), s, hold)
         parts = _columns(result, s, model.label)
         require_no_nan(f"{model.label}.response", ca.vertcat(*parts))
         formula = Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
@@ -132,12 +138,18 @@ def response_formulas(
         for r in range(n + len(k))
     ]
     at_point = Trimmed(trim.root, ca.Function("system", [p, w], [system]))
-    results = eliminated(entries, s, _elimination_order(model, at_point, omega, len(k)))
-    formulas = []
-    for input, output in pairs:
-        result = results[outputs.index(output)][inputs.index(input)]
+    order = _elimination_order(model, at_point, omega, len(k))
+    solved = cache(partial(eliminated, entries, order=order))
+
+    def response_of(input: str, output: str, line: Any) -> Any:
+        result = solved(line)[outputs.index(output)][inputs.index(input)]
         if input in model.delays:
-            result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
+            result = result * exp(-line * p[list(model.parameters).index(model.delays[input])])
+        return result
+
+    formulas = []
+    for pair in pairs:
+        result = sampled_response(partial(response_of, *pair), s, hold)
         parts = _columns(result, s, model.label)
         formulas.append(Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts)))
     return formulas
