@@ -93,13 +93,14 @@ class SharedSystem:
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
-        at = np.hstack([places for _, (_, _, places) in self.pairs])
-        response = partial(self._responses, z)
-        result = sampled_response(response, 1j * self.omega[at, None], self.hold)
+        # Pairs have frequencies of their own: derivatives are computed where one is measured.
+        points = np.hstack([own for _, own in self.pairs])
+        response = partial(self._responses, z, points)
+        result = sampled_response(response, 1j * self.omega[points[2], None], self.hold)
         return result[..., 0], result[..., 1:]
 
-    def _responses(self, z: Array, s: Any) -> ComplexArray:
-        """Return the points of all pairs, or at one real s what they would be, and derivatives."""
+    def _responses(self, z: Array, points: IntArray, s: Any) -> ComplexArray:
+        """Return responses and derivatives at points (3, N), or in place of these at one real s."""
         omega = self.omega if np.ndim(s) else np.full(self.omega.shape, s / 1j)
         n = self.states
         S, delays, slopes, delay_slopes = self.matrices(z)
@@ -111,8 +112,6 @@ class SharedSystem:
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
         right *= np.exp(-1j * omega[:, None] * delays[:, None])[:, :, None]
 
-        # Pairs have frequencies of their own: derivatives are computed where one is measured.
-        points = np.hstack([own for _, own in self.pairs])
         outputs, inputs, at = points
         response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
         by_delay = (1j * omega[at] * response)[..., None] * delay_slopes[:, inputs]
@@ -297,8 +296,8 @@ def shared_systems(
             continue
         if not part.model.state_names or part.delay != "exact":
             return None
-        own = repr(sorted(part.at.items())), local[k].serialize(), part.response.divided_hold
-        key = id(part.model), *own
+        hold = part.response.divided_hold
+        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize(), hold
         groups.setdefault(key, []).append(k)
     for members in groups.values():
         systems.append(_system(parts, members, point, values[members[0]]))

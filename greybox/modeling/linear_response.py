@@ -1,7 +1,7 @@
 """The frequency response of a model, in numbers and compiled; an ODE is linearized."""
 
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -113,9 +113,8 @@ def response_formulas(
     if isinstance(model, TransferFunction):
         _, p = symbols(model)
         require_operating_point(model, at)
-        formula = partial(traced, f"{model.label}.response", model.response)
-        names = parameter_names(model, p)
-        result = sampled_response(lambda line: formula(line, names), s, hold)
+        owner, names = f"{model.label}.response", parameter_names(model, p)
+        result = sampled_response(lambda q: traced(owner, model.response, q, names), s, hold)
         parts = _columns(result, s, model.label)
         require_no_nan(f"{model.label}.response", ca.vertcat(*parts))
         formula = Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
@@ -139,20 +138,16 @@ def response_formulas(
     ]
     at_point = Trimmed(trim.root, ca.Function("system", [p, w], [system]))
     order = _elimination_order(model, at_point, omega, len(k))
-    solved = cache(partial(eliminated, entries, order=order))
+    solved = cache(lambda line: eliminated(entries, line, order))
 
-    def response_of(input: str, output: str, line: Any) -> Any:
-        result = solved(line)[outputs.index(output)][inputs.index(input)]
-        if input in model.delays:
-            result = result * exp(-line * p[list(model.parameters).index(model.delays[input])])
-        return result
-
-    formulas = []
-    for pair in pairs:
-        result = sampled_response(partial(response_of, *pair), s, hold)
+    def formula_of(input: str, output: str) -> Trimmed:
+        row, column = outputs.index(output), inputs.index(input)
+        late = sum(p[i] for i, n in enumerate(model.parameters) if n == model.delays.get(input))
+        result = sampled_response(lambda q: solved(q)[row][column] * exp(-q * late), s, hold)
         parts = _columns(result, s, model.label)
-        formulas.append(Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts)))
-    return formulas
+        return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
+
+    return [formula_of(*pair) for pair in pairs]
 
 
 def _elimination_order(
