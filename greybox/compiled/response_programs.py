@@ -330,16 +330,14 @@ class ResponseCompiler:
     def systems(self) -> dict[int, SharedSystem | SineTest]:
         """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
-        named = entries_by_name(self.names, x)
-        shared = shared_systems(self.parts, x, named) or []
+        shared = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
         return dict(pair for system in shared for pair in system.of_pairs())
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
         if len(self.parts) < len(self.problem.parts):
             return None
-        named = self.values_at(self.point, self.constants)
-        systems = shared_systems(self.parts, self.point, named)
+        systems = shared_systems(self.parts, self.point, self.values_at(self.point, self.constants))
         if systems is None:
             return None
         data, _, measured = self.at_point()
@@ -372,8 +370,7 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
         first, omega = members[0], members[0].response.omega
         if first.amplitude is not None:
             for part in members:
-                balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
-                yield balance.function()
+                yield compiled_balance(part.model, omega, part.amplitude, **part.signals).function()
             continue
         pairs = [(part.signals["input"], part.signals["output"]) for part in members]
         symbol = ca.SX.sym("omega") if is_large else None

@@ -15,7 +15,6 @@ small where the residuals are, and may be indefinite far away from a minimum.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -95,8 +94,8 @@ class SharedSystem:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
-        response = partial(self._responses, z, points)
-        result = sampled_response(response, 1j * self.omega[points[2], None], self.hold)
+        s = 1j * self.omega[points[2], None]
+        result = sampled_response(lambda line: self._responses(z, points, line), s, self.hold)
         return result[..., 0], result[..., 1:]
 
     def _responses(self, z: Array, points: IntArray, s: Any) -> ComplexArray:
@@ -120,8 +119,8 @@ class SharedSystem:
         i, j = self.rows[moving].T
         outputs, inputs, at = points[..., None]
         by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
-        by_z = by_entry @ slopes[:, moving] - by_delay
-        return np.concatenate([response[..., None], by_z], axis=-1)
+        slopes = by_entry @ slopes[:, moving] - by_delay
+        return np.concatenate([response[..., None], slopes], axis=-1)
 
 
 class SineTest(Rebuilt):
@@ -242,8 +241,7 @@ class SharedResponses:
         members = np.repeat(members, [len(self.data[part]) for part in members])
         self._order = np.argsort(members, kind="stable")
         second, first = ca.hessian(cost, symbols[0])
-        pattern = second.sparsity()
-        self._second = np.array(pattern.get_triplet())
+        self._second = np.array(second.sparsity().get_triplet())
         outputs = [cost, first, second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
 
@@ -260,8 +258,7 @@ class SharedResponses:
         The columns of `data` (g, k) are those of `CompiledProblem`.
         """
         values, slopes = self.stacked(z)
-        numbers = real_and_imaginary(values, 1).T
-        cost, first, second = self._criterion(numbers, smoothing, data)
+        cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 1)
         gradient = first.T[:, None] @ jacobian
         left, right = (jacobian[:, rows] for rows in self._second)
@@ -333,5 +330,5 @@ def _system(
         rows=np.array(system.sparsity().get_triplet(), dtype=int).T,
         entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
-        hold=data.divided_hold,
+        hold=parts[members[0]].response.divided_hold,
     )

@@ -88,7 +88,7 @@ def sampled_response(response: Callable[[Any], Any], s: Any, hold: float) -> Any
         return own
     x, near, far = s * hold, response(1e3 / hold), response(2e3 / hold)
     at_once, rate = 2 * far - near, (near - far) * (1e3 / 6)
-    return own + (x / 2 + x * x / 12) * at_once + (x * x / 20 - 1) * x * rate
+    return own + x * ((x / 12 + 0.5) * at_once + (x * x / 20 - 1) * rate)
 
 
 def checked_hold(name: str, seconds: Any) -> float:

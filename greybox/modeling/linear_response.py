@@ -116,9 +116,9 @@ def response_formulas(
         owner, names = f"{model.label}.response", parameter_names(model, p)
         result = sampled_response(lambda q: traced(owner, model.response, q, names), s, hold)
         parts = _columns(result, s, model.label)
-        require_no_nan(f"{model.label}.response", ca.vertcat(*parts))
-        formula = Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
-        return [formula] * len(pairs)
+        require_no_nan(owner, ca.vertcat(*parts))
+        response = ca.Function("response", [p, ca.SX(0, 1), *frequency], parts)
+        return [Trimmed(None, response)] * len(pairs)
 
     assert isinstance(model, StateSpace)
     n = len(model.states)
@@ -140,14 +140,14 @@ def response_formulas(
     order = _elimination_order(model, at_point, omega, len(k))
     solved = cache(lambda line: eliminated(entries, line, order))
 
-    def formula_of(input: str, output: str) -> Trimmed:
+    def formula(input: str, output: str) -> Trimmed:
         row, column = outputs.index(output), inputs.index(input)
-        late = sum(p[i] for i, n in enumerate(model.parameters) if n == model.delays.get(input))
+        late = sum(p[i] for i, q in enumerate(model.parameters) if q == model.delays.get(input))
         result = sampled_response(lambda q: solved(q)[row][column] * exp(-q * late), s, hold)
         parts = _columns(result, s, model.label)
         return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
 
-    return [formula_of(*pair) for pair in pairs]
+    return [formula(*pair) for pair in pairs]
 
 
 def _elimination_order(

@@ -145,8 +145,7 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
 
     derivative = ca.substitute(derivative, z, point)
     residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
-    start = start_values(model.parameters)
-    guess, rows = _presolve(model, at, residual, start, len(unknown))
+    guess, rows = _presolve(model, at, residual, start_values(model.parameters), len(unknown))
     return _rootfinder(model, w, p, point, derivative, guess, rows)
 
 

@@ -97,8 +97,7 @@ def run_all(
             seconds = sum(outcome.seconds for outcome in outcomes)
             size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
             size = min(size, math.ceil(remaining / 16))
-            tasks = _tasks(batches, memory, size)
-            yield from _on_workers(solver, executor, memory, begins, tasks)
+            yield from _on_workers(solver, executor, memory, begins, _tasks(batches, memory, size))
             return
 
 

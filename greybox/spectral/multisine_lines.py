@@ -61,8 +61,7 @@ def periodic_response(
     ValueError
         If the period is not a whole number of samples, or there are fewer than three periods.
     """
-    signals = (input, output, instrument or input)
-    stretches, spectra = period_spectra(records, period, signals)
+    stretches, spectra = period_spectra(records, period, (input, output, instrument or input))
     # The instrument has no noise of the loop, so its lines are the clearest.
     amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())

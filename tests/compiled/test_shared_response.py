@@ -36,7 +36,7 @@ class Roll(gb.StateSpace):
         return x.v, x.p, p.Yv * x.v + p.Lp * p.Lv * x.p + u.ped
 
 
-def problem(criterion, seed=0):
+def problem(criterion, seed=0, **about):
     random, model = np.random.default_rng(seed), Roll()
     responses = []
     for y in Roll.outputs:
@@ -48,17 +48,23 @@ def problem(criterion, seed=0):
             response = (exact + noise[0] + 1j * noise[1])[own]
             responses.append(
                 gb.FrequencyResponse(
-                    OMEGA[own], response, input=u, output=y, coherence=np.full(response.size, 0.9)
+                    OMEGA[own],
+                    response,
+                    input=u,
+                    output=y,
+                    coherence=np.full(response.size, 0.9),
+                    **about,
                 )
             )
     return gb.Problem(model, responses, criterion=criterion, weight={"p/lat": 2.0})
 
 
+@pytest.mark.parametrize("about", [{}, {"hold of the input, s": "0.02"}], ids=["", "held"])
 @pytest.mark.parametrize(
     "criterion", [gb.RelativeError(), gb.MagnitudePhase(), gb.RelativeLikelihood()]
 )
-def test_cost_and_gradient_are_those_of_the_expressions(criterion):
-    nlp = compile_problem(problem(criterion))
+def test_cost_and_gradient_are_those_of_the_expressions(criterion, about):
+    nlp = compile_problem(problem(criterion, about=about))
     program = nlp.programs[-1]
     z = np.random.default_rng(1).uniform(0.1, 0.9, (6, 3))
     cost, gradient, hessian = program.shared(

@@ -64,8 +64,7 @@ class GaussNewton(LocalSolver):
     @DIVERGING
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
-        begin = self._parts.at(self._nearest(start))
-        return self._solved(begin, self._parts.first_progress())
+        return self._solved(self._parts.at(self._nearest(start)), self._parts.first_progress())
 
     @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
@@ -91,8 +90,7 @@ class GaussNewton(LocalSolver):
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
     ) -> Outcome:
         nlp, began = self.nlp, time.perf_counter()
-        most = iterations or self.settings.max_iter
-        end = descend(self._parts, iterate, progress, most)
+        end = descend(self._parts, iterate, progress, iterations or self.settings.max_iter)
         iterate = end.iterate
         status = end.status
 
@@ -183,8 +181,7 @@ class GaussNewton(LocalSolver):
         else:
             first = self._parts.at(self.nlp.scaling.to_solver(x))
             progress = self._parts.first_progress()
-            most = self.settings.max_iter
-            end = descend(self._parts, first, progress, most, states_only=True)
+            end = descend(self._parts, first, progress, self.settings.max_iter, states_only=True)
             iterate = end.iterate
             converged = end.status.startswith(CONVERGED)
 
