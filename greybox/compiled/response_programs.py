@@ -155,8 +155,7 @@ class ResponseCompiler:
         fields = "model", "signals", "amplitude", "criterion", "rename", "tied"
         stated = [[getattr(part, field) for field in fields] for part in parts]
         shapes = [
-            (part.response.omega, part.response.divided_hold, *columns_of(part.response))
-            for part in parts
+            (part.response.omega, part.sampled_hold, *columns_of(part.response)) for part in parts
         ]
         common = *self.problem.parameters.items(), *self.weights, len(self.problem.parts)
         with suppress(Exception):  # a lambda has no key
@@ -362,7 +361,7 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
     """
 
     def place(part: Problem) -> tuple[Any, ...]:
-        omega, hold = part.response.omega.tobytes(), part.response.divided_hold
+        omega, hold = part.response.omega.tobytes(), part.sampled_hold
         return id(part.model), part.at, part.delay, part.amplitude is None, omega, hold
 
     for _, alike in groupby(parts, place):
@@ -381,7 +380,7 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
             symbol,
             at=first.at,
             pade=delay_order(first.delay),
-            hold=first.response.divided_hold,
+            hold=first.sampled_hold,
         ):
             if is_large:
                 p, w, _ = formula.function.mx_in()

@@ -293,8 +293,8 @@ def shared_systems(
             continue
         if not part.model.state_names or part.delay != "exact":
             return None
-        hold = part.response.divided_hold
-        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize(), hold
+        at = repr(sorted(part.at.items()))
+        key = id(part.model), at, local[k].serialize(), part.sampled_hold
         groups.setdefault(key, []).append(k)
     for members in groups.values():
         systems.append(_system(parts, members, point, values[members[0]]))
@@ -330,5 +330,5 @@ def _system(
         rows=np.array(system.sparsity().get_triplet(), dtype=int).T,
         entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
-        hold=parts[members[0]].response.divided_hold,
+        hold=parts[members[0]].sampled_hold,
     )

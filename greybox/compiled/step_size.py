@@ -57,8 +57,7 @@ def substeps_and_segment(
         # Gains of process noise are not drawn, and no initial state depends on them.
         gains = np.zeros(len(model.parameters) - len(declared))
         known = model.initial(np.concatenate([declared, gains]))[0].full().ravel()
-        states = initial_states.at(outputs, inputs, p, known)
-        poles = initial_states.poles(states, inputs, p)
+        poles = initial_states.poles(initial_states.at(outputs, inputs, p, known), inputs, p)
         if poles.size:
             counts.append(
                 stable_substeps(poles, step, reach=integrator.reach, wave=integrator.wave)

@@ -80,14 +80,16 @@ def sampled_response(response: Callable[[Any], Any], s: Any, hold: float) -> Any
     of its rate. That follows from the first terms D + M / s of the response there, by Euler and
     Maclaurin's series in x = s hold: D x / (1 - exp(-x)), since an output that the input reaches at
     once is sampled after a step of the input, and M / s (x / 2)² / sinh² (x / 2). The response at
-    two real s has both terms, and none of those with a delay: a delay by parts of a sample folds
-    back more or less, on average nothing.
+    two real s has both terms, and none with a delay: by the fraction of a sample by which it is
+    late, more or less is folded back, on average nothing.
     """
     own = response(s)
     if not hold:
         return own
-    x, near, far = s * hold, response(1e3 / hold), response(2e3 / hold)
-    at_once, rate = 2 * far - near, (near - far) * (1e3 / 6)
+    # Poles up to the sampling rate are slow there, and delays above a hundredth of a sample are not
+    # seen.
+    x, near, far = s * hold, response(1e2 / hold), response(2e2 / hold)
+    at_once, rate = 2 * far - near, (near - far) * (1e2 / 6)
     return own + x * ((x / 12 + 0.5) * at_once + (x * x / 20 - 1) * rate)
 
 

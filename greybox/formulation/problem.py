@@ -444,6 +444,13 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         return {"input": data.input, "output": data.output, "at": self.at, "pade": pade}
 
     @property
+    def sampled_hold(self) -> float:
+        """The divided hold of a response, s; zero without one, and where the input has a delay."""
+        data = self.response
+        input, _ = pick_signals(self.model, data.input, data.output)
+        return data.divided_hold * (input not in getattr(self.model, "delays", ()))
+
+    @property
     def record(self) -> Record:
         """The data, if they are a record."""
         assert isinstance(self.data, Record)

@@ -73,8 +73,7 @@ def frequency_response(
             pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
             b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
             plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
-            shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
-            delayed = exp(shift) * plant
+            delayed = exp(-system.delays[i] * Complex(np.zeros_like(omega), omega, pade)) * plant
             response = delayed.re + 1j * delayed.im
 
     if not all_finite(response):

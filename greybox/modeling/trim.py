@@ -231,8 +231,7 @@ def _rootfinder(
     # Two more steps give the derivatives, see `Trimmed`. Without a root the point becomes infinite,
     # so that the run fails instead of using it.
     step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
-    exact = step(step(w, p), p)
-    full = ca.substitute(point, w, exact) / is_root(w, p)
+    full = ca.substitute(point, w, step(step(w, p), p)) / is_root(w, p)
     n = len(model.states)
     return Trimmed(
         ca.Function("root", [parameters], [root]),

@@ -403,8 +403,7 @@ def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
     # With an instrument, a line informs in proportion to both amplitudes.
     amplitude = np.sqrt(np.abs(u) * np.abs(r))
     basis, _ = np.linalg.qr(amplitude[:, None] * np.vander(fitted.x, NODES, increasing=True))
-    nodes = np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis))
-    return fitted.center + fitted.half * nodes
+    return fitted.center + fitted.half * np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis))
 
 
 def _beside(

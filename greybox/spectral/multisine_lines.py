@@ -65,8 +65,7 @@ def periodic_response(
     # The instrument has no noise of the loop, so its lines are the clearest.
     amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
-    omega = (1 + lines) * (HZ / period)
-    points = _estimates(omega, *np.moveaxis(spectra[:, :, lines], 1, 0))
+    points = _estimates((1 + lines) * (HZ / period), *np.moveaxis(spectra[:, :, lines], 1, 0))
     return without_incoherent(response_at(points, (input, output, name), stretches))
 
 

@@ -98,8 +98,7 @@ def descended(
         step = np.linalg.solve(_damped(hessian, damping), -gradient[:, :, None])[:, :, 0]
         z = limits.clipped(points.z + step)
         along = np.concatenate([np.ones((len(z), 1)), z - points.z], axis=1)
-        states = points.states + np.einsum("rmnp,rp->rmn", follow, along)
-        trial = evaluated(z, states, records)
+        trial = evaluated(z, points.states + np.einsum("rmnp,rp->rmn", follow, along), records)
         damping = np.where(trial.cost < points.cost, damping / 10, damping * 10)
         points = lower(points, trial)
     return points
