@@ -141,8 +141,9 @@ def response_formulas(
 
     def formula(input: str, output: str) -> Trimmed:
         row, column = outputs.index(output), inputs.index(input)
-        late = sum(p[i] for i, q in enumerate(model.parameters) if q == model.delays.get(input))
-        result = sampled_response(lambda q: solved(q)[row][column] * exp(-q * late), s, hold)
+        result = sampled_response(lambda q: solved(q)[row][column], s, hold)
+        if input in model.delays:
+            result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
         parts = _columns(result, s, model.label)
         return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
 
