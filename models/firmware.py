@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import greybox as gb
-from greybox.data.intersample import NO_HOLD, response_of_hold
+from greybox.data.intersample import response_of_hold
 from greybox.experiment.control_check import ControlCheck, check_controller
 from greybox.experiment.controller import sensors_of
 from greybox.experiment.measured_loop import broken_loop
@@ -156,7 +156,7 @@ class FlownController:
                     f"signals={{'q': '{plant.output}{DOT}'}}, or measure {name}."
                 )
         linear = linear_controller(self.controllers, sensors, (plant.input,))
-        if NO_HOLD in plant.about:  # this loop holds the control, whatever the fitted flight did
+        if plant.divided_hold:  # this loop holds the control, whatever the fitted flight did
             plant = plant.times(response_of_hold(plant.omega, 1 / self.law.rate))
         s = 1j * plant.omega
         control = linear.response(np.exp(s / self.law.rate))

@@ -29,5 +29,4 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     fit, problem = stated_fit(options)
     result = profile(fit, options.names or None, problem=problem, level=options.level)
-    lines = save_figure(options.plot, "profiles", result)
-    return result.summary(), str(result), *lines
+    return result.summary(), str(result), *save_figure(options.plot, "profiles", result)

@@ -103,8 +103,7 @@ def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
         ],
         "units": {name: unit for name, unit in measured.record.units.items() if unit},
     }
-    write = partial(write_responses, measured.responses)
-    return measured, answer, write, measured.responses
+    return measured, answer, partial(write_responses, measured.responses), measured.responses
 
 
 def _origin(recording: Recording, measured: Any) -> Fields:

@@ -302,8 +302,7 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
         for k, constraint in enumerate(part.constraints):
             # Formulas are compared as compiled: equal lambdas are different objects in Python.
             label, value = f"constraints[{k}] of {part.name!r}", ca.SX(constraint(local))
-            formula = ca.Function("formula", [x], [value])
-            limits.setdefault(formula.serialize(), (label, value))
+            limits.setdefault(ca.Function("formula", [x], [value]).serialize(), (label, value))
         for name in part.tied:
             sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
             for side, bound, sign in sides:

@@ -55,8 +55,7 @@ def _with_symbols(data: FrequencyResponse, symbols: Any) -> FrequencyResponse:
     """Return the data with symbols in place of their numbers."""
     re, im, magnitude, *others = ca.vertsplit(symbols, len(data))
     opened = copy(data)  # a new one would check its values, which are symbols
-    columns = by_name(columns_of(data), others)
-    vars(opened).update(response=_Measured(re, im, magnitude), **columns)
+    vars(opened).update(response=_Measured(re, im, magnitude), **by_name(columns_of(data), others))
     return opened
 
 

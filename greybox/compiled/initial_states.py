@@ -126,8 +126,7 @@ def _mended(states: Array, finite: BoolArray) -> Array:
     if not finite.any():
         return np.zeros_like(states)
     usable = np.flatnonzero(finite)
-    nearest = np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)
-    return states[:, usable[nearest]]
+    return states[:, usable[np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)]]
 
 
 def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, float]]:

@@ -212,8 +212,7 @@ def _shared_functions(
     if system.undelayed:
         # In addition to the rest at the first inputs, which differs between stretches.
         bias = [-local[f"{i}_bias"] if i in criterion.biases else 0 for i in system.inputs]
-        steady = system.delay_rest(ca.vertcat(*bias))
-        states[len(system.undelayed.states) :] = ca.vertsplit(steady)
+        states[len(system.undelayed.states) :] = ca.vertsplit(system.delay_rest(ca.vertcat(*bias)))
 
     known = ca.Function("known", [symbol], [ca.vertcat(ca.SX(0, 1), *states)])
     return system, known, InitialStates(system, outputs), {}

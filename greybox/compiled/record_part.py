@@ -99,8 +99,7 @@ class RecordPart(SegmentedPart):
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":
         """Return the part with `factor` times the substeps."""
-        substeps = factor * self.substeps
-        return RecordPart(self.model, self.data, substeps, covariance=self.covariance)
+        return RecordPart(self.model, self.data, factor * self.substeps, covariance=self.covariance)
 
     # --- facts
 
@@ -146,8 +145,7 @@ class RecordPart(SegmentedPart):
             q[len(q) - count :] = steady.gain.ravel()
             slope[estimated:] = steady.gain_slope.reshape(count, estimated) @ slope[:estimated]
 
-        data = self.data_at(delay.ravel())
-        return Placed(q, slope, data, initial.ravel(), initial_slope, steady)
+        return Placed(q, slope, self.data_at(delay.ravel()), initial.ravel(), initial_slope, steady)
 
     @cached_property
     def noise_model(self) -> NoiseModel | None:
@@ -169,8 +167,7 @@ class RecordPart(SegmentedPart):
 
         # A steady filter belongs to one linear model: the one about the mean state.
         outputs, inputs = self.at_nodes
-        unknown = np.full(self.states, np.nan)
-        nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
+        nodes = model.initial_states.at(outputs, inputs, model.begin, np.full(self.states, np.nan))
         rows = data.rows(np.zeros(len(self.system.inputs)))
         reference = nodes.mean(axis=1), rows.mean(axis=1)
         step = max(data.stretches, key=len).step

@@ -154,7 +154,9 @@ class ResponseCompiler:
             return None
         fields = "model", "signals", "amplitude", "criterion", "rename", "tied"
         stated = [[getattr(part, field) for field in fields] for part in parts]
-        shapes = [(part.response.omega, *columns_of(part.response)) for part in parts]
+        shapes = [
+            (part.response.omega, part.sampled_hold, *columns_of(part.response)) for part in parts
+        ]
         common = *self.problem.parameters.items(), *self.weights, len(self.problem.parts)
         with suppress(Exception):  # a lambda has no key
             return study, value_fingerprint((stated, shapes, common))
@@ -327,16 +329,14 @@ class ResponseCompiler:
     def systems(self) -> dict[int, SharedSystem | SineTest]:
         """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
-        named = entries_by_name(self.names, x)
-        shared = shared_systems(self.parts, x, named) or []
+        shared = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
         return dict(pair for system in shared for pair in system.of_pairs())
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
         if len(self.parts) < len(self.problem.parts):
             return None
-        named = self.values_at(self.point, self.constants)
-        systems = shared_systems(self.parts, self.point, named)
+        systems = shared_systems(self.parts, self.point, self.values_at(self.point, self.constants))
         if systems is None:
             return None
         data, _, measured = self.at_point()
@@ -361,21 +361,26 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
     """
 
     def place(part: Problem) -> tuple[Any, ...]:
-        omega = part.response.omega.tobytes()
-        return id(part.model), part.at, part.delay, part.amplitude is None, omega
+        omega, hold = part.response.omega.tobytes(), part.sampled_hold
+        return id(part.model), part.at, part.delay, part.amplitude is None, omega, hold
 
     for _, alike in groupby(parts, place):
         members = [*alike]
         first, omega = members[0], members[0].response.omega
         if first.amplitude is not None:
             for part in members:
-                balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
-                yield balance.function()
+                yield compiled_balance(part.model, omega, part.amplitude, **part.signals).function()
             continue
         pairs = [(part.signals["input"], part.signals["output"]) for part in members]
         symbol = ca.SX.sym("omega") if is_large else None
         for formula in response_formulas(
-            first.model, omega, pairs, symbol, at=first.at, pade=delay_order(first.delay)
+            first.model,
+            omega,
+            pairs,
+            symbol,
+            at=first.at,
+            pade=delay_order(first.delay),
+            hold=first.sampled_hold,
         ):
             if is_large:
                 p, w, _ = formula.function.mx_in()

@@ -167,8 +167,7 @@ class Segments:
 
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
-        by_segment = values.reshape(-1, self.count, self.length)
-        return by_segment.swapaxes(1, 2).reshape(values.shape)
+        return values.reshape(-1, self.count, self.length).swapaxes(1, 2).reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
@@ -370,8 +369,7 @@ def _product(slopes: Array, S: Array) -> Array:
     # With twelve states or more, products of matrices take less time than sums over segments.
     if len(slopes) <= 12:
         return np.einsum("jac,jvc->avc", slopes, S)
-    matrices = np.ascontiguousarray(slopes.T)
-    return (matrices @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
+    return (np.ascontiguousarray(slopes.T) @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
 
 
 def _finite(values: Arrays) -> list[Array]:

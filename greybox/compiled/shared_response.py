@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
+from greybox.data.intersample import sampled_response
 from greybox.files.arrays import (
     Array,
     ArrayTriple,
@@ -58,6 +59,8 @@ class SharedSystem:
         (e + m, p), column by column.
     pairs : tuple of (part, points)
         The points (3, n) of a part: outputs, inputs, and places in `omega`.
+    hold : float, s
+        See `sampled_response`.
     """
 
     states: int
@@ -67,6 +70,7 @@ class SharedSystem:
     rows: IntArray
     entries: Columns
     pairs: tuple[tuple[int, IntArray], ...]
+    hold: float
 
     def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
         """Return S (k, n + l, n + m), delays (k, m), and their derivatives by z (p, k).
@@ -88,27 +92,35 @@ class SharedSystem:
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
+        # Pairs have frequencies of their own: derivatives are computed where one is measured.
+        points = np.hstack([own for _, own in self.pairs])
+        s = 1j * self.omega[points[2], None]
+        result = sampled_response(lambda line: self._responses(z, points, line), s, self.hold)
+        return result[..., 0], result[..., 1:]
+
+    def _responses(self, z: Array, points: IntArray, s: Any) -> ComplexArray:
+        """Return responses and derivatives at points (3, N), or in place of these at one real s."""
+        omega = self.omega if np.ndim(s) else np.full(self.omega.shape, s / 1j)
         n = self.states
         S, delays, slopes, delay_slopes = self.matrices(z)
-        inverse = resolvents(S[:, :n, :n], self.omega)
+        inverse = resolvents(S[:, :n, :n], omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
         shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
         E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-        right *= np.exp(-1j * self.omega[:, None] * delays[:, None])[:, :, None]
+        right *= np.exp(-1j * omega[:, None] * delays[:, None])[:, :, None]
 
-        # Pairs have frequencies of their own: derivatives are computed where one is measured.
-        points = np.hstack([own for _, own in self.pairs])
         outputs, inputs, at = points
         response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
-        by_delay = (1j * self.omega[at] * response)[..., None] * delay_slopes[:, inputs]
+        by_delay = (1j * omega[at] * response)[..., None] * delay_slopes[:, inputs]
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
         outputs, inputs, at = points[..., None]
         by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
-        return response, by_entry @ slopes[:, moving] - by_delay
+        slopes = by_entry @ slopes[:, moving] - by_delay
+        return np.concatenate([response[..., None], slopes], axis=-1)
 
 
 class SineTest(Rebuilt):
@@ -229,8 +241,7 @@ class SharedResponses:
         members = np.repeat(members, [len(self.data[part]) for part in members])
         self._order = np.argsort(members, kind="stable")
         second, first = ca.hessian(cost, symbols[0])
-        pattern = second.sparsity()
-        self._second = np.array(pattern.get_triplet())
+        self._second = np.array(second.sparsity().get_triplet())
         outputs = [cost, first, second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
 
@@ -247,8 +258,7 @@ class SharedResponses:
         The columns of `data` (g, k) are those of `CompiledProblem`.
         """
         values, slopes = self.stacked(z)
-        numbers = real_and_imaginary(values, 1).T
-        cost, first, second = self._criterion(numbers, smoothing, data)
+        cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 1)
         gradient = first.T[:, None] @ jacobian
         left, right = (jacobian[:, rows] for rows in self._second)
@@ -283,7 +293,8 @@ def shared_systems(
             continue
         if not part.model.state_names or part.delay != "exact":
             return None
-        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
+        at = repr(sorted(part.at.items()))
+        key = id(part.model), at, local[k].serialize(), part.sampled_hold
         groups.setdefault(key, []).append(k)
     for members in groups.values():
         systems.append(_system(parts, members, point, values[members[0]]))
@@ -319,4 +330,5 @@ def _system(
         rows=np.array(system.sparsity().get_triplet(), dtype=int).T,
         entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
+        hold=parts[members[0]].sampled_hold,
     )

@@ -57,8 +57,7 @@ def substeps_and_segment(
         # Gains of process noise are not drawn, and no initial state depends on them.
         gains = np.zeros(len(model.parameters) - len(declared))
         known = model.initial(np.concatenate([declared, gains]))[0].full().ravel()
-        states = initial_states.at(outputs, inputs, p, known)
-        poles = initial_states.poles(states, inputs, p)
+        poles = initial_states.poles(initial_states.at(outputs, inputs, p, known), inputs, p)
         if poles.size:
             counts.append(
                 stable_substeps(poles, step, reach=integrator.reach, wave=integrator.wave)
@@ -69,8 +68,7 @@ def substeps_and_segment(
     # An unstable mode may grow by exp(2), sevenfold, over a segment. On the unstable tilt plant
     # segments of 5 to 20 samples converged from 14 of 14 random starts, 50 failed.
     segment = method.segment or int(np.clip(2 / growth, 5, 10))
-    substeps = max(1, *counts[:1], _upper_quartile(counts))
-    return integrator.substeps or int(substeps), segment
+    return integrator.substeps or int(max(1, *counts[:1], _upper_quartile(counts))), segment
 
 
 def drawn_parameters(problem: Problem) -> Array:

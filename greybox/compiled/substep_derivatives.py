@@ -87,8 +87,7 @@ def _with_slopes(
     """
     by_state = ca.jacobian(value, x).T
     by_parameters = dense_jacobian(value, parameters)
-    values = ca.vec(by_state.nz[:])
-    return (value, values, by_parameters), by_state.sparsity()
+    return (value, ca.vec(by_state.nz[:]), by_parameters), by_state.sparsity()
 
 
 def _following(pattern: ca.Sparsity, values: Array, by_parameters: Array, slopes: Array) -> Array:

@@ -360,8 +360,7 @@ class TransientPart(Part):
     ) -> Information:
         """Return the information on the values (k,) for white errors, the end term fitted too."""
         point = ca.SX.sym("x", len(values))
-        named = entries_by_name(names, point)
-        place = _locate(self.problem, named, point)
+        place = _locate(self.problem, entries_by_name(names, point), point)
         located, slope = (value.full() for value in place(values))
         at = self.along(located.ravel())
         assert at is not None
@@ -422,8 +421,7 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
         # Each error drives its own equation, or a single one drives all states: the transform T is
         # the same.
         rates += g
-    equations = ca.vertcat(rates, -g / time, h)
-    matrix = dense_jacobian(equations, ca.vertcat(x, g, u))
+    matrix = dense_jacobian(ca.vertcat(rates, -g / time, h), ca.vertcat(x, g, u))
     linear = ca.Function("linear", [q, time, x, u], [matrix, ca.densify(system.delay(q))])
     states, inputs = trim_of(model, problem.at).closed()(p)
     # The states of a Padé delay, or of a realized transfer function, follow those of the model.

@@ -302,6 +302,11 @@ class FrequencyResponse:
         about = {NO_HOLD if name == HOLD else name: text for name, text in self.about.items()}
         return replace(self.times(1 / hold, self.output), about=about)
 
+    @property
+    def divided_hold(self) -> float:
+        """Seconds of the hold that was divided out, zero without one."""
+        return float(self.about.get(NO_HOLD, 0.0))
+
     def times(
         self, factor: NDArray[np.complexfloating], output: str = "", unit: str = ""
     ) -> "FrequencyResponse":

@@ -139,8 +139,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
             "have no end: fix parameters, or estimate the combination that is determined."
         )
 
-    values = drawn_values(fit, count, fit.names, seed)
-    columns = by_name(fit.names, values.T)
+    columns = by_name(fit.names, drawn_values(fit, count, fit.names, seed).T)
     for k, part in enumerate(fit.parts if fit.derived else ()):
         model = fit.model_of(k)
         local = Names({name: columns[part.outside(name)] for name in model.parameters})

@@ -63,8 +63,7 @@ class KnownDirections:
     @property
     def matrix(self) -> Array:
         """The inverse covariance in multiples of size; zero along unseen directions."""
-        scaled = self.covariance / np.outer(self.size, self.size)
-        values, vectors = np.linalg.eigh(scaled)
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(self.size, self.size))
         lost = np.linalg.matrix_rank(self.unseen) if self.unseen.size else 0
         # Directions without information have the smallest eigenvalues: zero except for rounding.
         seen = vectors[:, lost:]

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.data.intersample import NO_HOLD
 from greybox.estimate.draws import drawn_values
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
@@ -50,7 +49,7 @@ def drawn_loops(
     plant.require_estimate()
 
     model, fitted = plant.model_of(part), plant.parts[part]
-    has_hold = isinstance(fitted, FittedResponse) and NO_HOLD not in fitted.data.about
+    has_hold = isinstance(fitted, FittedResponse) and not fitted.data.divided_hold
     return sampled_loop(
         model,
         _plants(plant, [fitted.rename.get(name, name) for name in model.parameters]),

@@ -88,5 +88,4 @@ def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     errors = propagate(accuracy, np.eye(count, len(nlp.names)))
     undetermined = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
-    standard_error = by_name(nlp.free, errors.tolist())
-    return ExpectedErrors(at, standard_error, information, undetermined, units)
+    return ExpectedErrors(at, by_name(nlp.free, errors.tolist()), information, undetermined, units)

@@ -162,8 +162,7 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
     is_near = np.abs(decibels) < 40.0  # a crossing that is farther away limits no gain
 
     distance = np.abs(1 + gain)
-    nearest = distance.argmin(axis=1)
-    least, closest = distance.min(axis=1), omega[nearest]
+    least, closest = distance.min(axis=1), omega[distance.argmin(axis=1)]
     margins = {
         "phase margin": unity.smallest(angle),
         "gain margin": real.smallest(np.where(decibels > 0, decibels, math.inf)),
@@ -309,8 +308,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
     They end when the slowest pole of the first plant has decayed.
     """
     size = np.abs(loop.first.poles)
-    slowest = size[size < 1 - 1e-7].max(initial=0.5)
-    count = max(int(math.log(1e-4) / math.log(slowest)), 100)
+    count = max(int(math.log(1e-4) / math.log(size[size < 1 - 1e-7].max(initial=0.5))), 100)
     stride = -(-count // STEPS)
     length = math.isqrt(count // stride) + 1
     A, B, C, D = loop.closed(setpoint, response)

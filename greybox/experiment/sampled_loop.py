@@ -354,8 +354,7 @@ def linear_controller(
     memory = [ca.SX.sym("x", len(c.states)) for c in controllers]
 
     signals = dict(added)
-    measured = entries_by_name(sensors, y)
-    following = run_controllers(controllers, memory, measured, signals, added)
+    following = run_controllers(controllers, memory, entries_by_name(sensors, y), signals, added)
     x = ca.SX(ca.vertcat(*memory))
     total = ca.vertcat(*[signals[name] for name in commands])
     v = ca.vertcat(y, e)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
@@ -36,6 +37,7 @@ from greybox.modeling.model import (
 )
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, Parameters, is_finite_number
+from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.symbolic_reading import called, require_no_nan
 
@@ -442,6 +444,14 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         data = self.response
         pade = delay_order(self.delay)
         return {"input": data.input, "output": data.output, "at": self.at, "pade": pade}
+
+    @cached_property
+    def sampled_hold(self) -> float:
+        """The divided hold of a response, s; zero without one, and for a model with delays."""
+        hold = self.response.divided_hold
+        with suppress(ValueError):  # a loop around a delay
+            return hold and hold * (not dynamics(self.model).delayed)
+        return 0.0
 
     @property
     def record(self) -> Record:

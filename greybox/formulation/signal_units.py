@@ -27,8 +27,7 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
         For the first signal in another unit, with its conversion.
     """
     signals = (*model.input_names, *model.output_names)
-    names = (*signals, *model.state_names)
-    require_known(model.units, names, "signal", model.label)
+    require_known(model.units, (*signals, *model.state_names), "signal", model.label)
     for name in dict.fromkeys(signals):
         if name in data.signals:
             place = f"the {data.noun} {data.name!r}" if data.name else f"the {data.noun}"

@@ -1,6 +1,7 @@
 """The frequency response of a model, in numbers and compiled; an ODE is linearized."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import sampled_response
 from greybox.files.arrays import Array, StringPair, Values, all_finite
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
@@ -71,8 +73,7 @@ def frequency_response(
             pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
             b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
             plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
-            shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
-            delayed = exp(shift) * plant
+            delayed = exp(-system.delays[i] * Complex(np.zeros_like(omega), omega, pade)) * plant
             response = delayed.re + 1j * delayed.im
 
     if not all_finite(response):
@@ -95,9 +96,11 @@ def response_formulas(
     *,
     at: Values | None = None,
     pade: int | None = None,
+    hold: float = 0.0,
 ) -> list[Trimmed]:
     """Compile frequency responses at `omega` (n,): real and imaginary parts.
 
+    After a `hold` (s) of the input they are those of samples, see `sampled_response`.
     `pairs` are inputs and outputs; the responses of a state space share one elimination. With a
     `symbol`, the functions take one frequency as their last input; `omega` are the values that will
     occur.
@@ -109,11 +112,12 @@ def response_formulas(
     if isinstance(model, TransferFunction):
         _, p = symbols(model)
         require_operating_point(model, at)
-        result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
+        owner, names = f"{model.label}.response", parameter_names(model, p)
+        result = sampled_response(lambda q: traced(owner, model.response, q, names), s, hold)
         parts = _columns(result, s, model.label)
-        require_no_nan(f"{model.label}.response", ca.vertcat(*parts))
-        formula = Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
-        return [formula] * len(pairs)
+        require_no_nan(owner, ca.vertcat(*parts))
+        response = ca.Function("response", [p, ca.SX(0, 1), *frequency], parts)
+        return [Trimmed(None, response)] * len(pairs)
 
     assert isinstance(model, StateSpace)
     n = len(model.states)
@@ -132,15 +136,18 @@ def response_formulas(
         for r in range(n + len(k))
     ]
     at_point = Trimmed(trim.root, ca.Function("system", [p, w], [system]))
-    results = eliminated(entries, s, _elimination_order(model, at_point, omega, len(k)))
-    formulas = []
-    for input, output in pairs:
-        result = results[outputs.index(output)][inputs.index(input)]
+    order = _elimination_order(model, at_point, omega, len(k))
+    solved = cache(lambda line: eliminated(entries, line, order))
+
+    def formula(input: str, output: str) -> Trimmed:
+        row, column = outputs.index(output), inputs.index(input)
+        result = sampled_response(lambda q: solved(q)[row][column], s, hold)
         if input in model.delays:
             result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
         parts = _columns(result, s, model.label)
-        formulas.append(Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts)))
-    return formulas
+        return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
+
+    return [formula(*pair) for pair in pairs]
 
 
 def _elimination_order(

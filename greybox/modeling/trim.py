@@ -145,8 +145,7 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
 
     derivative = ca.substitute(derivative, z, point)
     residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
-    start = start_values(model.parameters)
-    guess, rows = _presolve(model, at, residual, start, len(unknown))
+    guess, rows = _presolve(model, at, residual, start_values(model.parameters), len(unknown))
     return _rootfinder(model, w, p, point, derivative, guess, rows)
 
 
@@ -232,8 +231,7 @@ def _rootfinder(
     # Two more steps give the derivatives, see `Trimmed`. Without a root the point becomes infinite,
     # so that the run fails instead of using it.
     step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
-    exact = step(step(w, p), p)
-    full = ca.substitute(point, w, exact) / is_root(w, p)
+    full = ca.substitute(point, w, step(step(w, p), p)) / is_root(w, p)
     n = len(model.states)
     return Trimmed(
         ca.Function("root", [parameters], [root]),

@@ -71,8 +71,7 @@ def traces(
     subject = record.name or "record"
     if segment is not None and segment.kind == "sine":
         subject += f", {segment.omega:.4g} rad/s"
-    figure = Figure("Traces", "Time, s", panels, subject=subject)
-    return draw([figure], axes, size=(9.0, 2.0))
+    return draw([Figure("Traces", "Time, s", panels, subject=subject)], axes, size=(9.0, 2.0))
 
 
 def recording(

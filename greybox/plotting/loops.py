@@ -37,9 +37,7 @@ def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -
     -------
     numpy.ndarray of Axes, shape (n,)
     """
-    figures = loop_figures(margins)
-    size = (4.2, 3.6)
-    return draw(figures, axes, columns=3, size=size, title=margins.plant, hz=hz)
+    return draw(loop_figures(margins), axes, columns=3, size=(4.2, 3.6), title=margins.plant, hz=hz)
 
 
 def loop_figures(margins: Margins) -> list[Figure]:

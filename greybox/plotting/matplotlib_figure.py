@@ -283,8 +283,7 @@ def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
     reach = ax.dataLim.expanded(1.5, 1.5)
     for series in panel.series:
         if series.kind == "regions" and not series.is_hollow:
-            vertices = np.column_stack([series.x, series.y])
-            ax.update_datalim(np.clip(vertices, reach.min, reach.max))
+            ax.update_datalim(np.clip(np.column_stack([series.x, series.y]), reach.min, reach.max))
 
     if figure.limits is not None and panel.limits is not None:
         ax.dataLim.set_points(np.array([figure.limits, panel.limits]).T)

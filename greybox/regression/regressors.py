@@ -163,6 +163,5 @@ def _delayed(time: Array, values: Array, late: float, held: bool) -> Array:
         t, u = time[rows], values[rows]
         if t.size > 3:
             course, order = (acting(t, u), 1) if held else (u, 3)
-            spline = make_interp_spline(t, course, k=order)
-            result[rows] = spline(np.clip(t - late, t[0], t[-1]))
+            result[rows] = make_interp_spline(t, course, k=order)(np.clip(t - late, t[0], t[-1]))
     return result

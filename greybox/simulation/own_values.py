@@ -83,8 +83,7 @@ def with_own_values(
 
     covariance = _covariance(simulator, estimate)
     errors = np.sqrt(np.diag(covariance)[estimate.places]).tolist()
-    pairs = zip(estimate.values.tolist(), errors, strict=True)
-    values = by_name(estimate.names, pairs)
+    values = by_name(estimate.names, zip(estimate.values.tolist(), errors, strict=True))
     rows = np.unique(estimate.windows.rows)
     numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in outputs)
     note = _note(values, parameters, numbers, title)

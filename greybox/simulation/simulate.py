@@ -310,8 +310,7 @@ def _not_finite(
     # The first signal that is lost points to the formula to mend.
     first = int(np.argmax(simulated.not_finite))
     names = (*model.system.states, *outputs)
-    values = np.hstack([simulated.states[first], simulated.outputs[first]])
-    lost = ~np.isfinite(values)
+    lost = ~np.isfinite(np.hstack([simulated.states[first], simulated.outputs[first]]))
     when = int(np.argmax(lost.any(axis=1)))
     name = names[int(np.argmax(lost[when]))] if lost.any() else "the sensitivity of its outputs"
     time = windows.record.time[windows.rows[first, when]]

@@ -215,8 +215,7 @@ class Simulator:
             noise = model.noise(self._outputs)
             estimates = estimate_states(outputs, sensitivities, past, guess, noise, spread)
             whole = Segments(step, w, length, active)
-            columns_of_all = _columns(whole, data, present)
-            return _Run(whole, estimates.states, model.q, columns_of_all, estimates)
+            return _Run(whole, estimates.states, model.q, _columns(whole, data, present), estimates)
 
         result = self._accurate(windows.record.step, run)
         assert result.estimates is not None
@@ -283,8 +282,7 @@ class Simulator:
             # of a root is infinite.
             model = self._model
             states = np.full((len(model.system.states), 1), 1e-3)
-            inputs = np.zeros((len(model.system.inputs), 1))
-            poles = self._initial.poles(states, inputs, model.p)
+            poles = self._initial.poles(states, np.zeros((len(model.system.inputs), 1)), model.p)
             needed = stable_substeps(poles, step, reach=self._integrator.reach)
             if self._is_automatic and needed > MOST_SUBSTEPS:
                 self._is_automatic, self._integrator = False, Radau()

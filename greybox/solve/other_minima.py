@@ -72,8 +72,7 @@ def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     """
     for part in nlp.parts_of(RecordPart)[:1]:
         problem, symbols = part.problem, part.system.symbols
-        derivative = part.system.derivative(*symbols)
-        is_linear = ca.is_linear(derivative, ca.vertcat(*symbols[:2]))
+        is_linear = ca.is_linear(part.system.derivative(*symbols), ca.vertcat(*symbols[:2]))
         if part.system.inputs and len(part.outputs) < part.states and is_linear:
             values = problem.local_values(by_name(nlp.names, nlp.all_values(x)))
             # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.

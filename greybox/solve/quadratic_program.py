@@ -17,8 +17,7 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     p = len(gradient)
     if p == 0:
         return np.zeros(0)
-    diagonal = np.diag(hessian)
-    scale = 1 / np.sqrt(positive_or_one(diagonal))
+    scale = 1 / np.sqrt(positive_or_one(np.diag(hessian)))
     values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
     largest = max(values.max(), 0.0)
     # Flatter directions move only where a limit needs it, and then count little.

@@ -403,8 +403,7 @@ def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
     # With an instrument, a line informs in proportion to both amplitudes.
     amplitude = np.sqrt(np.abs(u) * np.abs(r))
     basis, _ = np.linalg.qr(amplitude[:, None] * np.vander(fitted.x, NODES, increasing=True))
-    nodes = np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis))
-    return fitted.center + fitted.half * nodes
+    return fitted.center + fitted.half * np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis))
 
 
 def _beside(
@@ -580,13 +579,11 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
     complete = np.hstack([fitted.transients, fitted.basis])
 
     def unexplained(signal: ComplexArray, basis: AnyArray) -> float:
-        residual = _without(basis, signal)
-        return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
+        return float(np.sum(np.abs(_without(basis, signal)) ** 2)) / (n - basis.shape[1])
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
     if lines.direct:
         return 1 - noise / output, 0.0
     input = max(unexplained(u, nuisance), np.finfo(float).tiny)
     input_noise = unexplained(u, complete)
-    shares = (unexplained(y, complete) / output, input_noise / input)
-    return 1 - max(shares), input_noise
+    return 1 - max((unexplained(y, complete) / output, input_noise / input)), input_noise

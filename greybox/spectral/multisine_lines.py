@@ -61,13 +61,11 @@ def periodic_response(
     ValueError
         If the period is not a whole number of samples, or there are fewer than three periods.
     """
-    signals = (input, output, instrument or input)
-    stretches, spectra = period_spectra(records, period, signals)
+    stretches, spectra = period_spectra(records, period, (input, output, instrument or input))
     # The instrument has no noise of the loop, so its lines are the clearest.
     amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
-    omega = (1 + lines) * (HZ / period)
-    points = _estimates(omega, *np.moveaxis(spectra[:, :, lines], 1, 0))
+    points = _estimates((1 + lines) * (HZ / period), *np.moveaxis(spectra[:, :, lines], 1, 0))
     return without_incoherent(response_at(points, (input, output, name), stretches))
 
 

@@ -114,8 +114,7 @@ def lines_in_band(band: Interval, duration: float, step: float) -> Array:
 
 def _sums(values: Array, omega: Array, step: float) -> ComplexArray:
     """Return Σ x_k exp(-jω t_k) at multiples of the resolution of the values."""
-    lines = np.rint(omega * step * values.size / (2 * np.pi)).astype(int)
-    return np.fft.rfft(values)[lines]
+    return np.fft.rfft(values)[np.rint(omega * step * values.size / (2 * np.pi)).astype(int)]
 
 
 def _held(values: Array, omega: Array, step: float) -> ComplexArray:
@@ -128,6 +127,5 @@ def _interpolated(values: Array, omega: Array, step: float) -> ComplexArray:
     # Constants vanish on this grid. Without the line, the signal is periodic without a jump, and
     # the trapezoidal rule is accurate.
     change = values[-1] - values[0]
-    line = np.linspace(0.0, change, values.size)
-    periodic = values[:-1] - values[0] - line[:-1]
+    periodic = values[:-1] - values[0] - np.linspace(0.0, change, values.size)[:-1]
     return step * _sums(periodic, omega, step) + 1j * change / omega

@@ -86,8 +86,7 @@ class FrequencyGrid:
         # Row by row: they fill the memory of long records, and turned or padded rows would do so
         # again.
         for i, q in np.ndindex(shape):
-            row = deviation[i] * directions[:, q] @ weighted[i]
-            result[i, q] = np.fft.rfft(row, self.size)
+            result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
         return result
 
     def covariances(

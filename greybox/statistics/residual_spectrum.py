@@ -371,8 +371,7 @@ class ResidualSpectra:
         process = self.white_process_noise
         if process is None:
             return replace(others, score=0.0)
-        average = averaged(*stacked([others, process]))
-        return replace(average, score=others.score - process.score)
+        return replace(averaged(*stacked([others, process])), score=others.score - process.score)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the joint spectrum of outputs whose errors are independent."""

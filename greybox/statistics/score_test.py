@@ -220,8 +220,7 @@ def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
 
 def _squares_of_lengths(triangles: Array) -> Array:
     """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
-    diagonal = np.abs(of_diagonal(triangles))
-    return 2 * np.log(np.maximum(diagonal, TINY))
+    return 2 * np.log(np.maximum(np.abs(of_diagonal(triangles)), TINY))
 
 
 def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:

@@ -105,8 +105,7 @@ class Member:
     @property
     def start_count(self) -> int:
         """Number of starts, by default that of the solver; a rule without a number counts one."""
-        responses = self.problem.parts_with(FrequencyResponse)
-        alone = len(responses) == len(self.problem.parts)
+        alone = len(self.problem.parts_with(FrequencyResponse)) == len(self.problem.parts)
         default = ResponseSolver.starts if alone else LocalSolver.starts
         rule = as_starts(default if self.starts is None else self.starts, self.seed)
         return getattr(rule, "number", 1)

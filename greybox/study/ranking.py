@@ -111,8 +111,7 @@ def _evidence(
     rows = fit_rows(fits, same_data=True, comparable=is_comparable, likelihoods=likelihoods)
     if all(fit.records and is_likelihood(fit) for fit in fits) and other_samples(fits, names):
         rows = _rows_of_shared_samples(fits)
-    unknown = [None] * len(fits)
-    excess = next((row.values for row in rows if row.measure == EVIDENCE), unknown)
+    excess = next((row.values for row in rows if row.measure == EVIDENCE), [None] * len(fits))
     values = [math.inf if value is None else value for value in excess]
     order = sorted(range(len(fits)), key=values.__getitem__)
     first = {names[k]: k for k in reversed(order)}

@@ -184,8 +184,7 @@ class ResponseReplicates(Replicates):
     def _by_ipopt(self, data: Array) -> Outcome:
         # IPOPT takes much longer than a batch: check the time limit before each solve.
         if cut := reason_to_end():
-            nowhere = np.full(len(self.start), np.nan)
-            return Outcome(nowhere, cut, 0, 0.0, converged=False)
+            return Outcome(np.full(len(self.start), np.nan), cut, 0, 0.0, converged=False)
         # The compiled functions are shared; near the estimate, no other criterion is needed to
         # locate the minimum.
         nlp = copy(self.nlp)

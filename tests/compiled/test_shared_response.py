@@ -36,8 +36,14 @@ class Roll(gb.StateSpace):
         return x.v, x.p, p.Yv * x.v + p.Lp * p.Lv * x.p + u.ped
 
 
-def problem(criterion, seed=0):
-    random, model = np.random.default_rng(seed), Roll()
+class RollAtOnce(Roll):
+    """The same without the delay."""
+
+    delays = {}
+
+
+def problem(criterion, seed=0, kind=Roll, **about):
+    random, model = np.random.default_rng(seed), kind()
     responses = []
     for y in Roll.outputs:
         for u in Roll.inputs:
@@ -48,17 +54,27 @@ def problem(criterion, seed=0):
             response = (exact + noise[0] + 1j * noise[1])[own]
             responses.append(
                 gb.FrequencyResponse(
-                    OMEGA[own], response, input=u, output=y, coherence=np.full(response.size, 0.9)
+                    OMEGA[own],
+                    response,
+                    input=u,
+                    output=y,
+                    coherence=np.full(response.size, 0.9),
+                    **about,
                 )
             )
     return gb.Problem(model, responses, criterion=criterion, weight={"p/lat": 2.0})
 
 
 @pytest.mark.parametrize(
+    "options",
+    [{}, {"kind": RollAtOnce, "about": {"hold of the input, s": "0.02"}}],
+    ids=["", "held"],
+)
+@pytest.mark.parametrize(
     "criterion", [gb.RelativeError(), gb.MagnitudePhase(), gb.RelativeLikelihood()]
 )
-def test_cost_and_gradient_are_those_of_the_expressions(criterion):
-    nlp = compile_problem(problem(criterion))
+def test_cost_and_gradient_are_those_of_the_expressions(criterion, options):
+    nlp = compile_problem(problem(criterion, **options))
     program = nlp.programs[-1]
     z = np.random.default_rng(1).uniform(0.1, 0.9, (6, 3))
     cost, gradient, hessian = program.shared(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from declared_models import Lag
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 import greybox as gb
 from greybox.models.controller import AttitudeController
@@ -172,6 +173,61 @@ def test_a_fit_divides_the_hold_out_of_a_response():
         for data in (response, late_lag({}), late_lag({"u": math.inf, "y": math.inf}))
     ]
     assert_allclose(delays, [0.01, 0.035, 0.035], atol=1e-3)
+
+
+class Roll(gb.TransferFunction):
+    """Roll rate from an aileron without a lag."""
+
+    input, output = "aileron", "p"
+    L = gb.Parameter(20.0, bounds=(1, 200))
+    Lp = gb.Parameter(2.5, bounds=(0.1, 30))
+
+    def response(self, s, p):
+        return p.L / (s + p.Lp)
+
+
+class ShortPeriod(gb.StateSpace):
+    """Pitch rate and specific force, which an elevator reaches at once."""
+
+    states, inputs, outputs = ("w", "q"), ("elevator",), ("q", "az")
+    Zw = gb.Parameter(-1.2, bounds=(-9, 0))
+    Zd = gb.Parameter(-8.0, bounds=(-99, 0))
+    Mw = gb.Parameter(-0.4, bounds=(-9, 0))
+    Mq = gb.Parameter(-2.0, bounds=(-20, 0))
+    Md = gb.Parameter(-14.0, bounds=(-99, 0))
+
+    def derivative(self, x, u, p):
+        z = p.Zw * x.w + p.Zd * u.elevator
+        return z + 15 * x.q, p.Mw * x.w + p.Mq * x.q + p.Md * u.elevator
+
+    def output(self, x, u, p):
+        return x.q, p.Zw * x.w + p.Zd * u.elevator
+
+
+@pytest.mark.parametrize("hold", [0.02, 0.05])
+@pytest.mark.parametrize("model", [Roll(), ShortPeriod()], ids=["Roll", "ShortPeriod"])
+def test_samples_of_outputs_without_a_lag_give_the_parameters(model, hold):
+    """Exact samples by the matrix exponential, up to an angle of one between two samples."""
+    omega = np.geomspace(0.5, 1 / hold, 30)
+    truth = {name: parameter.start for name, parameter in model.parameters.items()}
+    if isinstance(model, Roll):
+        A, B, C, D = map(np.atleast_2d, (-2.5, 20.0, 1.0, 0.0))
+    else:
+        A, B = np.array([[-1.2, 15], [-0.4, -2]]), np.array([[-8.0], [-14.0]])
+        C, D = np.array([[0, 1], [-1.2, 0]]), np.array([[0.0], [-8.0]])
+    n = len(A)
+    step = expm(hold * np.block([[A, B], [np.zeros((1, n + 1))]]))
+    z = np.exp(1j * omega * hold)[:, None, None]
+    exact = C @ np.linalg.solve(z * np.eye(n) - step[:n, :n], step[:n, n:]) + D
+    data = [
+        gb.FrequencyResponse(
+            omega, values, model.input_names[0], output, about={"hold of the input, s": f"{hold}"}
+        )
+        for output, values in zip(model.output_names, exact[..., 0].T, strict=True)
+    ]
+    for measured in ([*data], data[-1]):
+        fit = gb.fit(gb.Problem(model, measured), starts=[truth], progress=False)
+        assert_allclose([*fit.estimate.values()], [*truth.values()], rtol=1e-3)
 
 
 class Proportional(gb.Controller):

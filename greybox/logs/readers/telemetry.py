@@ -105,8 +105,7 @@ def _kinds(packets: Packets, messages: MessageNames) -> tuple[dict[str, Kind], f
     for number, (received, packet) in enumerate(packets):
         name = packet.get_type()
         if name not in kinds:
-            is_stored = messages is None or name in (*ABOUT, *messages)
-            kinds[name] = Kind(type(packet), is_stored)
+            kinds[name] = Kind(type(packet), messages is None or name in (*ABOUT, *messages))
         first_received = first_received or received
         kinds[name].append(number, received, packet)
 

@@ -100,8 +100,7 @@ class GaussNewton(LocalSolver):
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
     ) -> Outcome:
         nlp, began = self.nlp, time.perf_counter()
-        most = iterations or self.settings.max_iter
-        end = descend(self._parts, iterate, progress, most)
+        end = descend(self._parts, iterate, progress, iterations or self.settings.max_iter)
         iterate = end.iterate
         status = end.status
 
@@ -188,8 +187,7 @@ class GaussNewton(LocalSolver):
         else:
             first = self._parts.at(self.nlp.scaling.to_solver(x))
             progress = self._parts.first_progress()
-            most = self.settings.max_iter
-            end = descend(self._parts, first, progress, most, states_only=True)
+            end = descend(self._parts, first, progress, self.settings.max_iter, states_only=True)
             iterate = end.iterate
             converged = end.status.startswith(CONVERGED)
 

@@ -158,8 +158,7 @@ def _iterated(
             continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
             closed = parts.made_continuous(iterate, step)
-            status = status_at_kink(parts, closed, states_only=nodes_alone)
-            return End(closed, status, count)
+            return End(closed, status_at_kink(parts, closed, states_only=nodes_alone), count)
 
         # Accept.
         gained = 0.0 if trial is None else start - merit(trial)

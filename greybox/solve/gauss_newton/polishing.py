@@ -39,8 +39,7 @@ def polished(parts: AllParts, start: Iterate) -> Iterate:
     end, distance = _undamped(parts, start)
     # Initial states that the data hardly determine may creep on, which moves no parameter.
     if LONG_STEP < distance < EXACT.undamped_decrease:
-        progress = replace(EXACT, undamped_decrease=LONG_STEP)
-        damped = descend(parts, end, progress, MOST_STEPS)
+        damped = descend(parts, end, replace(EXACT, undamped_decrease=LONG_STEP), MOST_STEPS)
         end, _ = _undamped(parts, damped.iterate)
     return end
 
@@ -118,8 +117,7 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
         rows.append(math.sqrt(part.weight * bread) * information.jacobian[:, :free] / slope)
     jacobian = np.vstack(rows)
 
-    size = np.linalg.norm(jacobian, axis=0)
-    unit = 1 / positive_or_one(size)
+    unit = 1 / positive_or_one(np.linalg.norm(jacobian, axis=0))
     _, singular, axes = np.linalg.svd(triangle_of(jacobian * unit))
     determined = singular > 1e-8 * singular[0]  # smaller singular values are rounding as well
     along = (axes @ (step.gradient * unit))[determined] / singular[determined]

@@ -51,8 +51,7 @@ class Points(NamedTuple):
     def reduced(self, damping: Array) -> ArrayTriple:
         """Return gradient and Hessian without the states, and how these follow (r, m, n, 1 + p)."""
         right = np.concatenate([self.slope[..., None], self.cross], axis=3)
-        damped = _damped(self.curvature, damping[:, None])
-        follow = -np.linalg.solve(damped, right)
+        follow = -np.linalg.solve(_damped(self.curvature, damping[:, None]), right)
         eliminated = np.einsum("rmnp,rmnq->rpq", self.cross, follow)
         return self.gradient + eliminated[..., 0], self.hessian + eliminated[..., 1:], follow
 
@@ -99,8 +98,7 @@ def descended(
         step = np.linalg.solve(_damped(hessian, damping), -gradient[:, :, None])[:, :, 0]
         z = limits.clipped(points.z + step)
         along = np.concatenate([np.ones((len(z), 1)), z - points.z], axis=1)
-        states = points.states + np.einsum("rmnp,rp->rmn", follow, along)
-        trial = evaluated(z, states, records)
+        trial = evaluated(z, points.states + np.einsum("rmnp,rp->rmn", follow, along), records)
         damping = np.where(trial.cost < points.cost, damping / 10, damping * 10)
         points = lower(points, trial)
     return points
@@ -148,8 +146,7 @@ class ShortSegments:
         q = np.repeat(np.array([at.q for at in placed]).T, m, axis=1)
         at = Course(segments.simulate(states.reshape(-1, n), q, data)[0], q, data)
         b = segments.linearize(at, self._weight)
-        products = segments.products(segments.residuals(at))
-        errors = self._weight @ products @ self._weight.T
+        errors = self._weight @ segments.products(segments.residuals(at)) @ self._weight.T
 
         slope = np.array([at.slope for at in placed])
         model = (
