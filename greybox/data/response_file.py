@@ -73,7 +73,7 @@ def read_response(
     if f"{output}_{input}_alpha" in names and "alpha" not in names:
         prefix = prefix or f"{output}_{input}_"
     try:
-        places = columns_by_role(columns or written_columns(names, prefix), table.header)
+        places = columns_by_role(columns or written_columns(table.header, prefix), table.header)
     except ValueError as error:
         raise ValueError(f"{path} {error}") from None
 

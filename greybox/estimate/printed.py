@@ -257,7 +257,10 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
 
 def _output_text(part: FittedRecord, output: str) -> str:
     place = f" ({part.name})" if part.name else ""
-    residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
+    size = rms(part.residual(output))
+    if math.isnan(size):
+        return f"{output}{place}: never measured"
+    residual = f"{number(size)} {part.data.units.get(output, '')}".rstrip()
     # NaN for an output that never changes.
     share = part.fit_percent(output)
     fit_text = "" if math.isnan(share) else f", fit {share:.1f} %"

@@ -36,7 +36,7 @@ from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
 from greybox.spectral.sweeps_and_noise import spectral_response
-from greybox.spectral.test_quality import Finding, Findings, Quality, check, jitter
+from greybox.spectral.test_quality import Finding, Findings, Quality, check, frequencies, jitter
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
 
@@ -505,11 +505,13 @@ def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Findi
     bands = [segment.band for segment in used if segment.kind == "sweep"]
     if not bands or len(bands) < len(used):
         return
-    low, high = min(low for low, _ in bands), max(high for _, high in bands)
     # 2 %: the ends of a sweep that is found in a setpoint are known from periods of a few samples.
-    beyond = response.omega[(response.omega < 0.98 * low) | (response.omega > 1.02 * high)]
+    omega = response.omega
+    outside = [(omega < 0.98 * low) | (omega > 1.02 * high) for low, high in bands]
+    # A gap in the log that cuts a sweep leaves a hole between two bands.
+    beyond = omega[np.all(outside, axis=0)]
     if beyond.size:
-        text = f"{counted(beyond.size, 'point')} beyond the sweep, {low:.3g} to {high:.3g} rad/s."
+        text = f"{counted(beyond.size, 'point')} beyond the sweep, at {frequencies(beyond)}."
         yield Finding("band", "warning", math.nan, text, tuple(beyond.tolist()))
 
 

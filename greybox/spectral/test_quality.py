@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Interval, Labels, Strings
+from greybox.files.arrays import Array, Interval, Labels, Strings
 from greybox.files.text_table import counted, one_line, some
 from greybox.spectral.saturation import at_limit
 
@@ -307,10 +307,16 @@ def _rate(
     )
 
 
+def frequencies(omega: Array) -> str:
+    """Return frequencies (n,) in rad/s as text: the first ones, and the number of the others."""
+    return some([f"{w:.3g}" for w in omega]) + " rad/s"
+
+
 def _noise(response: FrequencyResponse) -> Findings:
     if response.variance is None:
         return
-    error = float(np.median(response.relative_error))
+    errors = response.relative_error
+    error = float(np.median(errors))
     yield from graded(
         "noise",
         error,
@@ -318,6 +324,13 @@ def _noise(response: FrequencyResponse) -> Findings:
         f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or "
         "longer.",
     )
+    useless = response.omega[errors > ERROR[1]]
+    if useless.size and error <= ERROR[1]:
+        text = (
+            f"the standard deviation is above {100 * ERROR[1]:.0f} % of the magnitude at "
+            f"{frequencies(useless)}: these points hardly count in a fit."
+        )
+        yield Finding("noise", "note", float(useless.size), text)
 
 
 def _coherence(response: FrequencyResponse) -> Findings:
@@ -326,7 +339,7 @@ def _coherence(response: FrequencyResponse) -> Findings:
     weak = response.omega[response.coherence < COHERENCE[0]]
     if 0 < weak.size < response.omega.size:
         text = (
-            f"the coherence is below {COHERENCE[0]} at {some([f'{w:.3g}' for w in weak])} rad/s: "
+            f"the coherence is below {COHERENCE[0]} at {frequencies(weak)}: "
             "leave out these points, whose errors are understated."
         )
         yield Finding("coherence", "warning", float(weak.size), text, tuple(weak.tolist()))

@@ -1,5 +1,6 @@
 """Fits side by side: on their own data and on records that none of them has seen."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,7 +9,13 @@ from greybox.estimate.result import Fits
 from greybox.files.arrays import Labels
 from greybox.simulation.windows import require_lengths
 from greybox.validation.common_likelihood import common_likelihood
-from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, Row
+from greybox.validation.comparison import (
+    HELD_OUT,
+    IDENTIFICATION,
+    SIGNIFICANT,
+    Comparison,
+    Row,
+)
 from greybox.validation.held_out import (
     Predictions,
     not_held_out,
@@ -16,6 +23,7 @@ from greybox.validation.held_out import (
     window_lengths,
 )
 from greybox.validation.measures import fit_rows, prediction_rows
+from greybox.validation.nested_models import NestedTest
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     check_fits,
@@ -139,6 +147,9 @@ def compare(
     if bic and not any(part.data.has_time for fit in fits for part in fit.records):
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]
+    else:
+        supported = _by_tests(fits, names, tests)
+        verdict, *statements = statements or ("",)
     if all(fit.misfit is not None and not fit.misfit.explains for fit in fits):
         verdict = f"None of these models explains its data. {verdict}".rstrip()
     return Comparison(
@@ -150,6 +161,15 @@ def compare(
         supported=supported,
         verdict=verdict,
     )
+
+
+def _by_tests(fits: Fits, names: Labels, tests: Sequence[NestedTest]) -> str:
+    """Return the smallest fit that no test rejects; empty if not every pair was tested."""
+    if len(tests) < math.comb(len(fits), 2):
+        return ""
+    rejected = {test.small for test in tests if test.p_value < SIGNIFICANT}
+    sizes = {name: len(fit.free) for fit, name in zip(fits, names, strict=True)}
+    return min((name for name in names if name not in rejected), key=sizes.__getitem__)
 
 
 def _predictions(

@@ -60,7 +60,8 @@ class Comparison(Printed):
         By kind of data, "identification" and "held-out": for every fit the `Prediction` of every
         record.
     supported : str
-        The label of the smallest structure that the data support; empty if BIC is not known.
+        The label of the smallest structure that the data support, by BIC or, for records, by the
+        tests of nested models; empty if neither decides.
     verdict : str
         The reason, in one sentence.
     """
@@ -128,11 +129,17 @@ class Comparison(Printed):
 
     def _section(self, rows: Sequence[Row], title: str) -> list[str]:
         cells = [
-            [r.measure, r.unit, *("-" if v is None else number(v, 5) for v in r.values)]
+            [r.measure, r.unit, *(_cell(r.measure, value) for value in r.values)]
             for r in rows
         ]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]
+
+
+def _cell(measure: str, value: float | None) -> str:
+    if measure.endswith("(p)") and value is not None and value < 1e-4:
+        return "< 0.0001"
+    return number(value)
 
 
 def p_text(p: float) -> str:
