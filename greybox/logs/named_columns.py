@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from greybox.data.record import Record
 from greybox.data.response_columns import find_column
+from greybox.data.time_column import unit_in_name
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, NamedArrays, NamedStrings
 
@@ -30,6 +31,7 @@ def renamed(
         try:
             place, unit = find_column(text, header)
             own_names[name] = own[place]
+            unit = unit or unit_in_name(own[place])
             labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:
             sentence = str(error)

@@ -159,7 +159,7 @@ class StudyMember:
             if isinstance(value, dict):
                 value = ", ".join(f"{key} = {number:g}" for key, number in value.items())
                 if name == "fixed":  # a structure with all parameters free is one, too
-                    value = value or "nothing"
+                    value = value or "nothing fixed"
             elif isinstance(value, list):
                 value = ", ".join(value)
             if value not in (None, ""):

@@ -200,6 +200,12 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
             kind, cure = "", "try other starts, narrower start boxes, or another model structure"
             if part.problem.model.state_names:
                 cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
+            values = fitted.data[output]
+            if abs(np.nanmean(values)) > np.nanstd(values):
+                cure = (
+                    f"if {output} is not zero at rest (trim), subtract this value or estimate it by "
+                    f"OutputError(biases=({output!r},)); {cure}"
+                )
             attainable = f"{noise.attainable_fit_percent:.0f}"
             cure = f", although its noise would allow about {attainable} %: {cure}."
         else:
