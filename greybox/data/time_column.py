@@ -16,7 +16,7 @@ from greybox.files.arrays import Array, Strings
 from greybox.files.text_table import printable
 
 # Names of a time column, in lower case and without a unit.
-TIMES = ("time", "t", "timestamp", "timestamps", "tout")
+TIMES = ("time", "t", "timestamp", "timestamps", "tout", "second", "seconds")
 # As ArduPilot's tools, MAVLink's messages and Arduino's functions name them.
 COUNTERS = {"timeus": 1e-6, "timems": 1e-3, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
@@ -34,7 +34,7 @@ CURE = (
 def seconds(name: str, unit: str = "") -> float | None:
     """Return the length of a tick in s if this is the name of a time column, else None.
 
-    Names are time, t, timestamp and tout, in capitals or not, with a unit or a suffix as in
+    Names are time, t, timestamp, tout and second, in capitals or not, with a unit or a suffix as in
     ``time_ms`` (else in seconds), and those of counters such as TimeUS and millis.
     """
     name = name.lower()

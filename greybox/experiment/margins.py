@@ -322,7 +322,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
                 "a measured response is the broken loop itself: give no argument but the level."
             )
         return measured_margins(plant, level=level)
-    if controller is None:
+    if controller is None and isinstance(plant, (Fit, Model)):
         raise TypeError("a plant has margins only in a loop: give its controller.")
     require_level(level)
     loop = drawn_loops(plant, controller, values, at=at, part=part)

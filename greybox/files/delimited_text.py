@@ -179,15 +179,20 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
 
 
 def _header(lines: Labels, body: Sequence[int]) -> int:
-    """Return the place of the header: below a title and settings, which have fewer cells."""
+    """Return the place of the header: below a title and settings, above the numbers."""
     # The last line may be cut, so the middle one shows the width.
     row = lines[body[len(body) // 2]]
+    texts = []
     for k in body[:200]:
         names, mark = _split(lines[k])
-        is_text = k == body[0] or not any(map(is_number, names))
-        if is_text and len(names) >= len(row.split(mark)):
-            return k
-    return body[0]
+        if len(names) < len(row.split(mark)):
+            continue
+        if are_numbers(names):
+            break
+        if not any(map(is_number, names)):
+            texts.append(k)
+    # A line of settings may have as many cells.
+    return next((k for k in texts if "time" in lines[k].lower()), (*texts, body[0])[0])
 
 
 def numbered(text: DelimitedText) -> DelimitedText:

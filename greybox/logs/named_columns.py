@@ -7,7 +7,7 @@ from greybox.data.record import Record
 from greybox.data.response_columns import find_column
 from greybox.data.time_column import unit_in_name
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, NamedArrays, NamedStrings
+from greybox.files.arrays import Array, NamedArrays, NamedStrings, StringPair
 
 HOLDS = (" held", " sampled")  # end a unit, see `table_columns.table`
 
@@ -50,16 +50,19 @@ def renamed(
 
 def _agreed(stated: str, written: str) -> str:
     """Return the unit of a column with its hold; ValueError if the table has another unit."""
-    # ``deg sampled`` is a unit and a word on the hold, which a stated unit does not replace.
-    unit, _, hold = written.rpartition(" ") if written.endswith(HOLDS) else (written, "", "")
-    if stated in (unit, written):
-        to_si(unit)
-        return written
+    unit, hold = _unit_and_hold(written)
+    wanted, wanted_hold = _unit_and_hold(stated)
     # Two names of one unit agree, such as deg and °.
-    if unit and to_si(stated) != to_si(unit):
-        raise ValueError(f"its unit is {unit} in the table, not {stated}: leave the unit out")
-    to_si(stated)
-    return f"{stated} {hold}".rstrip()
+    if unit and wanted and to_si(wanted) != to_si(unit):
+        raise ValueError(f"its unit is {unit} in the table, not {wanted}: leave the unit out")
+    to_si(wanted or unit)
+    return f"{wanted or unit} {wanted_hold or hold}".strip()
+
+
+def _unit_and_hold(text: str) -> StringPair:
+    """Split ``deg sampled``, a unit and a word on the hold; either may be empty."""
+    unit, _, hold = f" {text}".rpartition(" ") if f" {text}".endswith(HOLDS) else (text, "", "")
+    return unit.strip(), hold
 
 
 def in_si(record: Record, names: Iterable[str]) -> Record:

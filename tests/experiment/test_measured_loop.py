@@ -92,7 +92,7 @@ def test_a_measured_loop_stands_alone_and_a_model_needs_a_controller():
         gb.margins(integrator(0.1, 30), controllers())
     with pytest.raises(TypeError, match="give its controller"):
         gb.margins(DampedAngle())
-    with pytest.raises(TypeError, match="give a Fit, or a model"):
+    with pytest.raises(TypeError, match="give a Fit, a model"):
         gb.margins("pitch", controllers())
     with pytest.raises(ValueError, match="cannot be evaluated elsewhere"):
         gb.margins(integrator(0.1, 30)).require_loop()
