@@ -5,8 +5,8 @@ import argparse
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.response_file import read_response
+from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
 from greybox.files.arrays import Fields
@@ -67,14 +67,7 @@ results RESULT...
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, close their loops, and return the margins wherever these are broken."""
-    fits: Fields = {}
-    for path in options.results:
-        if path.is_dir():
-            fits |= {member.name: member.fit for member in read_study(path).done}
-        elif path.suffix.lower() == ".csv":
-            fits[str(path)] = read_response(path, columns=options.columns or None)
-        else:
-            fits[str(path)] = saved_fit(path, options)
+    fits = _fits(options)
     if not fits:
         raise UsageError(
             f"{options.results[0]} has no finished member: continue with greybox batch."
@@ -84,8 +77,8 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     first = next(iter(fits.values()))
-    is_measured = isinstance(first, FrequencyResponse)
-    if is_measured and (options.log or options.report or options.plot):
+    is_fit = isinstance(first, Fit)
+    if not is_fit and (options.log or options.report or options.plot):
         raise UsageError("--log, --report and --plot are for fits, and a table is a measured loop.")
     settings = {
         "tracking": tuple(options.tracking) if options.tracking else None,
@@ -93,7 +86,7 @@ def run(options: argparse.Namespace) -> Answer:
     }
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
-    is_single = len(fits) == 1 and not is_measured
+    is_single = is_fit and len(fits) == 1
     log = flight_log(first, options.results[0], options) if is_single else None
     if log:
         refuse_controllers(options)
@@ -110,7 +103,7 @@ def run(options: argparse.Namespace) -> Answer:
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
     else:
-        controllers = stated_controllers(options) if options.controller or not is_measured else None
+        controllers = stated_controllers(options) if options.controller or is_fit else None
         labeled = [
             (label, margins(fit, controllers, broken_at=place, **settings))
             for label, fit in fits.items()
@@ -131,6 +124,19 @@ def run(options: argparse.Namespace) -> Answer:
         report([*fits.values()], options.report, margins=loops)
         text.append(f"wrote {options.report}")
     return answer, "\n\n".join(text)
+
+
+def _fits(options: argparse.Namespace) -> Fields:
+    """Return the fits, or measured loops, by their names."""
+    fits: Fields = {}
+    for path in options.results:
+        if path.is_dir():
+            fits |= {member.name: member.fit for member in read_study(path).done}
+        elif path.suffix.lower() == ".csv":
+            fits[str(path)] = read_response(path, columns=options.columns or None)
+        else:
+            fits[str(path)] = saved_fit(path, options)
+    return fits
 
 
 def refuse_controllers(options: argparse.Namespace) -> None:

@@ -322,7 +322,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
                 "a measured response is the broken loop itself: give no argument but the level."
             )
         return measured_margins(plant, level=level)
-    if controller is None and isinstance(plant, (Fit, Model)):
+    if controller is None:
         raise TypeError("a plant has margins only in a loop: give its controller.")
     require_level(level)
     loop = drawn_loops(plant, controller, values, at=at, part=part)
@@ -472,9 +472,8 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     """
     require_level(level)
     order = np.argsort(loop.omega)
-    has_errors = loop.variance is not None
-    drawn = (_drawn(loop) if has_errors else loop.response[None])[:, order]
-    points = np.log(loop.omega[order])
+    points, drawn = np.log(loop.omega[order]), _drawn(loop)[:, order]
+    has_errors = len(drawn) > 1
     gain, omega = _between(points, drawn)
     numbers = margin_numbers(gain, omega, np.ones(len(gain), dtype=bool))
     fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]), np.ones(1, dtype=bool))
@@ -514,7 +513,9 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
 
 
 def _drawn(loop: FrequencyResponse) -> ComplexArray:
-    """Return the response and draws from its errors (1 + draws, n)."""
+    """Return the response and draws from its errors (1 + draws, n), none without a variance."""
+    if loop.variance is None:
+        return loop.response[None]
     random = np.random.default_rng(0)
     errors = random.normal(size=(2, DRAWS, len(loop)))
     if loop.dof is not None:

@@ -178,7 +178,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     )
 
 
-def _header(lines: Labels, body: Sequence[int]) -> int:
+def _header(lines: list[str], body: Sequence[int]) -> int:
     """Return the place of the header: below a title and settings, above the numbers."""
     # The last line may be cut, so the middle one shows the width.
     row = lines[body[len(body) // 2]]

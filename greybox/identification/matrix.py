@@ -101,8 +101,8 @@ def measure_matrix(
     loop = loop_text(controller_in(recording, measured[: len(u)], measured))
     by = f"the excitations {', '.join(excitations)}" if e else "the inputs themselves"
     choices.append(
-        f"{loop}: averages over whole periods; the lines of each input are those of {by}, "
-        "instrument=... names others."
+        f"{loop}: averages over whole periods, at the frequencies of {by}. To name other "
+        "excitations, give instrument=..."
     )
     return MatrixMeasurement(record, responses, tuple(choices))
 

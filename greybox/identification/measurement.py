@@ -619,7 +619,10 @@ def _choices(
             f"joint input-output estimate with the instrument {signals[INSTRUMENT]}. {FEEDBACK}."
         )
     else:
-        estimate = "direct estimate; with instrument=..., the injected signal, it is the joint one."
+        estimate = (
+            "direct estimate; in a closed loop, give the injected signal for the joint estimate, "
+            "instrument=..."
+        )
 
     choices = [f"{loop}: {estimate}"]
     if settings.conditioned:

@@ -63,10 +63,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         """Check the types, and the numbers against one another."""
-        for name, kind in {"unit": str, "about": str, "fixed": bool}.items():
-            if not isinstance(value := getattr(self, name), kind):
-                what = "a text" if kind is str else "True or False"
-                raise TypeError(f"{name} is {value!r}: give {what}.")
+        self._require_types()
         low, high = number_pair(self.bounds, "bounds")
         if not low < high:
             raise ValueError(
@@ -105,6 +102,12 @@ class Parameter:
 
         if self.prior is not None:
             normal_prior(self.prior, "prior")
+
+    def _require_types(self) -> None:
+        for name, kind in {"unit": str, "about": str, "fixed": bool}.items():
+            if not isinstance(value := getattr(self, name), kind):
+                what = "a text" if kind is str else "True or False"
+                raise TypeError(f"{name} is {value!r}: give {what}.")
 
     @property
     def box(self) -> Interval:

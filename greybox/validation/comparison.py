@@ -129,8 +129,7 @@ class Comparison(Printed):
 
     def _section(self, rows: Sequence[Row], title: str) -> list[str]:
         cells = [
-            [r.measure, r.unit, *(_cell(r.measure, value) for value in r.values)]
-            for r in rows
+            [r.measure, r.unit, *(_cell(r.measure, value) for value in r.values)] for r in rows
         ]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]

@@ -82,7 +82,9 @@ def test_a_response_without_errors_has_the_same_margins_without_intervals():
         assert exact[name].value == measured[name].value
         assert np.isnan([exact[name].low, exact[name].high]).all()
     # Noise makes the least distance smaller, which only draws can show.
-    assert exact["modulus margin"].value == pytest.approx(measured["modulus margin"].value, rel=0.01)
+    assert exact["modulus margin"].value == pytest.approx(
+        measured["modulus margin"].value, rel=0.01
+    )
     assert exact.is_safe
     assert any("no variance" in note for note in exact.notes)
 

@@ -57,7 +57,7 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
         "estimate": "spectral, direct",
         "band": "2 to 12 rad/s",
     }
-    direct = "direct estimate; with instrument=..., the injected signal, it is the joint one."
+    direct = "direct estimate; in a closed loop, give the injected signal for the joint estimate, instrument=..."
     assert found.choices == (f"open loop (the log shows no controller): {direct}",)
     assert (found.tests, found.used, found.controller) == ((), (), "")
     assert found.detail == str(replace(response, about={}))

@@ -203,8 +203,8 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
             values = fitted.data[output]
             if abs(np.nanmean(values)) > np.nanstd(values):
                 cure = (
-                    f"if {output} is not zero at rest (trim), subtract this value or estimate it by "
-                    f"OutputError(biases=({output!r},)); {cure}"
+                    f"if {output} is not zero at rest (trim), subtract this value, or estimate it "
+                    f"by OutputError(biases=({output!r},)); {cure}"
                 )
             attainable = f"{noise.attainable_fit_percent:.0f}"
             cure = f", although its noise would allow about {attainable} %: {cure}."
