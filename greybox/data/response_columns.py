@@ -20,7 +20,8 @@ EXTRAS = ("coherence", "variance", "dof")
 COMMON = re.compile(r"(alpha|beta)_common(\d+)")  # see `FrequencyResponse.columns`
 ROLES = ("frequency", *RECTANGULAR, *POLAR, *EXTRAS)
 UNITS = {"frequency": "rad/s or Hz", "magnitude": "absolute or dB", "phase": "deg or rad"}
-BODE = {"frequency": ("Hz", "rad/s"), "magnitude": ("dB",), "phase": ("rad",)}  # SI units
+# In lower case, of a table with names of its own.
+BODE = {"frequency": ("hz", "khz", "rad/s"), "magnitude": ("db",), "phase": ("deg", "°", "rad")}
 
 
 class Column(NamedTuple):
@@ -84,7 +85,10 @@ def written_columns(header: Labels, prefix: str) -> dict[str, str]:
     names = [heading(cell).name for cell in header]
     roles = {name.lower(): name for name in names if name.lower() in ROLES}
     if OMEGA not in names:
-        by_unit = {role: [c for c in header if _si(c) in units] for role, units in BODE.items()}
+        by_unit = {
+            role: [cell for cell in header if heading(cell).unit.lower() in units]
+            for role, units in BODE.items()
+        }
         if all(len(cells) == 1 for cells in by_unit.values()):
             return {role: cell for role, (cell,) in by_unit.items()} | roles
         if "frequency" in roles:
@@ -109,13 +113,6 @@ def written_columns(header: Labels, prefix: str) -> dict[str, str]:
     optional = [role for role in others if role in EXTRAS or COMMON.fullmatch(role)]
 
     return required | {"frequency": f"{OMEGA}:rad/s"} | {role: prefix + role for role in optional}
-
-
-def _si(cell: str) -> str:
-    """Return the SI unit to which the unit in a header is converted, or this unit."""
-    unit = heading(cell).unit
-    known = known_unit(unit)
-    return known.si if known else unit
 
 
 def assembled(

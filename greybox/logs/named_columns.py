@@ -3,13 +3,14 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
+from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 from greybox.data.response_columns import find_column
 from greybox.data.time_column import unit_in_name
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, NamedArrays, NamedStrings, StringPair
 
-HOLDS = (" held", " sampled")  # end a unit, see `table_columns.table`
+BETWEEN = {"held": HELD, "sampled": CONTINUOUS}  # ends a unit, see `table_columns.table`
 
 
 def renamed(
@@ -50,8 +51,8 @@ def renamed(
 
 def _agreed(stated: str, written: str) -> str:
     """Return the unit of a column with its hold; ValueError if the table has another unit."""
-    unit, hold = _unit_and_hold(written)
-    wanted, wanted_hold = _unit_and_hold(stated)
+    unit, hold = unit_and_hold(written)
+    wanted, wanted_hold = unit_and_hold(stated)
     # Two names of one unit agree, such as deg and °.
     if unit and wanted and to_si(wanted) != to_si(unit):
         raise ValueError(f"its unit is {unit} in the table, not {wanted}: leave the unit out")
@@ -59,10 +60,10 @@ def _agreed(stated: str, written: str) -> str:
     return f"{wanted or unit} {wanted_hold or hold}".strip()
 
 
-def _unit_and_hold(text: str) -> StringPair:
+def unit_and_hold(text: str) -> StringPair:
     """Split ``deg sampled``, a unit and a word on the hold; either may be empty."""
-    unit, _, hold = f" {text}".rpartition(" ") if f" {text}".endswith(HOLDS) else (text, "", "")
-    return unit.strip(), hold
+    unit, _, hold = text.strip().rpartition(" ")
+    return (unit, hold) if hold in BETWEEN else (text, "")
 
 
 def in_si(record: Record, names: Iterable[str]) -> Record:

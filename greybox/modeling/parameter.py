@@ -106,8 +106,7 @@ class Parameter:
     def _require_types(self) -> None:
         for name, kind in {"unit": str, "about": str, "fixed": bool}.items():
             if not isinstance(value := getattr(self, name), kind):
-                what = "a text" if kind is str else "True or False"
-                raise TypeError(f"{name} is {value!r}: give {what}.")
+                raise TypeError(f"{name} is {value!r}: give a value of type {kind.__name__}.")
 
     @property
     def box(self) -> Interval:

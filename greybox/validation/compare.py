@@ -1,6 +1,5 @@
 """Fits side by side: on their own data and on records that none of them has seen."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,7 +22,6 @@ from greybox.validation.held_out import (
     window_lengths,
 )
 from greybox.validation.measures import fit_rows, prediction_rows
-from greybox.validation.nested_models import NestedTest
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     check_fits,
@@ -148,7 +146,9 @@ def compare(
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]
     else:
-        supported = _by_tests(fits, names, tests)
+        # A single test decides between two fits.
+        if len(fits) == 2 and tests:
+            supported = tests[0].large if tests[0].p_value < SIGNIFICANT else tests[0].small
         verdict, *statements = statements or ("",)
     if all(fit.misfit is not None and not fit.misfit.explains for fit in fits):
         verdict = f"None of these models explains its data. {verdict}".rstrip()
@@ -161,15 +161,6 @@ def compare(
         supported=supported,
         verdict=verdict,
     )
-
-
-def _by_tests(fits: Fits, names: Labels, tests: Sequence[NestedTest]) -> str:
-    """Return the smallest fit that no test rejects; empty if not every pair was tested."""
-    if len(tests) < math.comb(len(fits), 2):
-        return ""
-    rejected = {test.small for test in tests if test.p_value < SIGNIFICANT}
-    sizes = {name: len(fit.free) for fit, name in zip(fits, names, strict=True)}
-    return min((name for name in names if name not in rejected), key=sizes.__getitem__)
 
 
 def _predictions(

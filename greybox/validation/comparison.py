@@ -60,8 +60,8 @@ class Comparison(Printed):
         By kind of data, "identification" and "held-out": for every fit the `Prediction` of every
         record.
     supported : str
-        The label of the smallest structure that the data support, by BIC or, for records, by the
-        tests of nested models; empty if neither decides.
+        The label of the smallest structure that the data support, by BIC or, for two fits of
+        records, by the test of nested models; empty if neither decides.
     verdict : str
         The reason, in one sentence.
     """
