@@ -63,6 +63,7 @@ def _agreed(stated: str, written: str) -> str:
 def unit_and_hold(text: str) -> StringPair:
     """Split ``deg sampled``, a unit and a word on the hold; either may be empty."""
     unit, _, hold = text.strip().rpartition(" ")
+    hold = hold.lower()
     return (unit, hold) if hold in BETWEEN else (text, "")
 
 

@@ -189,7 +189,8 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
         percent = fitted.fit_percent(output)
         if not percent < 10:
             continue
-        noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
+        measured = [stretch.outputs[k] for stretch in part.data.stretches]
+        noise = noise_ratio(measured)
         if not fitted.data.has_time:  # the order of rows does not show the noise
             kind = "in rows"
             cure = ": try other starts or another model structure, unless that variation is noise."
@@ -200,14 +201,16 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
             kind, cure = "", "try other starts, narrower start boxes, or another model structure"
             if part.problem.model.state_names:
                 cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
-            values = fitted.data[output]
+            values = np.concatenate(measured)
             if abs(np.nanmean(values)) > np.nanstd(values):
                 cure = (
                     f"if {output} is not zero at rest (trim), subtract this value, or estimate it "
                     f"by OutputError(biases=({output!r},)); {cure}"
                 )
-            attainable = f"{noise.attainable_fit_percent:.0f}"
-            cure = f", although its noise would allow about {attainable} %: {cure}."
+            cure = (
+                ", although its noise would allow about "
+                f"{noise.attainable_fit_percent:.0f} %: {cure}."
+            )
         else:
             continue
         yield (
