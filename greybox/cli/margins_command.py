@@ -5,6 +5,8 @@ import argparse
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
+from greybox.data.response_file import read_response
+from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
 from greybox.files.arrays import Fields
@@ -17,6 +19,7 @@ EXAMPLES = (
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot",
     "hover.h5 forward.h5 --controller my.py:RateLoop --report margins.html",
     "rate.h5 --controller my.py:RateLoop --set K_P=0.12 K_I=0.1 --rate 400 --broken-at u q",
+    "loop.csv",
 )
 # The options that state the controllers of a loop.
 CONTROLLER_OPTIONS = """
@@ -32,12 +35,15 @@ CONTROLLER_OPTIONS = """
 OPTIONS = f"""
 results RESULT...
     a fit that greybox fit --out wrote, or the folder of a study; several, such as operating
-    points, are shown in one table
+    points, are shown in one table; or a .csv file with the measured response of the broken loop,
+    with negative feedback, which needs no controller
 --model
 {CONTROLLER_OPTIONS}
 --log LOG
     a log, whose controllers are checked; margins are also measured from it (without --controller:
     the log of the fit, if it is in the folder of RESULT)
+--columns NAME=COLUMN[:UNIT]...
+    the columns of a .csv file with other names: frequency=f:Hz
 --axis AXIS
     roll, pitch or yaw of the log (default: that of the control of the fit, or pitch)
 --broken-at SIGNAL...
@@ -61,12 +67,7 @@ results RESULT...
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, close their loops, and return the margins wherever these are broken."""
-    fits: Fields = {}
-    for path in options.results:
-        if path.is_dir():
-            fits |= {member.name: member.fit for member in read_study(path).done}
-        else:
-            fits[str(path)] = saved_fit(path, options)
+    fits = _fits(options)
     if not fits:
         raise UsageError(
             f"{options.results[0]} has no finished member: continue with greybox batch."
@@ -75,14 +76,18 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError("--log is of one flight: give a single RESULT with it.")
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
+    first = next(iter(fits.values()))
+    is_fit = isinstance(first, Fit)
+    if not is_fit and (options.log or options.report or options.plot):
+        raise UsageError("--log, --report and --plot are for fits, and a table is a measured loop.")
     settings = {
         "tracking": tuple(options.tracking) if options.tracking else None,
         **attributes(options, "at", "level", "boundary"),
     }
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
-    first = next(iter(fits.values()))
-    log = flight_log(first, options.results[0], options) if len(fits) == 1 else None
+    is_single = is_fit and len(fits) == 1
+    log = flight_log(first, options.results[0], options) if is_single else None
     if log:
         refuse_controllers(options)
         flown = shipped_module("models", "firmware").loop_of_log(
@@ -98,7 +103,7 @@ def run(options: argparse.Namespace) -> Answer:
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
     else:
-        controllers = stated_controllers(options)
+        controllers = stated_controllers(options) if options.controller or is_fit else None
         labeled = [
             (label, margins(fit, controllers, broken_at=place, **settings))
             for label, fit in fits.items()
@@ -119,6 +124,19 @@ def run(options: argparse.Namespace) -> Answer:
         report([*fits.values()], options.report, margins=loops)
         text.append(f"wrote {options.report}")
     return answer, "\n\n".join(text)
+
+
+def _fits(options: argparse.Namespace) -> Fields:
+    """Return the fits, or measured loops, by their names."""
+    fits: Fields = {}
+    for path in options.results:
+        if path.is_dir():
+            fits |= {member.name: member.fit for member in read_study(path).done}
+        elif path.suffix.lower() == ".csv":
+            fits[str(path)] = read_response(path, columns=options.columns or None)
+        else:
+            fits[str(path)] = saved_fit(path, options)
+    return fits
 
 
 def refuse_controllers(options: argparse.Namespace) -> None:

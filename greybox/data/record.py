@@ -412,7 +412,7 @@ class Recording(Mapping[str, Record]):
             cure = (
                 f"write MESSAGE.{signal}."
                 if only is None
-                else f"it has {some([*only], 12)}: name its columns, columns={signal}=COLUMN."
+                else f"it has {some([*only], 12)}: name its columns, columns={{{signal!r}: ...}}."
             )
             raise KeyError(f"the signal {signal!r} is ambiguous or unknown, {reason}; {cure}")
 

@@ -20,6 +20,8 @@ EXTRAS = ("coherence", "variance", "dof")
 COMMON = re.compile(r"(alpha|beta)_common(\d+)")  # see `FrequencyResponse.columns`
 ROLES = ("frequency", *RECTANGULAR, *POLAR, *EXTRAS)
 UNITS = {"frequency": "rad/s or Hz", "magnitude": "absolute or dB", "phase": "deg or rad"}
+# In lower case, of a table with names of its own.
+BODE = {"frequency": ("hz", "khz", "rad/s"), "magnitude": ("db",), "phase": ("deg", "°", "rad")}
 
 
 class Column(NamedTuple):
@@ -72,19 +74,28 @@ def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
 def written_columns(header: Labels, prefix: str) -> dict[str, str]:
     """Return the columns of a file from `write_response`, as `columns_by_role` takes them.
 
-    Another table names them by their roles, as in ``frequency [Hz], magnitude [dB], phase [deg]``.
+    Another table names them by their roles, as in ``frequency [Hz], magnitude [dB], phase [deg]``,
+    or in other words with one column in dB: ``f [Hz], Gain [dB], ph [deg]``.
 
     Raises
     ------
     ValueError
         If a column is missing, or the prefix of one of several responses.
     """
-    roles = {name.lower(): name for name in header if name.lower() in ROLES}
-    if "frequency" in roles and OMEGA not in header:
-        return roles
-    pairs = [name.removesuffix("_alpha") for name in header if name.endswith("_alpha")]
+    names = [heading(cell).name for cell in header]
+    roles = {name.lower(): name for name in names if name.lower() in ROLES}
+    if OMEGA not in names:
+        by_unit = {
+            role: [cell for cell in header if heading(cell).unit.lower() in units]
+            for role, units in BODE.items()
+        }
+        if all(len(cells) == 1 for cells in by_unit.values()):
+            return {role: cell for role, (cell,) in by_unit.items()} | roles
+        if "frequency" in roles:
+            return roles
+    pairs = [name.removesuffix("_alpha") for name in names if name.endswith("_alpha")]
     required = {"frequency": OMEGA, **{role: prefix + role for role in RECTANGULAR}}
-    missing = [name for name in required.values() if name not in header]
+    missing = [name for name in required.values() if name not in names]
     if missing and pairs and not prefix:
         raise ValueError(
             f"has several responses, {', '.join(pairs)}: choose one by the names of its input and "
@@ -93,12 +104,12 @@ def written_columns(header: Labels, prefix: str) -> dict[str, str]:
 
     if missing:
         raise ValueError(
-            f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the "
+            f"has no column {missing[0]!r}; it has {', '.join(names) or 'no header line'}: the "
             "columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof; or, "
             "with units in brackets, frequency, magnitude, phase; or be named, columns={...}."
         )
     # Files may have more columns, for other programs.
-    others = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
+    others = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
     optional = [role for role in others if role in EXTRAS or COMMON.fullmatch(role)]
 
     return required | {"frequency": f"{OMEGA}:rad/s"} | {role: prefix + role for role in optional}

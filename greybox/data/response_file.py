@@ -13,7 +13,7 @@ from greybox.data.response_columns import (
 )
 from greybox.data.units import with_units_in_header
 from greybox.files.arrays import Fields, NamedStrings, by_name
-from greybox.files.delimited_text import numbered, read_delimited, write_delimited
+from greybox.files.delimited_text import DelimitedText, numbered, read_delimited, write_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
 
@@ -65,15 +65,13 @@ def read_response(
     array([0.707, 0.447])
     """
     path = Path(path)
-    require_file(path)
-    table = with_units_in_header(read_delimited(path, path.read_bytes()))
+    table, names = _table(path)
     table = numbered(table) if columns else table
-    names = [heading(cell).name for cell in table.header]
     # The names of input and output choose a response of a matrix, and rename a single one.
     if f"{output}_{input}_alpha" in names and "alpha" not in names:
         prefix = prefix or f"{output}_{input}_"
     try:
-        places = columns_by_role(columns or written_columns(names, prefix), table.header)
+        places = columns_by_role(columns or written_columns(table.header, prefix), table.header)
     except ValueError as error:
         raise ValueError(f"{path} {error}") from None
 
@@ -105,9 +103,7 @@ def read_responses(
         pairs: those of signals with ``_`` need a comment ``# pairs: body_rate/stick ...``.
     """
     path = Path(path)
-    require_file(path)
-    table = with_units_in_header(read_delimited(path, path.read_bytes()))
-    names = [heading(cell).name for cell in table.header]
+    table, names = _table(path)
     prefixes = [name.removesuffix("_alpha") for name in names if name.endswith("_alpha")]
     stated = {pair.replace("/", "_"): pair for pair in table.facts.get(PAIRS, "").split()}
     pairs = [stated.get(prefix, prefix.replace("_", "/")).split("/") for prefix in prefixes]
@@ -123,6 +119,13 @@ def read_responses(
     return tuple(
         read_response(path, input=i, output=o, name=f"{o}/{i}", columns=columns) for o, i in pairs
     )
+
+
+def _table(path: Path) -> tuple[DelimitedText, list[str]]:
+    """Return the table in a file, and the names of its columns without their units."""
+    require_file(path)
+    table = with_units_in_header(read_delimited(path, path.read_bytes()))
+    return table, [heading(cell).name for cell in table.header]
 
 
 def write_response(response: FrequencyResponse, path: str | Path) -> None:

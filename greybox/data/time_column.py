@@ -16,11 +16,11 @@ from greybox.files.arrays import Array, Strings
 from greybox.files.text_table import printable
 
 # Names of a time column, in lower case and without a unit.
-TIMES = ("time", "t", "timestamp", "timestamps", "tout")
+TIMES = ("time", "t", "timestamp", "timestamps", "tout", "second", "seconds")
 # As ArduPilot's tools, MAVLink's messages and Arduino's functions name them.
 COUNTERS = {"timeus": 1e-6, "timems": 1e-3, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
-SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
+IN_NAME = re.compile(rf"(?:{'|'.join(TIMES)})_(s|sec|ms|us|ns)|.+_(deg|rad|rpm)")
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
 # Hz: no logger of flights or of motor stands is slower or faster, but a wrong unit is.
@@ -34,17 +34,21 @@ CURE = (
 def seconds(name: str, unit: str = "") -> float | None:
     """Return the length of a tick in s if this is the name of a time column, else None.
 
-    Names are time, t, timestamp and tout, in capitals or not, with a unit or a suffix as in
+    Names are time, t, timestamp, tout and second, in capitals or not, with a unit or a suffix as in
     ``time_ms`` (else in seconds), and those of counters such as TimeUS and millis.
     """
     name = name.lower()
     if name in COUNTERS:
         return COUNTERS[name]
     # A unit in the name takes precedence over one in brackets.
-    suffix = SUFFIX.match(name)
-    if suffix and suffix[1] in TIMES:
-        return tick(suffix[2])
-    return tick(unit or "s") if name in TIMES else None
+    suffix = unit_in_name(name)
+    return tick(suffix or unit or "s") if suffix or name in TIMES else None
+
+
+def unit_in_name(name: str) -> str:
+    """Return the unit at the end of a name, as in ``t_ms`` or ``pitch_deg``; empty without one."""
+    match = IN_NAME.fullmatch(name.lower())
+    return (match[1] or match[2]) if match else ""
 
 
 def tick(unit: str) -> float | None:

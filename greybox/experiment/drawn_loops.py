@@ -41,7 +41,11 @@ def drawn_loops(
         For a plant that is neither, and for values given with a fit.
     """
     if not isinstance(plant, (Fit, Model)):
-        raise TypeError(f"{plant!r:.60} has no loop: give a Fit, or a model with its values.")
+        raise TypeError(
+            f"a {type(plant).__name__} has no loop here: give a Fit, a model with its values, or "
+            "the FrequencyResponse of a broken loop; gb.interop.from_control(...) makes models and "
+            "responses of objects of python-control."
+        )
     if isinstance(plant, Model):
         return sampled_loop(plant, np.array([[*plant.values(values).values()]]), controller, at=at)
     if values is not None:

@@ -409,8 +409,9 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
     if any(row.is_extrapolated for row in rows):
         notes.insert(0, "* outside the frequencies of the fitted data: extrapolated.")
     if undetermined:
-        names = listed(undetermined)
-        notes.insert(0, f"No interval: the data of the fit do not determine the {names}.")
+        notes.insert(
+            0, f"No interval: the data of the fit do not determine the {listed(undetermined)}."
+        )
     if missing:
         share = 100 * max(missing.values())
         notes.insert(0, f"No interval: {share:.2g} % of the draws have no {listed([*missing])}.")
@@ -459,7 +460,8 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     Parameters
     ----------
     loop : FrequencyResponse
-        With a variance, as `broken_loop` and `greybox.spectral` give it.
+        With a variance, as `broken_loop` and `greybox.spectral` give it; without one, there are no
+        intervals.
     level : float
 
     Returns
@@ -468,15 +470,11 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
 
     Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
     intervals).
-
-    Raises
-    ------
-    ValueError
-        If the response has no variance.
     """
     require_level(level)
     order = np.argsort(loop.omega)
     points, drawn = np.log(loop.omega[order]), _drawn(loop)[:, order]
+    has_errors = len(drawn) > 1
     gain, omega = _between(points, drawn)
     numbers = margin_numbers(gain, omega, np.ones(len(gain), dtype=bool))
     fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]), np.ones(1, dtype=bool))
@@ -486,10 +484,11 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
         value = low = high = place = math.nan
         if values[0] and omega[0] < places[0] < omega[-1]:
             value = values[0]
-            drawn_ends = np.quantile(values[1:], ends, method="closest_observation")
-            low, _, high = drawn_ends
-            if name in LEAST:
-                high, value, low = 2 * value - drawn_ends
+            if has_errors:
+                drawn_ends = np.quantile(values[1:], ends, method=ORDER)
+                low, _, high = drawn_ends
+                if name in LEAST:
+                    high, value, low = 2 * value - drawn_ends
             # Straight lines between twice as distant points are four times as wrong.
             change = abs(fewer[name].value[0] - values[0]) / 3 if name in fewer else 0.0
             error = np.nan_to_num(change, posinf=0)
@@ -499,7 +498,7 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
         unit = UNITS[name.rstrip(" 0123456789")]
         rows.append(Margin(name, unit, value, low, high, place, group="measured"))
 
-    notes = []
+    notes = [] if has_errors else ["No intervals: the response has no variance."]
     if unmeasured:
         notes.append(
             f"The measurement, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a loop gain of "
@@ -510,13 +509,14 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
         notes.append("The gain is one at several frequencies; the smallest margin counts.")
     plant = loop.name or "the measured response"
     # There are no plants whose loops could be evaluated elsewhere.
+    level = level if has_errors else math.nan
     return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
 
 
 def _drawn(loop: FrequencyResponse) -> ComplexArray:
-    """Return the response and draws from its errors (1 + draws, n)."""
+    """Return the response and draws from its errors (1 + draws, n), none without a variance."""
     if loop.variance is None:
-        raise ValueError("the response has no variance: give one, as gb.spectral estimates it.")
+        return loop.response[None]
     random = np.random.default_rng(0)
     errors = random.normal(size=(2, DRAWS, len(loop)))
     if loop.dof is not None:

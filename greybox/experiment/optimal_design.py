@@ -44,7 +44,7 @@ def require_determined(information: Array, names: Labels) -> None:
     # With unit diagonal, the result does not depend on the units of the parameters.
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     if values[0] < 1e-10:  # rounding of the sensitivities
-        combined = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
+        combined = np.array(names)[np.abs(vectors[:, 0]) > 0.1]
         raise ValueError(
             f"no sine in this band separates {', '.join(combined)}: fix one of them, or choose "
             "another band."

@@ -130,8 +130,9 @@ class DelimitedText:
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     """Return the table in a file with the contents `raw`.
 
-    The header is the first line that is neither blank nor a comment, or the last comment before the
-    numbers, as `numpy.savetxt` writes it. Comments start with ``#`` or ``%``.
+    The header is the first line that is neither blank nor a comment and has as many cells as the
+    rows, or the last comment before the numbers, as `numpy.savetxt` writes it. Comments start with
+    ``#`` or ``%``.
 
     Raises
     ------
@@ -149,7 +150,8 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     if not body:
         return DelimitedText(path, ",", (), (), (), {})
 
-    header = body[0]
+    header = _header(lines, body)
+    body = body[body.index(header) :]
     matches = map(FACT.fullmatch, lines[:header])
     _, separator = _split(lines[header])
     cells = lines[body[-1]].split()
@@ -174,6 +176,23 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         [k + 1 for k in body[1:]],
         {match["key"]: match["value"] for match in matches if match},
     )
+
+
+def _header(lines: list[str], body: Sequence[int]) -> int:
+    """Return the place of the header: below a title and settings, above the numbers."""
+    # The last line may be cut, so the middle one shows the width.
+    row = lines[body[len(body) // 2]]
+    texts = []
+    for k in body[:200]:
+        names, mark = _split(lines[k])
+        if len(names) < len(row.split(mark)):
+            continue
+        if are_numbers(names):
+            break
+        if not any(map(is_number, names)):
+            texts.append(k)
+    # A line of settings may have as many cells.
+    return next((k for k in texts if "time" in lines[k].lower()), (*texts, body[0])[0])
 
 
 def numbered(text: DelimitedText) -> DelimitedText:

@@ -62,16 +62,19 @@ def text_table(header: Labels, rows: Sequence[Labels], left: Sequence[int] = (0,
     return "\n".join([line(cells[0]), rule, *map(line, cells[1:])])
 
 
-def number(value: float, digits: int = 5) -> str:
-    """Format `value` with `digits` significant digits; NaN and None are a dash."""
+def number(value: float | None, digits: int = 5) -> str:
+    """Format `value` with `digits` significant digits; NaN and None are a dash.
+
+    Rounded numbers have no exponent where that is readable: 180, not 1.8e+02.
+    """
     if value is None or math.isnan(value):
         return "-"
-    return f"{value:.{digits}g}"
+    return f"{float(f'{value:.{digits}g}'):.{max(digits, 6)}g}"
 
 
 def percent(share: float) -> str:
-    """Return a share in percent with two digits, without an exponent where that is readable."""
-    return f"{float(number(100 * share, 2)):g}"
+    """Return a share in percent with two digits."""
+    return number(100 * share, 2)
 
 
 def counted(count: float, singular: str, plural: str = "") -> str:
@@ -124,7 +127,7 @@ def with_error(value: float, error: float) -> StringPair:
         return number(value), "-"
     # With the digits of such an error, the value would have none, or more than a person reads.
     if error > 1e3 * abs(value) or error < 1e-9 * abs(value):
-        return number(value if error < abs(value) else 0.0), f"{float(number(error, 2)):g}"
+        return number(value if error < abs(value) else 0.0), number(error, 2)
     # Rounded first: 0.0996 has its two digits in 0.10, one place further left.
     decimals = 1 - math.floor(math.log10(float(f"{error:.1e}")))
     if not -4 <= decimals <= 7 or abs(value) >= 1e7:

@@ -11,7 +11,7 @@ from greybox.files.arrays import by_name
 from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (
-    "declare SI units in the model, since files are read in SI, or convert the record, "
+    "declare SI units in the model, since files are read in SI, or convert the record, record = "
     "record.with_signals(units={{{name!r}: {unit!r}}}, {name}={factor:.10g} * record[{name!r}]"
     "{zero})"
 )

@@ -64,9 +64,9 @@ class Sobol(Starts):
             low, high = parameter.box
             if not (math.isfinite(low) and math.isfinite(high)):
                 raise ValueError(
-                    f"random starts for {name!r} need a finite box and its bounds are ({low:g}, "
-                    f"{high:g}): declare Parameter(..., starts=(low, high)) or give the starts as "
-                    "a list."
+                    f"random starts for {name!r} need finite bounds and these are ({low:g}, "
+                    f"{high:g}): declare finite ones, or a start box, in its Parameter; or give "
+                    "the starts as a list."
                 )
 
         # A sequence is balanced at powers of two; scipy warns otherwise.

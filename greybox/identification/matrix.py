@@ -92,17 +92,17 @@ def measure_matrix(
     responses = response_matrix(record, period, u, y, excitations=e, name=record.name)
     if band is not None:
         responses = tuple(response.between(*band) for response in responses)
-    used = math.floor((len(record) / record.rate) / period + 1e-9)
     choices = [
         f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: "
-        f"{counted(used, 'period')} of {period:g} s, after {settle:g} s of settling."
+        f"{counted(math.floor(len(record) / record.rate / period + 1e-9), 'period')} of "
+        f"{period:g} s, after {settle:g} s of settling."
     ]
     measured = [signals[name] for name in (*u, *y)]
     loop = loop_text(controller_in(recording, measured[: len(u)], measured))
     by = f"the excitations {', '.join(excitations)}" if e else "the inputs themselves"
     choices.append(
-        f"{loop}: averages over whole periods; the lines of each input are those of {by}, "
-        "instrument=... names others."
+        f"{loop}: averages over whole periods, at the frequencies of {by}. To name other "
+        "excitations, give instrument=..."
     )
     return MatrixMeasurement(record, responses, tuple(choices))
 

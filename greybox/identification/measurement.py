@@ -36,7 +36,7 @@ from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
 from greybox.spectral.sweeps_and_noise import spectral_response
-from greybox.spectral.test_quality import Finding, Findings, Quality, check, jitter
+from greybox.spectral.test_quality import Finding, Findings, Quality, check, frequencies, jitter
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
 
@@ -505,11 +505,13 @@ def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Findi
     bands = [segment.band for segment in used if segment.kind == "sweep"]
     if not bands or len(bands) < len(used):
         return
-    low, high = min(low for low, _ in bands), max(high for _, high in bands)
     # 2 %: the ends of a sweep that is found in a setpoint are known from periods of a few samples.
-    beyond = response.omega[(response.omega < 0.98 * low) | (response.omega > 1.02 * high)]
+    omega = response.omega
+    outside = [(omega < 0.98 * low) | (omega > 1.02 * high) for low, high in bands]
+    # A gap in the log that cuts a sweep leaves a hole between two bands.
+    beyond = omega[np.all(outside, axis=0)]
     if beyond.size:
-        text = f"{counted(beyond.size, 'point')} beyond the sweep, {low:.3g} to {high:.3g} rad/s."
+        text = f"{counted(beyond.size, 'point')} beyond the sweep, at {frequencies(beyond)}."
         yield Finding("band", "warning", math.nan, text, tuple(beyond.tolist()))
 
 
@@ -521,8 +523,9 @@ def _without_warned(response: FrequencyResponse, quality: Quality) -> FrequencyR
     if not rows.any() or rows.all():
         return response
     places = ", ".join(f"{omega:.4g}" for omega in response.omega[rows])
-    count = counted(int(rows.sum()), "point")
-    text = f"{count} of {rows.size} at {places} rad/s (see the warnings)"
+    text = (
+        f"{counted(int(rows.sum()), 'point')} of {rows.size} at {places} rad/s (see the warnings)"
+    )
     return replace(response.where(~rows), about={**response.about, "left out": text})
 
 
@@ -617,7 +620,10 @@ def _choices(
             f"joint input-output estimate with the instrument {signals[INSTRUMENT]}. {FEEDBACK}."
         )
     else:
-        estimate = "direct estimate; with instrument=..., the injected signal, it is the joint one."
+        estimate = (
+            "direct estimate; in a closed loop, give the injected signal for the joint estimate, "
+            "instrument=..."
+        )
 
     choices = [f"{loop}: {estimate}"]
     if settings.conditioned:

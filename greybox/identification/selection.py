@@ -108,7 +108,7 @@ class Selection:
             return self.chosen and self.chosen.fit
         fit = self.chosen.fit
         # The warning goes with the fit, as it is saved and reported without this selection.
-        text = "the structure does not explain the data: its parameters describe no vehicle."
+        text = "the structure does not explain the data: do not use its parameters."
         return replace(fit, warnings=(text, *fit.warnings))
 
     @property

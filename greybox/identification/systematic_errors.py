@@ -16,7 +16,7 @@ from greybox.files.arrays import Array, ComplexArray, Interval, frozen
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
-from greybox.spectral.test_quality import SATURATED, Finding, graded
+from greybox.spectral.test_quality import SATURATED, Finding, frequencies, graded
 
 # An error that is a smaller share of the response everywhere is not mentioned: a tenth of the
 # standard errors of sine tests of ten periods, 0.2 to 1 %.
@@ -183,8 +183,7 @@ def _rounded(
     below = response.omega[(a < 1.0) & (relative > NEGLIGIBLE)]
     text = f"motor outputs are whole µs: {_size(relative)} are added to the standard errors"
     if below.size:
-        places = ", ".join(f"{omega:.3g}" for omega in below)
-        text += f", as the control is below one step at {places} rad/s; excite more there"
+        text += f", as the control is below one step at {frequencies(below)}; excite more there"
     severity = "warning" if below.size else "note"
     finding = Finding("resolution", severity, float(a.min()), f"{text}.", tuple(below.tolist()))
     return SystematicError("rounded outputs", relative, finding)

@@ -140,7 +140,7 @@ def from_control(
     y = _signal_names(outputs, system.output_labels)
     if isinstance(system, control.FrequencyResponseData):
         matrix = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)
-        name = system.name or ""
+        name = "" if "[" in (system.name or "[") else system.name  # sys[0] was generated
         first, *others = (
             FrequencyResponse(system.omega, matrix[k, i], input=u[i], output=y[k], name=name)
             for k in range(len(y))

@@ -3,12 +3,14 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
+from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 from greybox.data.response_columns import find_column
+from greybox.data.time_column import unit_in_name
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, NamedArrays, NamedStrings
+from greybox.files.arrays import Array, NamedArrays, NamedStrings, StringPair
 
-HOLDS = (" held", " sampled")  # end a unit, see `table_columns.table`
+BETWEEN = {"held": HELD, "sampled": CONTINUOUS}  # ends a unit, see `table_columns.table`
 
 
 def renamed(
@@ -30,6 +32,7 @@ def renamed(
         try:
             place, unit = find_column(text, header)
             own_names[name] = own[place]
+            unit = unit or unit_in_name(own[place])
             labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:
             sentence = str(error)
@@ -48,16 +51,20 @@ def renamed(
 
 def _agreed(stated: str, written: str) -> str:
     """Return the unit of a column with its hold; ValueError if the table has another unit."""
-    # ``deg sampled`` is a unit and a word on the hold, which a stated unit does not replace.
-    unit, _, hold = written.rpartition(" ") if written.endswith(HOLDS) else (written, "", "")
-    if stated in (unit, written):
-        to_si(unit)
-        return written
+    unit, hold = unit_and_hold(written)
+    wanted, wanted_hold = unit_and_hold(stated)
     # Two names of one unit agree, such as deg and °.
-    if unit and to_si(stated) != to_si(unit):
-        raise ValueError(f"its unit is {unit} in the table, not {stated}: leave the unit out")
-    to_si(stated)
-    return f"{stated} {hold}".rstrip()
+    if unit and wanted and to_si(wanted) != to_si(unit):
+        raise ValueError(f"its unit is {unit} in the table, not {wanted}: leave the unit out")
+    to_si(wanted or unit)
+    return f"{wanted or unit} {wanted_hold or hold}".strip()
+
+
+def unit_and_hold(text: str) -> StringPair:
+    """Split ``deg sampled``, a unit and a word on the hold; either may be empty."""
+    unit, _, hold = text.strip().rpartition(" ")
+    hold = hold.lower()
+    return (unit, hold) if hold in BETWEEN else (text, "")
 
 
 def in_si(record: Record, names: Iterable[str]) -> Record:

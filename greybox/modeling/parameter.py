@@ -40,6 +40,8 @@ class Parameter:
     ValueError
         If a number is not finite where it must be, bounds are reversed, or a start lies outside
         them.
+    TypeError
+        If unit or meaning is not a text, or `fixed` neither True nor False.
 
     Examples
     --------
@@ -60,7 +62,8 @@ class Parameter:
     prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers against one another."""
+        """Check the types, and the numbers against one another."""
+        self._require_types()
         low, high = number_pair(self.bounds, "bounds")
         if not low < high:
             raise ValueError(
@@ -99,6 +102,11 @@ class Parameter:
 
         if self.prior is not None:
             normal_prior(self.prior, "prior")
+
+    def _require_types(self) -> None:
+        for name, kind in {"unit": str, "about": str, "fixed": bool}.items():
+            if not isinstance(value := getattr(self, name), kind):
+                raise TypeError(f"{name} is {value!r}: give a value of type {kind.__name__}.")
 
     @property
     def box(self) -> Interval:

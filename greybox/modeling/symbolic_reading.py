@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Fields, by_name
+from greybox.files.text_table import counted
 from greybox.modeling.formula_structure import with_finite_slopes
 from greybox.modeling.model import Model, Names, ParameterFormula
 from greybox.modeling.one_thread import once
@@ -146,8 +147,8 @@ def traced_column(
     values = as_list(traced(owner, getattr(model, formula), *arguments))
     if len(values) != len(names):
         raise ValueError(
-            f"{owner} returns {len(values)} values and must return {len(names)}: one for each of "
-            f"{', '.join(names)}."
+            f"{owner} returns {counted(len(values), 'value')} and must return {len(names)}, as a "
+            f"tuple: one for each of {', '.join(names)}."
         )
 
     return with_finite_slopes(column(owner, values))

@@ -170,9 +170,10 @@ def ended_status() -> int:
 
 @contextmanager
 def listening() -> Iterator[None]:
-    """Note Ctrl-C in the block; an error after it becomes a KeyboardInterrupt, as its cause.
+    """Remember a Ctrl-C during the block instead of raising KeyboardInterrupt at once.
 
-    A second Ctrl-C raises KeyboardInterrupt in any case.
+    An error after it is raised as a KeyboardInterrupt, with the error as cause. A second Ctrl-C
+    raises KeyboardInterrupt in any case.
     """
     # The handler of another program is left alone, and so are other threads.
     usual = {

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Interval, Labels, Strings
+from greybox.files.arrays import Array, Interval, Labels, Strings
 from greybox.files.text_table import counted, one_line, some
 from greybox.spectral.saturation import at_limit
 
@@ -233,8 +233,10 @@ def _amplitude(record: Record, control: str, output: str) -> Findings:
 def _segments(segments: Sequence[Segment]) -> Findings:
     for segment in segments:
         if not segment.usable:
-            reasons = "; ".join(segment.findings).rstrip(".")
-            text = f"the {segment.kind} from {segment.start:.1f} s is not usable: {reasons}."
+            text = (
+                f"the {segment.kind} from {segment.start:.1f} s is not usable: "
+                f"{'; '.join(segment.findings).rstrip('.')}."
+            )
             yield Finding("segments", "warning", segment.start, text)
     if segments and not any(segment.usable for segment in segments):
         text = "no excited segment is usable: fly the test again."
@@ -307,6 +309,11 @@ def _rate(
     )
 
 
+def frequencies(omega: Array) -> str:
+    """Return frequencies (n,) in rad/s as text: the first ones, and the number of the others."""
+    return some([f"{w:.3g}" for w in omega]) + " rad/s"
+
+
 def _noise(response: FrequencyResponse) -> Findings:
     if response.variance is None:
         return
@@ -326,7 +333,7 @@ def _coherence(response: FrequencyResponse) -> Findings:
     weak = response.omega[response.coherence < COHERENCE[0]]
     if 0 < weak.size < response.omega.size:
         text = (
-            f"the coherence is below {COHERENCE[0]} at {some([f'{w:.3g}' for w in weak])} rad/s: "
+            f"the coherence is below {COHERENCE[0]} at {frequencies(weak)}: "
             "leave out these points, whose errors are understated."
         )
         yield Finding("coherence", "warning", float(weak.size), text, tuple(weak.tolist()))

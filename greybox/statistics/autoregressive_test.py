@@ -9,8 +9,8 @@ An estimated autoregression is too short-lived if the errors drift through the w
 slow term would then look significant. So the differences of the samples are tested, too, for which
 such a drift is short: the larger probability counts.
 
-Process noise reaches several outputs, which then show the same term, or the same imitation of a
-term: their likelihoods do not simply add up.
+Process noise reaches several outputs, in which it can look like one term. Their errors are then not
+independent, and their log-likelihoods must not be added.
 
 Sources: Cochrane and Orcutt (1949), Application of least squares regression to relationships
 containing auto-correlated error terms, Journal of the American Statistical Association 44;

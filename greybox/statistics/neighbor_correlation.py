@@ -221,10 +221,10 @@ def averaged_meat(
 
 
 def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
-    """Return variance and degrees of freedom of the Student's t closest to an average of such.
+    """Return variance and degrees of freedom of a Student's t that replaces an average of several.
 
-    The distributions have variances (m,) and the same degrees of freedom; the result has the same
-    intervals as their average at `LEVELS`. With infinite degrees of freedom, the result is normal
+    These have variances (m,) and the same degrees of freedom; the result has the same intervals as
+    their average at `LEVELS`. With infinite degrees of freedom, the result is normal
     and has the variance of the average: such variances add over the parts of a problem. With four
     or more degrees of freedom, the 95 % interval of Student's t is within 2 % of that of a normal
     distribution of the same variance.

@@ -90,7 +90,8 @@ def _is_response(names: Strings | None, columns: NamedStrings) -> bool:
     has_time = any(seconds(*heading(name)) for name in names)
     # Alpha and beta are also the angles of attack and sideslip of a flight, which has a time.
     return not has_time and any(
-        name.endswith((OMEGA, *RECTANGULAR)) or heading(name).name.lower() == "magnitude"
+        name.endswith((OMEGA, *RECTANGULAR))
+        or {"magnitude", "dB"} & {heading(name).name.lower(), heading(name).unit}
         for name in names
     )
 

@@ -101,9 +101,9 @@ def locked(folder: Path) -> Iterator[None]:
             f"another process is writing to {folder}: wait until it ends, or give another folder."
         ) from None
     except OSError as error:
-        reason = error.strerror or str(error).rstrip(".")
         raise type(error)(
-            f"{folder} cannot be written ({reason}): choose another folder."
+            f"{folder} cannot be written ({error.strerror or str(error).rstrip('.')}): choose "
+            "another folder."
         ) from error
     try:
         for text in mend(folder):
@@ -159,7 +159,7 @@ class StudyMember:
             if isinstance(value, dict):
                 value = ", ".join(f"{key} = {number:g}" for key, number in value.items())
                 if name == "fixed":  # a structure with all parameters free is one, too
-                    value = value or "nothing"
+                    value = value or "nothing fixed"
             elif isinstance(value, list):
                 value = ", ".join(value)
             if value not in (None, ""):

@@ -8,7 +8,13 @@ from greybox.estimate.result import Fits
 from greybox.files.arrays import Labels
 from greybox.simulation.windows import require_lengths
 from greybox.validation.common_likelihood import common_likelihood
-from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, Row
+from greybox.validation.comparison import (
+    HELD_OUT,
+    IDENTIFICATION,
+    SIGNIFICANT,
+    Comparison,
+    Row,
+)
 from greybox.validation.held_out import (
     Predictions,
     not_held_out,
@@ -139,6 +145,11 @@ def compare(
     if bic and not any(part.data.has_time for fit in fits for part in fit.records):
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]
+    else:
+        # A single test decides between two fits.
+        if len(fits) == 2 and tests:
+            supported = tests[0].large if tests[0].p_value < SIGNIFICANT else tests[0].small
+        verdict, *statements = statements or ("",)
     if all(fit.misfit is not None and not fit.misfit.explains for fit in fits):
         verdict = f"None of these models explains its data. {verdict}".rstrip()
     return Comparison(

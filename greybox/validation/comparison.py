@@ -60,7 +60,8 @@ class Comparison(Printed):
         By kind of data, "identification" and "held-out": for every fit the `Prediction` of every
         record.
     supported : str
-        The label of the smallest structure that the data support; empty if BIC is not known.
+        The label of the smallest structure that the data support, by BIC or, for two fits of
+        records, by the test of nested models; empty if neither decides.
     verdict : str
         The reason, in one sentence.
     """
@@ -122,17 +123,24 @@ class Comparison(Printed):
                 " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
                 for lengths in ([p.horizon for p in in_time], [p.lead for p in in_time])
             )
-            count = counted(sum(map(len, in_time)), "window")
-            texts.append(f"{count} of {window} s, each from {lead} s before it")
+            texts.append(
+                f"{counted(sum(map(len, in_time)), 'window')} of {window} s, each from "
+                f"{lead} s before it"
+            )
         return " and ".join(texts)
 
     def _section(self, rows: Sequence[Row], title: str) -> list[str]:
         cells = [
-            [r.measure, r.unit, *("-" if v is None else number(v, 5) for v in r.values)]
-            for r in rows
+            [r.measure, r.unit, *(_cell(r.measure, value) for value in r.values)] for r in rows
         ]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]
+
+
+def _cell(measure: str, value: float | None) -> str:
+    if measure.endswith("(p)") and value is not None and value < 1e-4:
+        return "< 0.0001"
+    return number(value)
 
 
 def p_text(p: float) -> str:

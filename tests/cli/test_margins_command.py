@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from command_line import refused, run
 
@@ -92,6 +93,24 @@ def test_a_study_without_a_finished_member_has_no_margins(capsys, tmp_path):
     gb.batch([member], tmp_path / "study", seconds=0.001)
     words = ("--controller", "controller:AttitudeController")
     assert "no finished member" in refused(capsys, "margins", tmp_path / "study", *words)
+
+
+def test_a_table_is_a_measured_loop(capsys, tmp_path):
+    omega = np.geomspace(0.3, 30, 40)
+    bode = tmp_path / "loop.csv"
+    loop = 2 / (1j * omega) * np.exp(-0.2j * omega)
+    phase = np.degrees(np.unwrap(np.angle(loop)))
+    rows = zip(omega, 20 * np.log10(abs(loop)), phase, strict=True)
+    lines = ["w [rad/s],L [dB],phi [deg]", *(",".join(map(str, row)) for row in rows)]
+    bode.write_text("\n".join(lines))
+    status, out, _ = run(capsys, "margins", bode, "--json")
+    assert status == 0
+    (answer,) = json.loads(out)["loops"]
+    expected = gb.margins(gb.read_response(bode))
+    assert answer["margins"]["phase margin"]["value"] == expected["phase margin"].value
+    assert expected["phase margin"].value == pytest.approx(90 - np.degrees(0.4), abs=0.1)
+    assert "broken loop itself" in refused(capsys, "margins", bode, *LOOP)
+    assert "--plot" in refused(capsys, "margins", bode, "--plot", tmp_path / "loop.png")
 
 
 def test_a_loop_that_is_not_stable_fails(capsys, rate_loop):

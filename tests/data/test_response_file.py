@@ -193,3 +193,11 @@ def test_columns_may_be_named_by_their_roles(tmp_path):
     path.write_text("frequency,magnitude,phase\n1,20,-90\n")
     with pytest.raises(ValueError, match="'frequency' without a unit"):
         gb.read_response(path)
+    path.write_text("Phi (°);coherence;f (kHz);Gain (dB)\n-90;0.9;0.001;20\n180;0.8;0.002;0\n")
+    named = gb.read_response(path)
+    np.testing.assert_allclose(named.response, response.response, atol=1e-12)
+    np.testing.assert_allclose(named.omega, response.omega)
+    np.testing.assert_allclose(named.coherence, [0.9, 0.8])
+    path.write_text("f [Hz],in [dB],out [dB],phase [deg]\n1,20,0,-90\n")
+    with pytest.raises(ValueError, match="it has f, in, out, phase"):
+        gb.read_response(path)

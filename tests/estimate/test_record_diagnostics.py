@@ -198,6 +198,10 @@ def test_a_fit_that_explains_almost_nothing_is_told():
         allowed, fit(Late(), record).records[0].fit_percent("y"), atol=15
     )  # fast movements count as noise
     assert not said(fit(Late(), record), "almost none of")
+    assert "at rest" not in text
+    raised = record.with_signals(y=record["y"] + 5 * np.ptp(record["y"]))
+    (text,) = said(fit(Wrong(), raised, fixed=known), "almost none of")
+    assert "OutputError(biases=('y',))" in text
 
 
 def test_a_gain_that_is_far_too_small_explains_almost_nothing_of_either_record():

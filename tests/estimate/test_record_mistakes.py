@@ -78,7 +78,7 @@ class Wild(gb.StateSpace):
             lambda: fit(gb.Problem(Spring(), gb.Record([0.0, 0.1], {"F": [0, 1], "x": [0, 1]}))),
             "no usable stretch",
         ),
-        (lambda: fit(gb.Problem(Wide(), DATA), 5), "random starts for 'b' need a finite box"),
+        (lambda: fit(gb.Problem(Wide(), DATA), 5), "random starts for 'b' need finite bounds"),
         (
             lambda: gb.Problem(Spring(), gb.Record(DATA.time, {"F": DATA["F"]})),
             "none of the outputs of Spring",

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import greybox as gb
+from greybox.files.delimited_text import read_delimited
 
 RANDOM = np.random.default_rng(3)
 TRUTH = np.column_stack([0.02 * np.arange(1, 31), RANDOM.normal(size=(30, 2)).round(5)])
@@ -200,3 +201,21 @@ def test_the_second_column_is_read_in_each_spelling(tmp_path, text, values):
 def test_the_line_of_a_mistake_is_named(tmp_path, text, words):
     with pytest.raises(ValueError, match=words):
         gb.read(saved(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "above",
+    [
+        '"Flight 12, elevator; CG 25 %"\n',
+        "Record Length,2500\nSample Interval,2E-4\n",
+        "Model,DS1054Z\n\nLabel,supply,current\n",
+    ],
+)
+def test_a_title_and_settings_above_the_header_are_skipped(tmp_path, above):
+    path = tmp_path / "scope.csv"
+    rows = "".join(f"{0.1 * k:.1f},{k}.5,{-k}.5\n" for k in range(12))
+    raw = f"{above}TIME,CH1,CH2\n{rows}"
+    table = read_delimited(path, raw.encode())
+    assert table.header == ("TIME", "CH1", "CH2")
+    assert len(table.lines) == 12
+    assert table.line_numbers[0] == above.count("\n") + 2

@@ -66,9 +66,12 @@ def test_the_cure_works():
     with pytest.raises(ValueError, match="convert the record") as refused:
         gb.Problem(Rate(), degrees)
     cure = str(refused.value).partition("convert the record, ")[2].removesuffix(".")
-    converted = eval(cure, {"record": degrees})
+    pasted = {"record": degrees}
+    exec(cure, pasted)
     fit = gb.fit(
-        gb.Problem(Rate(), converted, gb.OutputError(inputs="held")), starts=1, progress=False
+        gb.Problem(Rate(), pasted["record"], gb.OutputError(inputs="held")),
+        starts=1,
+        progress=False,
     )
     assert fit.estimate["a"] == pytest.approx(3.0, rel=1e-6)
 
@@ -99,7 +102,8 @@ def test_a_spectrum_in_other_units_is_refused_with_where_to_convert_it():
     degrees = record(180 / np.pi, q="deg/s", delta="rad", T="K")
     spectrum = gb.spectral.transient_spectrum(degrees, "delta", "q", (0.5, 20.0))
     with pytest.raises(
-        ValueError, match=r"q is in deg/s in the spectrum .* convert the record, record.with"
+        ValueError,
+        match=r"q is in deg/s in the spectrum .* convert the record, record = record.with",
     ):
         gb.fit(gb.Problem(Rate(), spectrum), starts=1, progress=False)
 

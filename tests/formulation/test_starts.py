@@ -100,7 +100,7 @@ def test_an_infinite_box_is_refused_and_a_start_box_or_a_list_cures_it():
     data = measured(Open(), TWO_LAGS_OMEGA, {"K": 7.0})
     with pytest.raises(
         ValueError,
-        match=r"random starts for 'K' need a finite box.*\(0, inf\).*starts=\(low, high\)",
+        match=r"random starts for 'K' need finite bounds.*\(0, inf\).*start box",
     ):
         gb.fit(gb.Problem(Open(), data), starts=3)
     for problem, starts in ((gb.Problem(Open(), data), [{}]), (gb.Problem(Boxed(), data), 3)):

@@ -95,7 +95,7 @@ def test_without_excitations_the_inputs_tell_and_a_period_is_a_whole_number_of_s
     )  # 19.6 Hz: 8.16 s are a period, 8 s are 156.9 samples
     found = measure_matrix(Recording({"FLY": slower}, "made.csv"), *SIGNALS, 8.16, settle=0.0)
     assert found.record.rate == pytest.approx(160 / 8.16)
-    assert "the lines of each input are those of the inputs themselves" in found.choices[1]
+    assert "at the frequencies of the inputs themselves" in found.choices[1]
     assert found.choices[0].endswith("5 periods of 8.16 s, after 0 s of settling.")
     stated = measure_matrix(
         Recording({"FLY": slower}, "made.csv"), *SIGNALS, 8.0 * 1.02, rate=100 / 8.16

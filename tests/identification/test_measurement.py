@@ -57,7 +57,7 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
         "estimate": "spectral, direct",
         "band": "2 to 12 rad/s",
     }
-    direct = "direct estimate; with instrument=..., the injected signal, it is the joint one."
+    direct = "direct estimate; in a closed loop, give the injected signal for the joint estimate, instrument=..."
     assert found.choices == (f"open loop (the log shows no controller): {direct}",)
     assert (found.tests, found.used, found.controller) == ((), (), "")
     assert found.detail == str(replace(response, about={}))
@@ -283,6 +283,21 @@ def test_frequencies_with_warnings_are_left_out_on_request():
     assert len(every.response) == 3
     assert clean.response.omega == pytest.approx([1.5, 6.0], rel=1e-2)
     assert any(text.startswith("left out: 1 point of 3 at ") for text in clean.choices)
+
+
+def test_frequencies_between_two_parts_of_a_sweep_are_beyond_it():
+    """The log has a gap while the sweep runs from 5 to 12 rad/s."""
+    made = flight(SWEEP)
+    gap = (TIME > 27) & (TIME < 43)
+    records = {
+        key: Record(TIME[~gap], {name: x[~gap] for name, x in record.signals.items()})
+        for key, record in made.items()
+    }
+    found = measure(Recording(records, "made.bin"), Settings(**PAIR, setpoint="IN.w"))
+    (beyond,) = [f.omega for f in found.quality.findings if f.about == "band"]
+    inside = [w for w in found.response.omega if 6 < w < 10]
+    assert inside
+    assert set(inside) <= set(beyond)
 
 
 def test_what_cannot_be_estimated_is_refused_with_the_reason():

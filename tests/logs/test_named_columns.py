@@ -73,3 +73,23 @@ def test_how_a_column_runs_between_samples_stays_with_it(tmp_path):
     assert record.units == {"u": "1", "theta": "rad", "x": "m"}
     np.testing.assert_allclose(record["x"], 0.3048 * np.array([3, 4, 5]))
     np.testing.assert_allclose(record["u"], [0.01, 0.02, 0.03])
+
+
+def test_the_option_may_state_how_a_column_runs(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("t [s],stick,angle [deg],x [m held]\n0,1,2,3\n1,2,3,4\n2,3,4,5\n")
+    columns = {"u": "stick:1 held", "theta": "angle:sampled", "z": "x:m sampled"}
+    record = gb.read(path, columns=columns)["flight"]
+    assert record.hold == {"u": np.inf, "theta": 0.0, "z": 0.0}
+    assert record.units == {"u": "1", "theta": "rad", "z": "m"}
+
+
+def test_the_end_of_a_name_is_a_unit_where_the_column_is_named(tmp_path):
+    path = tmp_path / "servo.csv"
+    path.write_text("t_us,pwm_us,angle_deg\n0,1500,2\n500,1510,3\n1000,1520,4\n")
+    columns = {"time": "t_us", "pwm": "pwm_us", "angle": "angle_deg"}
+    record = gb.read(path, columns=columns)["servo"]
+    np.testing.assert_allclose(record.time, [0, 5e-4, 1e-3])
+    np.testing.assert_allclose(record["angle"], np.radians([2, 3, 4]))
+    # A pulse in µs is no time.
+    np.testing.assert_array_equal(record["pwm"], [1500, 1510, 1520])

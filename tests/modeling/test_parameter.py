@@ -28,6 +28,13 @@ def test_starts_are_drawn_in_the_bounds_unless_said():
     assert gb.Parameter(2.0, bounds=(0, 5), starts=(3, 3)).box == (3, 3)
 
 
+@pytest.mark.parametrize("wrong", [{"unit": 3}, {"about": None}, {"fixed": "yes"}, {"fixed": 1}])
+def test_texts_and_flags_of_another_type_are_refused_by_their_name(wrong):
+    (name,) = wrong
+    with pytest.raises(TypeError, match=f"^{name} is "):
+        gb.Parameter(1.0, **wrong)
+
+
 @pytest.mark.parametrize("start", [0.0, 5.0])
 def test_a_start_may_lie_on_a_bound(start):
     assert gb.Parameter(start, bounds=(0, 5)).start == start

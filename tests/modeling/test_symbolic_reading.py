@@ -27,11 +27,11 @@ def state_space(derivative=lambda x, u, p: (u.u - p.c * x.x,), output=lambda x, 
     [
         (
             {"derivative": lambda x, u, p: (u.u, x.x)},
-            r"Mine\.derivative returns 2 values and must return 1: one for each of",
+            r"Mine\.derivative returns 2 values and must return 1, as a tuple: one for each of",
         ),
         (
             {"output": lambda x, u, p: (x.x, u.u)},
-            r"Mine\.output returns 2 values and must return 1: one for each of y",
+            r"Mine\.output returns 2 values and must return 1, as a tuple: one for each of y",
         ),
         (
             {"derivative": lambda x, u, p: (ca.vertcat(u.u, x.x),)},

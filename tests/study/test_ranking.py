@@ -54,11 +54,11 @@ def test_structures_of_one_model_differ_in_what_is_fixed(tmp_path):
     members.append(gb.study.Member(gb.Problem(Gain(), data("slow")), 3, name="gain"))
     study = gb.batch(members, tmp_path, progress=False)
     comparison = gb.compare(study.select(model="Lag"))
-    assert comparison.labels == ("nothing", "T_lag = 4")
-    assert comparison.supported == "nothing"
+    assert comparison.labels == ("nothing fixed", "T_lag = 4")
+    assert comparison.supported == "nothing fixed"
     both = study.ranking("model", "fixed")
-    assert both.labels == ("Lag: nothing", "Lag: T_lag = 4", "Gain: nothing")
-    assert both.supported == "Lag: nothing"
+    assert both.labels == ("Lag: nothing fixed", "Lag: T_lag = 4", "Gain: nothing fixed")
+    assert both.supported == "Lag: nothing fixed"
     # A value that all of them hold is not a difference.
     held = [
         gb.study.Member(
@@ -68,7 +68,7 @@ def test_structures_of_one_model_differ_in_what_is_fixed(tmp_path):
     ]
     alike = gb.batch(held, tmp_path / "held", progress=False)
     assert gb.compare(alike).labels == ("nothing else", "T_lead = 0")
-    assert bic(both, "slow", "Gain: nothing") == bic(gb.compare(study), "slow", "Gain")
+    assert bic(both, "slow", "Gain: nothing fixed") == bic(gb.compare(study), "slow", "Gain")
 
 
 class RateLag(Lag):

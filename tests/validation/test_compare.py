@@ -38,7 +38,8 @@ def test_a_linear_truth_is_not_taken_for_a_quadratic_one():
     record, other = flight(LINEAR, 3), flight(LINEAR, 4)
     both, linear, quadratic = (fitted(m, record) for m in (Drag(), LinearDrag(), QuadraticDrag()))
     found = gb.compare(both, linear, records=other)
-    assert "C_x is not shown to be needed" in found.statements[0]
+    assert "C_x is not shown to be needed" in found.verdict
+    assert found.supported == "LinearDrag"
     assert "equally well" in str(found)
     found = gb.compare(quadratic, linear, records=[other])
     assert "LinearDrag predicts the identification data better than QuadraticDrag" in str(found)
@@ -49,8 +50,8 @@ def test_slow_flight_does_not_determine_the_quadratic_term():
         flight({"a5": 0.3, "C_x": 0.05}, seed, noise=0.1, amplitude=0.004) for seed in (5, 6)
     )
     found = gb.compare(fitted(Drag(), record), fitted(LinearDrag(), record), records=other)
-    assert "C_x" in found.statements[0]
-    assert "The data do not show" in found.statements[0]
+    assert "C_x" in found.verdict
+    assert "The data do not show" in found.verdict
 
 
 def test_a_comparison_does_not_contradict_the_nested_test():
@@ -61,7 +62,7 @@ def test_a_comparison_does_not_contradict_the_nested_test():
         small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
         test = gb.validation.nested_test(small, large)
         found = gb.compare(*((small, large) if seed % 2 else (large, small)))
-        assert str(test) in found.statements[0]
+        assert str(test) in found.verdict
         significant += test.p_value < 0.05
     assert significant >= 2
 

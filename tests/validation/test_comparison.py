@@ -53,6 +53,12 @@ def test_p_values_in_sentences():
     assert p_text(math.nan) == "p = nan"
 
 
+def test_tiny_p_values_are_limits_in_the_table():
+    rows = (Row("held-out", "x", "  white (p)", "", (5.6e-165, 0.36)),)
+    words = str(Comparison(("a", "b"), "all", rows, ())).split()
+    assert words[-3:] == ["<", "0.0001", "0.36"]
+
+
 def test_rows_stand_under_their_data_and_output():
     rows = tuple(
         Row(data, output, f"{data} {output}", "", (float(k), None))

@@ -200,7 +200,7 @@ def test_a_worse_fit_of_the_larger_model_is_told():
     small, large = fitted(LinearDrag(), record), fitted(Drag(), record)
     with pytest.raises(ValueError, match="Drag costs more than LinearDrag, which it contains"):
         gb.validation.nested_test(small, replace(large, cost=small.cost + 1))
-    said = gb.compare(small, replace(large, cost=small.cost + 1)).statements[0]
+    said = gb.compare(small, replace(large, cost=small.cost + 1)).verdict
     assert said.startswith(
         "The data do not show which of LinearDrag and Drag fits them better: Drag costs more"
     )

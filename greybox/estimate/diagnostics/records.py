@@ -189,7 +189,8 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
         percent = fitted.fit_percent(output)
         if not percent < 10:
             continue
-        noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
+        measured = [stretch.outputs[k] for stretch in part.data.stretches]
+        noise = noise_ratio(measured)
         if not fitted.data.has_time:  # the order of rows does not show the noise
             kind = "in rows"
             cure = ": try other starts or another model structure, unless that variation is noise."
@@ -200,8 +201,16 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
             kind, cure = "", "try other starts, narrower start boxes, or another model structure"
             if part.problem.model.state_names:
                 cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
-            attainable = f"{noise.attainable_fit_percent:.0f}"
-            cure = f", although its noise would allow about {attainable} %: {cure}."
+            values = np.concatenate(measured)
+            if abs(np.nanmean(values)) > np.nanstd(values):
+                cure = (
+                    f"if {output} is not zero at rest (trim), subtract this value, or estimate it "
+                    f"by OutputError(biases=({output!r},)); {cure}"
+                )
+            cure = (
+                ", although its noise would allow about "
+                f"{noise.attainable_fit_percent:.0f} %: {cure}."
+            )
         else:
             continue
         yield (
@@ -230,9 +239,10 @@ def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Iterator[str
             # A gust of less correlation is not worth another criterion: it biases the estimates by
             # a fraction of a standard error.
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > 0.1:
-                place = _place(fitted, pairs)
-                delay = part.data.stretches[0].step * (lag + 1)
-                values.append(f"{r:.2g} after {delay:.2g} s for {output}{place}")
+                values.append(
+                    f"{r:.2g} after {part.data.stretches[0].step * (lag + 1):.2g} s for "
+                    f"{output}{_place(fitted, pairs)}"
+                )
 
     if values:
         part, _ = tested[0]

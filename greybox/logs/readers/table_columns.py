@@ -4,13 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.time_column import seconds, tick, times_in_seconds
 from greybox.files.arrays import AnyArray, Array, NamedArrays, NamedStrings, Strings
 from greybox.files.text_table import some
+from greybox.logs.named_columns import BETWEEN, unit_and_hold
 from greybox.logs.readers.messages import Messages
 
-BETWEEN = {"held": HELD, "sampled": CONTINUOUS}
 # Columns of the widest matrix whose columns become signals: a convention that excludes images.
 WIDEST = 64
 
@@ -53,12 +52,12 @@ def table(
     labels = {}
     hold = {}
     for key, values in signals.items():
-        unit, seconds_held = _unit_and_hold(units.get(key, ""))
+        unit, word = unit_and_hold(units.get(key, ""))
         parts = _split(key, values, size)
         split |= parts
         labels |= dict.fromkeys(parts, unit)
-        if seconds_held is not None:
-            hold |= dict.fromkeys(parts, seconds_held)
+        if word:
+            hold |= dict.fromkeys(parts, BETWEEN[word])
     odd = [key for key, values in signals.items() if len(values) != size]
     left_out = (
         (f"{name}: left out, because their length is not that of the time: {some(odd, 12)}.",)
@@ -80,13 +79,6 @@ def time_column(columns: Mapping[str, AnyArray], units: NamedStrings) -> str:
     first = next(iter(columns), "")
     is_clock = first in vectors and tick(units.get(first, ""))
     return timer or (first if is_clock and np.all(np.diff(columns[first]) > 0) else "")
-
-
-def _unit_and_hold(text: str) -> tuple[str, float | None]:
-    """Split ``1 held`` into the unit and the time for which a value lasts, s, or None."""
-    unit, _, word = text.strip().rpartition(" ")
-    hold = BETWEEN.get(word.lower())
-    return (text, None) if hold is None else (unit.strip(), hold)
 
 
 def _split(name: str, values: AnyArray, size: int) -> dict[str, Array]:
