@@ -79,9 +79,8 @@ class _Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            raise argparse.ArgumentError(
-                action, f"there is no {value!r}; there are {alternatives(value, action.choices)}"
-            )
+            choices = alternatives(value, action.choices)
+            raise argparse.ArgumentError(action, f"there is no {value!r}; there are {choices}")
 
     def error(self, message: str) -> NoReturn:
         see = "See" if message.endswith("?") else "; see"

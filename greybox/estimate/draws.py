@@ -95,10 +95,8 @@ class Draws(Printed):
             (name, *(number(value, 4) for value in np.quantile(column, (0.5, 0.025, 0.975))))
             for name, column in self.columns.items()
         ]
-        return (
-            f"{counted(len(self), 'draw')} from the fit {self.name!r}\n\n"
-            f"{text_table(('', 'median', '2.5 %', '97.5 %'), rows)}"
-        )
+        table = text_table(("", "median", "2.5 %", "97.5 %"), rows)
+        return f"{counted(len(self), 'draw')} from the fit {self.name!r}\n\n{table}"
 
 
 def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
@@ -135,11 +133,10 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     (100, 8)
     """
     if fit.known_directions(fit.names).unseen.size:
+        unknown = [q.name for q in fit.quantities if math.isnan(q.standard_error)]
         raise ValueError(
-            f"the data of {fit.name!r} do not determine "
-            f"{some([q.name for q in fit.quantities if math.isnan(q.standard_error)])}, so that "
-            "draws would have no end: fix parameters, or estimate the combination that is "
-            "determined."
+            f"the data of {fit.name!r} do not determine {some(unknown)}, so that draws would "
+            "have no end: fix parameters, or estimate the combination that is determined."
         )
 
     columns = by_name(fit.names, drawn_values(fit, count, fit.names, seed).T)

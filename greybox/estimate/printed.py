@@ -61,10 +61,8 @@ def _labeled(pairs: Sequence[StringPair]) -> str:
 
 def title(fit: Any) -> str:
     """Return the problem and its models."""
-    return (
-        f"{fit.name}: "
-        f"{', '.join(dict.fromkeys(part.label for part in fit.parts if not part.is_prior))}"
-    )
+    labels = dict.fromkeys(part.label for part in fit.parts if not part.is_prior)
+    return f"{fit.name}: {', '.join(labels)}"
 
 
 def facts(fit: Any) -> list[StringPair]:
@@ -179,9 +177,9 @@ def error_statement(fit: Any) -> str:
 
     interval = ""
     if math.isfinite(fit.dof):
+        freedom = counted(round(fit.dof), "degree of", "degrees of")
         interval = (
-            f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, "
-            f"{counted(round(fit.dof), 'degree of', 'degrees of')} freedom)"
+            f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, {freedom} freedom)"
         )
 
     is_wrong = fit.misfit is not None and not fit.misfit.explains
@@ -248,9 +246,10 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
     for output in dict.fromkeys(output for part in records for output in part.outputs):
         parts = [part for part in records if output in part.outputs]
         percents = [part.fit_percent(output) for part in parts]
+        least = parts[percents.index(min(percents))].data.name
         texts.append(
             f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to "
-            f"{max(percents):.1f} % (least in {parts[percents.index(min(percents))].data.name!r})"
+            f"{max(percents):.1f} % (least in {least!r})"
         )
 
     return texts

@@ -100,12 +100,12 @@ def _determined(fit: Any) -> tuple[bool, str]:
         )
 
     if texts:
+        well = len(fit.free) - len({*at_bound, *judged.beyond})
         return (
             # Insensitivity is the error if all others were known: it limits no use of an estimate
             # whose error, which is larger, is within the guideline.
             not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),
-            f"Of {counted(len(fit.free), 'free parameter')}, "
-            f"{counted(len({*fit.free} - {*at_bound, *judged.beyond}), 'is', 'are')} well "
+            f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
             f"determined; {'; '.join(texts)}. To determine more, fix a parameter or add data.",
         )
 

@@ -409,9 +409,8 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
     if any(row.is_extrapolated for row in rows):
         notes.insert(0, "* outside the frequencies of the fitted data: extrapolated.")
     if undetermined:
-        notes.insert(
-            0, f"No interval: the data of the fit do not determine the {listed(undetermined)}."
-        )
+        names = listed(undetermined)
+        notes.insert(0, f"No interval: the data of the fit do not determine the {names}.")
     if missing:
         share = 100 * max(missing.values())
         notes.insert(0, f"No interval: {share:.2g} % of the draws have no {listed([*missing])}.")

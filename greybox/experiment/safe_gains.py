@@ -134,10 +134,8 @@ class SafeGains:
         some = f"Some sets were refused: {self.cure}" if self.cure and self.best else ""
         at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
         wider = f"At an end of the tried range: the best {listed(at_end)}." if at_end else ""
-        today = (
-            "Today's gains meet the requirements with "
-            f"{number(100 * self.today_confidence, 3)} % confidence."
-        )
+        share = number(100 * self.today_confidence, 3)
+        today = f"Today's gains meet the requirements with {share} % confidence."
         if math.isnan(self.today_confidence):
             today = "Whether today's gains meet them is not known: their crossover lies there."
         rejection = ""

@@ -36,9 +36,9 @@ def replacing(path: Path) -> Iterator[Path]:
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
+        reason = error.strerror or str(error).rstrip(".")
         raise type(error)(
-            f"{path} cannot be written ({error.strerror or str(error).rstrip('.')}): free space or "
-            "choose another folder."
+            f"{path} cannot be written ({reason}): free space or choose another folder."
         ) from error
 
 

@@ -252,9 +252,9 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
     if log.file_corruption:
         collector.findings.append("parts of the file are damaged and were skipped.")
     if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
         collector.findings.append(
-            f"the logger lost data {len(log.dropouts)} times, "
-            f"{sum(dropout.duration for dropout in log.dropouts) / 1e3:.2f} s in total."
+            f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in total."
         )
 
 

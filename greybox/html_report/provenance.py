@@ -16,10 +16,8 @@ from greybox.html_report.tables import Cell, number_cell, table
 def data_summary(fit: Fit) -> str:
     """Say in one sentence which model was fitted to which data."""
     models = ", ".join(dict.fromkeys(part.label for part in fit.parts))
-    return (
-        f"{models} with {counted(len(fit.free), 'free parameter')}, fitted to "
-        f"{printed.data_text(fit)} by {fit.rule}."
-    )
+    free = counted(len(fit.free), "free parameter")
+    return f"{models} with {free}, fitted to {printed.data_text(fit)} by {fit.rule}."
 
 
 def provenance(fit: Fit) -> list[Element]:

@@ -151,10 +151,8 @@ def _chosen_axis(usable: Sequence[Segment], axes: dict[str, str], wanted: str) -
         for raw, axis in axes.items():
             if wanted in (raw, axis):
                 return raw
-        raise ValueError(
-            f"no usable test has the axis {wanted!r}; there are "
-            f"{', '.join(axis or raw for raw, axis in axes.items())}."
-        )
+        available = ", ".join(axis or raw for raw, axis in axes.items())
+        raise ValueError(f"no usable test has the axis {wanted!r}; there are {available}.")
     return max(axes, key=lambda raw: sum(test.duration for test in usable if test.axis == raw))
 
 

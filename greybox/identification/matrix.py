@@ -92,10 +92,10 @@ def measure_matrix(
     responses = response_matrix(record, period, u, y, excitations=e, name=record.name)
     if band is not None:
         responses = tuple(response.between(*band) for response in responses)
+    used = math.floor((len(record) / record.rate) / period + 1e-9)
     choices = [
         f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: "
-        f"{counted(math.floor(len(record) / record.rate / period + 1e-9), 'period')} of "
-        f"{period:g} s, after {settle:g} s of settling."
+        f"{counted(used, 'period')} of {period:g} s, after {settle:g} s of settling."
     ]
     measured = [signals[name] for name in (*u, *y)]
     loop = loop_text(controller_in(recording, measured[: len(u)], measured))

@@ -523,9 +523,8 @@ def _without_warned(response: FrequencyResponse, quality: Quality) -> FrequencyR
     if not rows.any() or rows.all():
         return response
     places = ", ".join(f"{omega:.4g}" for omega in response.omega[rows])
-    text = (
-        f"{counted(int(rows.sum()), 'point')} of {rows.size} at {places} rad/s (see the warnings)"
-    )
+    count = counted(int(rows.sum()), "point")
+    text = f"{count} of {rows.size} at {places} rad/s (see the warnings)"
     return replace(response.where(~rows), about={**response.about, "left out": text})
 
 

@@ -178,9 +178,9 @@ def select_orders(
     if rejected:
         notes.append(f"{counted(rejected, 'other structure')} had a higher BIC by least squares.")
     if any(orders.delay for orders in linear):
+        longest = TURN / max(responses, key=len).omega.max()
         notes.append(
-            f"{DELAYS} delays from 0 to {TURN / max(responses, key=len).omega.max():.2g} s were "
-            "tried, and longer ones where the "
+            f"{DELAYS} delays from 0 to {longest:.2g} s were tried, and longer ones where the "
             "longest was the best."
         )
     if undelayed:

@@ -77,9 +77,9 @@ def frequency_response(
             response = delayed.re + 1j * delayed.im
 
     if not all_finite(response):
+        worst = omega[np.argmin(np.isfinite(response))]
         raise ValueError(
-            f"{model.label} has no finite response at omega = "
-            f"{omega[np.argmin(np.isfinite(response))]:g} rad/s: a pole lies there."
+            f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there."
         )
 
     return FrequencyResponse(

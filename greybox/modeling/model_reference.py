@@ -128,8 +128,8 @@ def _alive(value: Any, given: Sequence[Model | type[Model]]) -> Any:
     if isinstance(value, dict) and "model" in value:
         return resolve(value["model"], given)
     if isinstance(value, dict):
+        text = printable(str(value.get("text")))
         raise LookupError(
-            f"an argument of the model, {printable(str(value.get('text')))}, was stored as text "
-            "only: give model=... itself."
+            f"an argument of the model, {text}, was stored as text only: give model=... itself."
         )
     return tuple(_alive(item, given) for item in value) if isinstance(value, list) else value

@@ -70,9 +70,10 @@ def harmonic_response(
     if harmonics == MOST_HARMONICS:
         half = replace(sine, harmonics=harmonics // 2)
         fewer, _ = directly_found(model, values, omega, half, **signals)
+        change = 100 * np.abs(fewer / response - 1).max()
         about["truncation"] = (
             f"{harmonics} harmonics, the most: with half as many the response differs by up to "
-            f"{100 * np.abs(fewer / response - 1).max():.2g} %"
+            f"{change:.2g} %"
         )
 
     input, output = pick_signals(model, input, output)

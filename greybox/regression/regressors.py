@@ -105,11 +105,11 @@ def regressors(
     columns = np.vstack(filtered)
     if not len(columns):
         longest = max(rows.stop - rows.start for rows in stretches(time, time))
+        lost = 2 * reach(min(bands)) + lateness
         raise ValueError(
             "no stretch without a gap is long enough: the longest piece of the record has "
-            f"{longest * step:.3g} s, of which smoothing and delays need "
-            f"{2 * reach(min(bands)) + lateness:.3g} s at its ends; give a longer or "
-            "less noisy record."
+            f"{longest * step:.3g} s, of which smoothing and delays need {lost:.3g} "
+            "s at its ends; give a longer or less noisy record."
         )
     equation = np.repeat(np.arange(len(base)), [len(rows) for rows in filtered])
     return Regressors(Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:]), bands)

@@ -317,10 +317,8 @@ def _not_finite(
     kind, place = (
         ("window", f"at {time:.6g} s") if windows.lead else ("row", f"in row {time + 1:.0f}")
     )
-    return (
-        f"{model.label} is not finite in {counted(int(simulated.not_finite.sum()), kind)} of "
-        f"{len(windows)}: {name} {place}"
-    )
+    count = counted(int(simulated.not_finite.sum()), kind)
+    return f"{model.label} is not finite in {count} of {len(windows)}: {name} {place}"
 
 
 def cure(called: str) -> str:

@@ -122,11 +122,11 @@ def cut(
     if not len(rows) and not record.has_time:
         raise ValueError(f"{record.name or 'the record'} has no row with all inputs and an output.")
     if not len(rows):
+        longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
             f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} "
-            f"s with measured outputs: its longest stretch without a gap lasts "
-            f"{seconds(max((len(s) * s.step for s in stretches), default=0.0))} s; give a shorter "
-            f"lead or {called}, or a longer record."
+            f"s with measured outputs: its longest stretch without a gap lasts {seconds(longest)} "
+            f"s; give a shorter lead or {called}, or a longer record."
         )
     return Windows(record, rows, lead_samples, horizon_samples)
 

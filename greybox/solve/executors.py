@@ -249,10 +249,10 @@ def _result(future: Future[Outcomes]) -> Outcomes | None:
     except CancelledError as error:
         raise ExecutorLostError(LOST) from error
     except Exception as error:
+        message = " ".join(str(error).split())[:300].rstrip(".") or "no reason given"
         raise ExecutorLostError(
-            f"a task of the executor failed, {type(error).__name__}: "
-            f"{' '.join(str(error).split())[:300].rstrip('.') or 'no reason given'}. Start "
-            "its workers again, or use greybox.solve.WorkerPool, which replaces lost workers."
+            f"a task of the executor failed, {type(error).__name__}: {message}. "
+            "Start its workers again, or use greybox.solve.WorkerPool, which replaces lost workers."
         ) from error
 
 

@@ -202,13 +202,14 @@ def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
 
 def _row(point: FrequencyPoint) -> Strings:
     gain = abs(point.response)
+    phase = math.degrees(math.atan2(point.response.imag, point.response.real))
     return (
         number(point.omega),
         str(point.periods),
         number(abs(point.u), 3),
         number(abs(point.y), 3),
         number(gain, 4),
-        f"{np.angle(point.response, deg=True):.2f}",
+        f"{phase:.2f}",
         # The error of the gain is one of the two components, as in other tables and figures.
         number(100 * point.standard_error / math.sqrt(2) / gain if gain else math.nan, 2),
         ", ".join(f"{100 * share:.1f}" for share in point.distortion),

@@ -115,10 +115,8 @@ def finite_frequency(
         except UnusableSegmentError as reason:
             left_out.append((segment, str(reason)))
     if not points:
-        raise ValueError(
-            "no segment gives a point of the response: "
-            f"{'; '.join(dict.fromkeys(reason for _, reason in left_out)) or 'there is none'}."
-        )
+        reasons = "; ".join(dict.fromkeys(reason for _, reason in left_out)) or "there is none"
+        raise ValueError(f"no segment gives a point of the response: {reasons}.")
     points = _with_pooled_noise(points)
 
     # The harmonics of one test are compared with the responses of the others. So the mean is taken

@@ -233,10 +233,8 @@ def _amplitude(record: Record, control: str, output: str) -> Findings:
 def _segments(segments: Sequence[Segment]) -> Findings:
     for segment in segments:
         if not segment.usable:
-            text = (
-                f"the {segment.kind} from {segment.start:.1f} s is not usable: "
-                f"{'; '.join(segment.findings).rstrip('.')}."
-            )
+            reasons = "; ".join(segment.findings).rstrip(".")
+            text = f"the {segment.kind} from {segment.start:.1f} s is not usable: {reasons}."
             yield Finding("segments", "warning", segment.start, text)
     if segments and not any(segment.usable for segment in segments):
         text = "no excited segment is usable: fly the test again."
@@ -317,7 +315,8 @@ def frequencies(omega: Array) -> str:
 def _noise(response: FrequencyResponse) -> Findings:
     if response.variance is None:
         return
-    error = float(np.median(response.relative_error))
+    errors = response.relative_error
+    error = float(np.median(errors))
     yield from graded(
         "noise",
         error,
@@ -325,6 +324,13 @@ def _noise(response: FrequencyResponse) -> Findings:
         f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or "
         "longer.",
     )
+    useless = response.omega[errors > ERROR[1]]
+    if useless.size and error <= ERROR[1]:
+        text = (
+            f"the standard deviation is above {100 * ERROR[1]:.0f} % of the magnitude at "
+            f"{frequencies(useless)}: these points hardly count in a fit."
+        )
+        yield Finding("noise", "note", float(useless.size), text)
 
 
 def _coherence(response: FrequencyResponse) -> Findings:

@@ -380,4 +380,5 @@ def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
 
 def _asked(member: Member) -> str:
     """Return the requested starts as text."""
-    return f"{member.starts!r}, seed {member.seed!r}{[data.checksum for data in member.held] or ''}"
+    held = [data.checksum for data in member.held]
+    return f"{member.starts!r}, seed {member.seed!r}{held or ''}"

@@ -389,9 +389,9 @@ def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
     if not fit.records:
         return ResponseReplicates(nlp, response_draws(nlp, x, _accuracy(nlp, x, ()), seed), x)
     if nlp.problem.held_estimates:
+        names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
-            f"{', '.join(nlp.problem.held_estimates)} of {nlp.problem.name!r} came with errors of "
-            "an earlier fit, which are "
+            f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are "
             "compiled into records as constants: fit them too, or bootstrap that fit."
         )
     # A fit has no states at the nodes: one run from the estimate finds them again.

@@ -120,9 +120,8 @@ def find_controller(text: str) -> type[Controller]:
         for key, value in vars(module).items()
         if isinstance(value, type) and issubclass(value, Controller) and value is not Controller
     }
-    return _named(
-        name, controllers, f"there is no controller {text!r}; {text.partition(':')[0]} has"
-    )
+    place = text.partition(":")[0]
+    return _named(name, controllers, f"there is no controller {text!r}; {place} has")
 
 
 def _named(name: str, classes: Mapping[str, type[Named]], refusal: str) -> type[Named]:

@@ -17,11 +17,8 @@ SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
 def latex_table(header: Labels, rows: Sequence[Labels], texts: int) -> str:
     """Return a table of cells in LaTeX; the first columns, `texts` of them, are flush left."""
     body = [" & ".join(row) + r" \\" for row in rows]
-    begin = [
-        rf"\begin{{tabular}}{{{'l' * texts}{'r' * (len(header) - texts)}}}",
-        r"\toprule",
-        " & ".join(header) + r" \\",
-    ]
+    columns = "l" * texts + "r" * (len(header) - texts)
+    begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", " & ".join(header) + r" \\"]
     return "\n".join([*begin, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"])
 
 

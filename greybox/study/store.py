@@ -101,9 +101,9 @@ def locked(folder: Path) -> Iterator[None]:
             f"another process is writing to {folder}: wait until it ends, or give another folder."
         ) from None
     except OSError as error:
+        reason = error.strerror or str(error).rstrip(".")
         raise type(error)(
-            f"{folder} cannot be written ({error.strerror or str(error).rstrip('.')}): choose "
-            "another folder."
+            f"{folder} cannot be written ({reason}): choose another folder."
         ) from error
     try:
         for text in mend(folder):

@@ -297,10 +297,8 @@ def _latex(members: Sequence[StudyMember]) -> str:
         [*map(latex_text, label.values()), *_cells(member, latex_number)]
         for label, member in zip(labels, members, strict=True)
     ]
-    return (
-        f"% {'; '.join(models)}\n"
-        f"{latex_table([*map(latex_text, labels[0]), *symbols], rows, len(labels[0]))}"
-    )
+    table = latex_table([*map(latex_text, labels[0]), *symbols], rows, len(labels[0]))
+    return f"% {'; '.join(models)}\n{table}"
 
 
 def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:

@@ -123,10 +123,8 @@ class Comparison(Printed):
                 " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
                 for lengths in ([p.horizon for p in in_time], [p.lead for p in in_time])
             )
-            texts.append(
-                f"{counted(sum(map(len, in_time)), 'window')} of {window} s, each from "
-                f"{lead} s before it"
-            )
+            count = counted(sum(map(len, in_time)), "window")
+            texts.append(f"{count} of {window} s, each from {lead} s before it")
         return " and ".join(texts)
 
     def _section(self, rows: Sequence[Row], title: str) -> list[str]:

@@ -62,10 +62,8 @@ def _same(a: FittedPart, b: FittedPart) -> bool:
 def shared_data(fits: Fits) -> str:
     """Say which data the fits share."""
     parts = [f"{part.data.name or part.name} ({part.data.checksum[:8]})" for part in fits[0].parts]
-    return (
-        f"the same for all: {', '.join(parts)}, "
-        f"{sum(part.compared_numbers for part in fits[0].parts)} numbers"
-    )
+    count = sum(part.compared_numbers for part in fits[0].parts)
+    return f"the same for all: {', '.join(parts)}, {count} numbers"
 
 
 def count_unknowns(fit: Fit) -> int:

@@ -42,9 +42,9 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
         # A shift matters above a tenth of a standard error, which adds 0.5 % to the root mean
         # square error.
         if np.linalg.norm(change) > max(0.1 * noise, 1e-7):
+            count = counted(sine.harmonics, "harmonic is", "harmonics are")
             yield (
-                f"{counted(sine.harmonics, 'harmonic is', 'harmonics are')} too few for "
-                f"{problem.name!r}: with {more} the response changes by up to "
+                f"{count} too few for {problem.name!r}: with {more} the response changes by up to "
                 f"{100 * change.max():.2g} %; use Sine({sine.signal!r}, ..., harmonics={more})."
             )
         if lost.any():

@@ -31,11 +31,11 @@ def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
             )
 
     if len(combinations) > 3:
+        names = dict.fromkeys(name for c in combinations[3:] for name in c.names)
         yield (
             f"{counted(len(combinations) - 3, 'more combination')} of parameters are determined "
-            "poorly or not at all, of "
-            f"{listed([*dict.fromkeys(name for c in combinations[3:] for name in c.names)])}; the "
-            "table of identifiability shows them."
+            f"poorly or not at all, of {listed(tuple(names))}; the table of identifiability "
+            "shows them."
         )
 
 
@@ -120,10 +120,8 @@ def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterat
     absent = sizes & set(accuracy.at_bound)
     # Where all are zero, `gusts` compares likelihoods.
     if absent and absent < sizes:
-        yield (
-            f"{listed(sorted(absent))} ended at zero, where the likelihood is stationary: give a "
-            "start above zero."
-        )
+        names = listed(sorted(absent))
+        yield f"{names} ended at zero, where the likelihood is stationary: give a start above zero."
 
     for name in accuracy.at_bound:
         if name in without_effect or name in absent:

@@ -73,12 +73,12 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     for part in responses:
         deviation = largest_deviation(part, values, len(nlp.free))
         if deviation and points * deviation.probability < SIZE:
+            omega = part.data.omega[deviation.index]
+            one_in = number(1 / max(points * deviation.probability, 1e-12), 2)
             yield (
-                f"the point at {part.data.omega[deviation.index]:.4g} rad/s of {part.name!r} is "
-                "an outlier, "
-                f"{percent(deviation.relative)} % from the model: fewer than one in "
-                f"{number(1 / max(points * deviation.probability, 1e-12), 2)} fits to clean data "
-                "have such a point. Fit again without it to see its effect."
+                f"the point at {omega:.4g} rad/s of {part.name!r} is an outlier, "
+                f"{percent(deviation.relative)} % from the model: fewer than one in {one_in} fits "
+                "to clean data have such a point. Fit again without it to see its effect."
             )
         yield from _unequal_sizes(part, values, SIZE / len(responses))
 

@@ -239,10 +239,9 @@ def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Iterator[str
             # A gust of less correlation is not worth another criterion: it biases the estimates by
             # a fraction of a standard error.
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > 0.1:
-                values.append(
-                    f"{r:.2g} after {part.data.stretches[0].step * (lag + 1):.2g} s for "
-                    f"{output}{_place(fitted, pairs)}"
-                )
+                place = _place(fitted, pairs)
+                delay = part.data.stretches[0].step * (lag + 1)
+                values.append(f"{r:.2g} after {delay:.2g} s for {output}{place}")
 
     if values:
         part, _ = tested[0]

@@ -17,7 +17,8 @@ def once(findings: Findings) -> Iterator[str]:
         if len(alike) <= 3:
             yield from (text for *_, text in alike)
             continue
+        names = list(dict.fromkeys(repr(name) for _, name, _ in alike[1:]))
         yield (
             f"{alike[0][2].removesuffix('.')}; the same applies to {len(alike) - 1} more "
-            f"({some([*dict.fromkeys(repr(name) for _, name, _ in alike[1:])])})."
+            f"({some(names)})."
         )

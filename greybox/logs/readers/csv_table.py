@@ -119,9 +119,9 @@ def _headings(text: DelimitedText) -> list[Heading]:
     by_number = names == [str(k) for k in range(1, len(names) + 1)]
     # A first line of numbers is data, unless these are the numbers of the columns.
     if not names or (are_numbers(" ".join(names).split()) and not by_number):
+        line = text.separator.join(text.header)[:60]
         raise ValueError(
-            f"{text.path} has no header line: its first line, "
-            f"{text.separator.join(text.header)[:60]!r}, must name the columns. Or "
+            f"{text.path} has no header line: its first line, {line!r}, must name the columns. Or "
             "give numbers for names, columns=... with time=1 u=2 theta=3:deg."
         )
     twice = next((name for name, count in Counter(names).items() if count > 1), None)

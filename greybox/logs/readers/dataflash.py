@@ -185,9 +185,9 @@ def _missing(present: set[str], messages: MessageNames) -> Strings:
 def _damage(positions: Index) -> Strings:
     findings = []
     if positions.damage:
+        skipped = sum(end - start for start, end in positions.damage)
         findings.append(
-            f"{sum(end - start for start, end in positions.damage)} bytes in "
-            f"{counted(len(positions.damage), 'place')}, the first at byte "
+            f"{skipped} bytes in {counted(len(positions.damage), 'place')}, the first at byte "
             f"{positions.damage[0][0]}, are damaged and were skipped."
         )
     if positions.cut:

@@ -130,9 +130,9 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
         wide = int(np.count_nonzero(steps > GAP * record.step))
         # 20 steps show the usual one. A message with gaps in 5 % of its steps comes irregularly.
         if steps.size >= 20 and 0 < wide <= 0.05 * steps.size:
+            start = record.time[steps.argmax()]
             texts.append(
-                f"{name}: {counted(wide, 'gap')}, the longest {steps.max():.3g} s at "
-                f"{record.time[steps.argmax()]:.1f} s."
+                f"{name}: {counted(wide, 'gap')}, the longest {steps.max():.3g} s at {start:.1f} s."
             )
             longest.append(steps.max())
     # Gaps in many messages have one cause: logging stopped.
