@@ -14,8 +14,8 @@ from greybox.cli.terminal import write
 from greybox.cli.workers import stated_executor
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import counted, some, text_table
+from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
-from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.batch import Member, batch
 from greybox.study.progress import progress
 from greybox.study.store import DATABASE, is_study, locked

@@ -13,8 +13,8 @@ from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_ans
 from greybox.cli.terminal import write
 from greybox.files.error_place import error_place
 from greybox.modeling.model_reference import UnknownModelError
+from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
-from greybox.solve.worker_pool import ExecutorLostError
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -13,9 +13,9 @@ from greybox.cli.saved_fits import require_fit_file
 from greybox.cli.workers import stated_executor
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fit_with_storage
+from greybox.estimate.printed import summary
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
-from greybox.estimate.summary import summary
 from greybox.files.text_table import counted
 from greybox.solve.interruption import (
     Interrupted,
@@ -28,7 +28,7 @@ from greybox.solve.interruption import (
     take_interrupt,
 )
 from greybox.solve.multistart import BATCHED, SEARCHES
-from greybox.solve.run_storage import RunStorageError
+from greybox.solve.runs import RunStorageError
 from greybox.study.stated_problem import stated_problem
 from greybox.study.store import StoredRuns, folder_beside, runs_beside
 

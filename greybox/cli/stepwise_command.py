@@ -5,7 +5,7 @@ import argparse
 from greybox.cli.output import Answer, attributes
 from greybox.cli.problem_options import PROBLEM_OPTIONS
 from greybox.cli.saved_fits import require_fit_file, save_fit
-from greybox.estimate.summary import summary
+from greybox.estimate.printed import summary
 from greybox.study.stated_problem import stated_problem
 from greybox.validation.stepwise import stepwise
 

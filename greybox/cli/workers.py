@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from greybox.cli.options import UsageError
 from greybox.files.optional_package import required
-from greybox.solve.worker_pool import WorkerPool
+from greybox.solve.executors import WorkerPool
 
 CONNECTING = 10  # s, until a scheduler that does not answer is given up
 

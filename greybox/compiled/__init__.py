@@ -15,14 +15,12 @@ Begin with `compiled_problem`.
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |
 | `record_part` | a record with its information, and as expressions for IPOPT |
+| `step_size` | substeps of a sample and samples of a segment |
+| `initial_states` | initial states at the nodes |
 | `record_group` | several records evaluated together |
 | `sampled_data` | a record as gapless stretches of samples, cut into segments |
 | `sample_step` | one sample as a CasADi function |
 | `segments` | all segments simulated and linearized at once |
-| `substep_derivatives` | the linearization of models with many states |
-| `step_size` | substeps of a sample and samples of a segment |
-| `initial_states` | initial states at the nodes |
-| `record_linearization` | steady filters and known initial states in the linearization |
 | `condensing` | elimination of nodes and multipliers of continuity |
 | `residual_covariance` | the weights of the residuals |
 | `kalman_gain`, `riccati` | the gain of a predictor; the one that follows from process noise |

@@ -1,6 +1,6 @@
 """The number of harmonics of sine tests in a fit: as many as matter at the start values.
 
-A fit warns if the estimate needs more, see `greybox.estimate.diagnostics.harmonics`.
+A fit warns if the estimate needs more, see `greybox.estimate.diagnostics.discretization`.
 """
 
 from greybox.formulation.problem import Problem

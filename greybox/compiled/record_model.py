@@ -14,9 +14,8 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.files.arrays import Array, BoolArray, IntArray, Named, StringPair, Strings, frozen
-from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
-from greybox.formulation.time_criteria import TimeCriterion
+from greybox.formulation.time_criteria import TimeCriterion, between_samples
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order

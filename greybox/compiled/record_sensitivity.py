@@ -7,9 +7,8 @@ import numpy as np
 
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
-from greybox.compiled.record_linearization import filter_information
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.segmented_part import Placed, SegmentedPart
+from greybox.compiled.segmented_part import Placed, SegmentedPart, filter_information
 from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array, NamedArrays, frozen, of_diagonal
 from greybox.statistics.column_space import triangle_of

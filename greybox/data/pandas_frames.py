@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
 from greybox.files.arrays import AnyArray, Array, Named, Strings
-from greybox.files.heading import heading
+from greybox.files.delimited_text import heading
 from greybox.files.optional_package import required
 
 Frame = Any

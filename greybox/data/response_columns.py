@@ -10,7 +10,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.units import known_unit
 from greybox.files.arrays import Fields, Labels, NamedArrays, NamedStrings
-from greybox.files.heading import heading
+from greybox.files.delimited_text import heading
 from greybox.files.text_table import alternatives
 
 OMEGA = "omega_rad_s"

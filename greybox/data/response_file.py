@@ -13,8 +13,13 @@ from greybox.data.response_columns import (
 )
 from greybox.data.units import with_units_in_header
 from greybox.files.arrays import Fields, NamedStrings, by_name
-from greybox.files.delimited_text import DelimitedText, numbered, read_delimited, write_delimited
-from greybox.files.heading import heading
+from greybox.files.delimited_text import (
+    DelimitedText,
+    heading,
+    numbered,
+    read_delimited,
+    write_delimited,
+)
 from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit

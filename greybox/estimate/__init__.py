@@ -6,15 +6,15 @@ Begin with `fit`.
 | --- | --- |
 | `fit` | from a problem to its answer: search, accuracy, warnings |
 | `result` | `Fit`, the answer as values |
-| `printed` | the answer as text, and as HTML for notebooks |
+| `verdict` | the answer in a few sentences |
+| `printed` | the answer as text, as HTML for notebooks, and as plain values for JSON |
 | `at_estimate` | the model at the estimate, to be run on records |
 | `fitted_part` | the values that an answer keeps of each part of its problem |
 | `fitted_values` | how these are made from the compiled part |
 | `fitted_problem` | the problem again, from its answer |
 | `quantities` | estimates, tied values and derived quantities with their standard errors |
 | `covariance` | standard errors from the sandwich, for all criteria |
-| `undetermined` | combinations of parameters that the data do not determine |
-| `identifiability` | how well each parameter is determined, and which combinations are |
+| `identifiability` | how well each parameter is determined; combinations that are, or are not |
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
 | `misfit` | whether the model explains the data, and what it may lack |
@@ -27,6 +27,5 @@ Begin with `fit`.
 | `profile` | likelihood profiles, by minima with a quantity held, and where they end |
 | `profile_result` | the profiles as values |
 | `diagnostics` | the folder of warnings |
-| `verdict`, `summary` | the answer in a few sentences, and as plain values for JSON |
 | `storage`, `stored_values` | fits in HDF5 files, and how their fields are stored |
 """

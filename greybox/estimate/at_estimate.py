@@ -10,8 +10,8 @@ from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, NamedStrings, Strings
 from greybox.files.text_table import counted
-from greybox.formulation.input_assumptions import Inputs
 from greybox.formulation.restated_parameter import restated
+from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference
 from greybox.modeling.pade_delay import delay_order

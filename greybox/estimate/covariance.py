@@ -8,9 +8,9 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
-from greybox.estimate.identifiability import KnownDirections
-from greybox.estimate.undetermined import (
+from greybox.estimate.identifiability import (
     Combination,
+    KnownDirections,
     collinear_groups,
     invisible_groups,
 )

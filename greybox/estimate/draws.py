@@ -14,9 +14,16 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Labels, Strings, by_name, frozen, positive_or_one
-from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
+from greybox.files.text_table import (
+    Printed,
+    alternatives,
+    counted,
+    number,
+    one_line,
+    some,
+    text_table,
+)
 from greybox.modeling.model import Names
 from greybox.solve.gauss_newton.driver import GaussNewton
 

@@ -43,9 +43,8 @@ from greybox.formulation.starts import AnyStarts, Listed, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
-from greybox.solve.blas_threads import one_blas_thread
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
-from greybox.solve.executors import require_executor
+from greybox.solve.executors import one_blas_thread, require_executor
 from greybox.solve.interruption import (
     Interrupted,
     Response,
@@ -62,8 +61,7 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, multistart, solver_for
 from greybox.solve.robust_fit import with_robust_errors
-from greybox.solve.run_storage import RunStorage
-from greybox.solve.runs import SEARCH_OVER
+from greybox.solve.runs import SEARCH_OVER, RunStorage
 
 _version = cache(version)  # reading it takes 2 ms
 

@@ -25,8 +25,8 @@ from greybox.files.arrays import (
 )
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
-from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.formulation.prior import Prior
+from greybox.formulation.time_criteria import Inputs, described_inputs
 from greybox.modeling.sine import Sine
 from greybox.statistics.metrics import fit_percent
 

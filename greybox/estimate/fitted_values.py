@@ -12,14 +12,14 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.diagnostics.delay_approximation import pade_error
+from greybox.estimate.diagnostics.discretization import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.files.arrays import Array, Fields, Values, all_finite, by_name
 from greybox.formulation.problem import Problem
+from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model, equation
 from greybox.modeling.model_reference import reference, source_text
 from greybox.modeling.one_thread import traced_once
-from greybox.modeling.periodic_motions import response_of_test
 
 
 def fitted_part(

@@ -1,4 +1,7 @@
-"""How well each parameter, and each combination of parameters, is determined."""
+"""How well each parameter, and each combination of parameters, is determined.
+
+Combinations of parameters that the data do not determine, or determine poorly.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -7,10 +10,9 @@ from itertools import combinations, product
 
 import numpy as np
 
-from greybox.estimate.undetermined import BLIND
-from greybox.files.arrays import Array, BoolArray, Labels, Strings, by_name, frozen
-from greybox.files.html_text import Printed
-from greybox.files.text_table import counted, number, one_line, text_table, with_error
+from greybox.files.arrays import Array, BoolArray, Labels, NamedArrays, Strings, by_name, frozen
+from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
+from greybox.statistics.column_space import triangle_of
 
 # Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
 # Identification, ch. 12.
@@ -346,3 +348,109 @@ def _text(of: Identifiability) -> Iterator[str]:
 
 def _percent(share: float) -> str:
     return "no effect" if math.isinf(share) else number(100 * share, 3)
+
+
+BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Parameters that the data determine only together.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters involved, the most affected first.
+    index : float
+        Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit
+        length; infinite when the data do not see the combination at all. Above 10 to 20 parameters
+        compensate one another. Source: Brun, Reichert and Künsch (2001), Water Resources Research
+        37(4).
+    directions : int
+        In how many directions the parameters move without effect.
+    states : tuple of str
+        States whose unknown initial values take part.
+    """
+
+    names: Strings
+    index: float
+    directions: int = 1
+    states: Strings = ()
+
+
+def invisible_groups(
+    invisible: Array, size: Array, names: Strings, initial: Sequence[NamedArrays]
+) -> tuple[Combination, ...]:
+    """Return the groups of parameters that move without effect in `invisible` directions (p, b).
+
+    Directions without a common parameter are different groups, however the directions are mixed.
+    """
+    # The projector does not depend on how the singular vectors mix equal singular values.
+    projector = invisible @ invisible.T
+    linked = np.abs(projector) > BLIND
+    remaining = set(np.flatnonzero(np.diag(projector) > BLIND**2).tolist())
+    groups = []
+
+    while remaining:
+        # No parameter that takes part has an error, however small its part is.
+        group = {max(remaining, key=lambda k: (projector[k, k], -k))}
+        while linked_too := {k for k in remaining - group if linked[k, list(group)].any()}:
+            group |= linked_too
+        remaining -= group
+        members = sorted(group, key=lambda k: (-round(projector[k, k], 6), k))
+        block = projector[np.ix_(members, members)]
+        moves = np.zeros((len(names), len(members)))
+        moves[members] = block * size[members, None]
+        states = {
+            state: None
+            for of_part in initial
+            for state, follow in of_part.items()
+            # Initial states that change by less than this share take no part.
+            if np.any(np.abs(follow[:, : len(names)] @ moves) > 1e-3)
+        }
+        directions = max(round(float(np.trace(block))), 1)
+        members_by_name = tuple(names[k] for k in members)
+        groups.append(Combination(members_by_name, math.inf, directions, tuple(states)))
+
+    return tuple(sorted(groups, key=lambda group: names.index(group.names[0])))
+
+
+def collinear_groups(
+    jacobian: Array,
+    active: Array,
+    names: Strings,
+    at_bound: Labels,
+    invisible: Array,
+) -> tuple[Combination, ...]:
+    """Return combinations whose effects nearly cancel, apart from `invisible` ones (p, b).
+
+    Singular vectors of the same parameters are one combination, with the largest index. `active`
+    (a, p) has the gradients of active constraints.
+    """
+    rows = np.vstack([jacobian, active])
+    inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
+    # Columns of unit length: the index measures how parallel effects are, not how large.
+    length = np.linalg.norm(jacobian[:, inside], axis=0)
+    limits = active[:, inside]
+    limit_length = np.linalg.norm(limits, axis=1, keepdims=True)
+    unit = np.vstack(
+        [
+            jacobian[:, inside] / np.maximum(length, 1e-300),
+            limits / np.maximum(limit_length, 1e-300),
+        ]
+    )
+    _, singular, rows = np.linalg.svd(triangle_of(unit), full_matrices=True)
+    singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
+    # The smallest singular values belong to the invisible directions, which have groups already.
+    seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
+    groups: dict[frozenset[str], Combination] = {}
+
+    for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):
+        if value > 1 / 20:  # above an index of 20 parameters hardly compensate one another
+            break
+        # Rounding must not order what takes part alike.
+        order = np.argsort(-row.round(3), kind="stable")
+        group = tuple(names[inside[i]] for i in order if row[i] > 0.2 * row.max())
+        groups.setdefault(frozenset(group), Combination(group, float(1 / max(value, 1e-300))))
+
+    return tuple(groups.values())

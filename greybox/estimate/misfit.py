@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field
 
 from greybox.files.arrays import Strings
-from greybox.files.html_text import Printed
-from greybox.files.text_table import number, percent, text_table, with_error
+from greybox.files.text_table import Printed, number, percent, text_table, with_error
 from greybox.modeling.added_terms import Formula
 
 # Largest probability at which a model is called wrong. Of 959 right fits of simulated records,

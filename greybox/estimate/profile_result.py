@@ -4,9 +4,8 @@ import math
 from typing import Literal
 
 from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
-from greybox.files.html_text import Printed
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import alternatives, number, one_line
+from greybox.files.text_table import Printed, alternatives, number, one_line
 
 End = Literal["crossed", "bound", "flat", "failed"]
 

@@ -175,7 +175,7 @@ def response_and_slope(
 ) -> tuple[FrequencyResponse, ComplexArray]:
     """Return the response at `omega` (n,) rad/s and its derivatives (n, k) in the parameters.
 
-    The arguments are those of `greybox.modeling.periodic_motions.response_of_test`.
+    The arguments are those of `greybox.modeling.harmonic_balance.response_of_test`.
     """
     input, output = pick_signals(model, signals["input"], signals["output"])
     options = {"at": signals["at"], "pade": delay_order(signals["delay"])}

@@ -23,7 +23,7 @@ from greybox.estimate.identifiability import (
     identifiability,
 )
 from greybox.estimate.misfit import Misfit
-from greybox.estimate.printed import details, text
+from greybox.estimate.printed import details, summary, text
 from greybox.estimate.profile_result import Profiles
 from greybox.estimate.response_band import (
     ResponseBand,
@@ -32,7 +32,6 @@ from greybox.estimate.response_band import (
     response_and_slope,
     t_quantile,
 )
-from greybox.estimate.summary import summary
 from greybox.files.arrays import (
     AnyArray,
     Array,
@@ -45,14 +44,13 @@ from greybox.files.arrays import (
     by_name,
     frozen,
 )
-from greybox.files.html_text import Printed
-from greybox.files.text_table import counted, one_line, with_error
+from greybox.files.text_table import Printed, counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
-from greybox.formulation.input_assumptions import Inputs
+from greybox.formulation.time_criteria import Inputs
+from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
-from greybox.modeling.periodic_motions import response_of_test
 from greybox.modeling.rational import Rational, rational
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.solve.minima import Minimum, Multistart, best_unfinished

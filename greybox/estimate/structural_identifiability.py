@@ -13,8 +13,12 @@ from greybox.compiled.record_sensitivity import sensitivity
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.estimate.covariance import informations
-from greybox.estimate.identifiability import KnownDirections, identifiability
-from greybox.estimate.undetermined import Combination, invisible_groups
+from greybox.estimate.identifiability import (
+    Combination,
+    KnownDirections,
+    identifiability,
+    invisible_groups,
+)
 from greybox.files.arrays import (
     Array,
     BoolArray,

@@ -5,7 +5,7 @@ test).
 
 | file | contents |
 | --- | --- |
-| `sines`, `sweep`, `multisine` | test signals |
+| `excitation` | test signals: sines, sweeps and multisines |
 | `scripts` | files that fly them on a vehicle |
 | `controller` | sampled control laws |
 | `sampled_loop` | the loop of a plant and its controllers, as linear equations |
@@ -27,7 +27,12 @@ from greybox.experiment.control_check import (
     check_controller as check_controller,
 )
 from greybox.experiment.controller import Controller as Controller
-from greybox.experiment.excitation import Excitation as Excitation
+from greybox.experiment.excitation import (
+    Excitation as Excitation,
+    multisine as multisine,
+    sine_schedule as sine_schedule,
+    sweep as sweep,
+)
 from greybox.experiment.expected_errors import (
     ExpectedErrors as ExpectedErrors,
     expected_errors as expected_errors,
@@ -40,7 +45,6 @@ from greybox.experiment.margins import (
     measured_margins as measured_margins,
 )
 from greybox.experiment.measured_loop import broken_loop as broken_loop
-from greybox.experiment.multisine import multisine as multisine
 from greybox.experiment.safe_gains import SafeGains as SafeGains, safe_gains as safe_gains
 from greybox.experiment.scripts import (
     ardupilot_script as ardupilot_script,
@@ -48,6 +52,4 @@ from greybox.experiment.scripts import (
     write_excitation as write_excitation,
 )
 from greybox.experiment.sine_plan import SinePlan as SinePlan, plan_sines as plan_sines
-from greybox.experiment.sines import sine_schedule as sine_schedule
-from greybox.experiment.sweep import sweep as sweep
 from greybox.experiment.virtual_flight import virtual_flight as virtual_flight

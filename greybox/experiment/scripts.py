@@ -3,8 +3,7 @@
 import math
 from pathlib import Path
 
-from greybox.experiment.excitation import Excitation
-from greybox.experiment.sweep import DWELL
+from greybox.experiment.excitation import DWELL, Excitation
 from greybox.files.arrays import Labels
 from greybox.files.delimited_text import write_delimited
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES

@@ -15,10 +15,9 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller
-from greybox.experiment.excitation import NOTHING, Excitation
+from greybox.experiment.excitation import NOTHING, Excitation, sine_schedule
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
-from greybox.experiment.sines import sine_schedule
 from greybox.files.arrays import (
     Array,
     ComplexArray,

@@ -5,11 +5,9 @@ Begin with `text_table`.
 | file | contents |
 | --- | --- |
 | `arrays` | types of numpy arrays for annotations, whether arrays are finite, divisors |
-| `text_table` | tables and numbers as people read them |
-| `html_text` | the same tables for notebooks |
-| `delimited_text` | tables of numbers in files: separator, decimal mark, comments, facts |
+| `text_table` | tables and numbers as people read them, also in notebooks |
+| `delimited_text` | tables of numbers in files: separator, decimal mark, units, comments, facts |
 | `grouping` | items in groups that are alike |
-| `heading` | name and unit of a column |
 | `json_numbers` | values in JSON, without NaN and infinity |
 | `packed` | compressed bytes |
 | `progress` | progress bars |

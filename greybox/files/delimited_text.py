@@ -5,6 +5,8 @@ commas in numbers.
 The header line decides the separator, or the last line where blanks separate its numbers. All
 numbers together decide the decimal mark. A table that can be read in two ways is refused, and the
 message names the line: a wrong number would be worse than no number.
+
+Headings of columns: a name and a unit, ``pitch [deg]`` or ``pitch (deg)``.
 """
 
 import csv
@@ -14,6 +16,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -299,3 +302,24 @@ def _split(line: str) -> tuple[list[str], str]:
         names.pop()  # separators at the end of the line
 
     return names, separator
+
+
+# An element of an array, as flight controllers write it: its brackets hold no unit.
+INDEX = re.compile(r".*\w\[\d+\]")
+BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
+
+
+class Heading(NamedTuple):
+    """One column's name and unit."""
+
+    name: str
+    unit: str
+
+
+def heading(cell: str) -> Heading:
+    """Split ``pitch [deg]`` or ``pitch (deg)`` into name and unit; ``motor[0]`` is a name."""
+    cell = cell.strip()
+    match = BRACKETS.match(cell)
+    if match is None or INDEX.fullmatch(cell):
+        return Heading(cell, "")
+    return Heading(match[1].strip(), (match[2] or match[3] or "").strip())

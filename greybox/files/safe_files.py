@@ -57,7 +57,7 @@ def require_file(path: Path) -> None:
         For a path that does not exist (`FileNotFoundError`), a folder, and a pipe, which would
         block.
     """
-    # A study copies what it reads, see `cli/study_copies.py`.
+    # A study copies what it reads, see `cli/batch_command.py`.
     sys.audit("greybox.read", str(path))
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}.")

@@ -1,9 +1,13 @@
-"""Numbers and tables as a person reads them in a terminal."""
+"""Numbers and tables as a person reads them in a terminal.
+
+How notebooks show values that print themselves.
+"""
 
 import difflib
 import math
 import unicodedata
 from collections.abc import Iterable, Sequence
+from html import escape
 from typing import Any
 
 from greybox.files.arrays import Labels, StringPair, Strings
@@ -175,3 +179,17 @@ def one_line(value: object, *facts: str) -> str:
     """Return ``<Class fact, fact>`` for the `repr` of a value, in less than 120 characters."""
     text = printable(" ".join(f"<{type(value).__name__} {', '.join(facts)}".split()))
     return f"{text}>" if len(text) < 119 else f"{text[:115]}...>"
+
+
+def preformatted(text: str) -> str:
+    """Return lines of text as HTML."""
+    # Names come from files, which must not write HTML into a notebook.
+    escaped = escape(printable(text, keep="\n"))
+    return f"<pre>{escaped}</pre>"
+
+
+class Printed:
+    """A value that a notebook shows as its printed text, not as one line."""
+
+    def _repr_html_(self) -> str:
+        return preformatted(str(self))

@@ -5,8 +5,9 @@ Begin with `problem`.
 | file | contents |
 | --- | --- |
 | `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
-| `sum` | `Sum`: problems solved at once, whose costs add; each record has its own biases |
 | `several` | one problem for several records |
+| `restated_parameter` | a parameter with other bounds or starts |
+| `sum` | `Sum`: problems solved at once, whose costs add; each record has its own biases |
 | `criterion` | what all criteria share |
 | `frequency_criteria` | the criteria for frequency responses |
 | `time_criteria`, `spectrum_criteria` | the criteria for records and for spectra of manoeuvres |
@@ -14,8 +15,6 @@ Begin with `problem`.
 | `relative_score` | bias and spread of relative criteria by noise |
 | `prior`, `prior_part` | a-priori knowledge, and a sum with it |
 | `held_estimate` | an earlier fit whose values a problem holds fixed |
-| `restated_parameter` | a parameter with other bounds or starts |
-| `input_assumptions` | how inputs run between their samples |
 | `signal_units` | units of data against those of the model |
 | `starts` | where the runs of a search begin |
 """

@@ -11,8 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import by_name, frozen
-from greybox.files.html_text import preformatted
-from greybox.files.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line, preformatted
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters

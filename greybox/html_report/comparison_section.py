@@ -7,10 +7,8 @@ from xml.etree.ElementTree import Element
 
 from greybox.estimate.result import Fits
 from greybox.files.grouping import grouped
-from greybox.html_report.elements import tag
-from greybox.html_report.entry import Entry
-from greybox.html_report.figure import COLUMNS, figure_grid
-from greybox.html_report.tables import Cell, number_cell, table
+from greybox.html_report.elements import COLUMNS, Cell, figure_grid, number_cell, table, tag
+from greybox.html_report.fit_section import Entry
 from greybox.plotting.bode import bode_figure
 from greybox.plotting.figure import Figure
 from greybox.plotting.nyquist import nyquist_figures

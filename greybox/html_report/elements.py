@@ -1,10 +1,31 @@
-"""Elements of the page: the tree of the standard library, which escapes texts and attributes."""
+"""Elements of the page: the tree of the standard library, which escapes texts and attributes.
 
-from collections.abc import Iterable
+The formulas of a description, set by matplotlib.
+
+Figures on the page: elements with the numbers that the script `page.js` draws.
+
+Tables of the page; its script can sort them.
+"""
+
+import io
+import json
+import math
+import re
+from base64 import b64encode
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
-from greybox.files.text_table import printable
+import numpy as np
+
+from greybox.estimate import printed
+from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
+from greybox.estimate.result import Fit
+from greybox.files.arrays import Labels, by_name
+from greybox.files.text_table import is_number, number, percent, printable, with_error
+from greybox.plotting.figure import Figure, Series
 
 Child = Element | str | None | Iterable["Child"]
 """Content of an element: elements, text, nothing, or several of these."""
@@ -47,3 +68,162 @@ def _append(element: Element, children: Child) -> None:
     else:
         for child in children:
             _append(element, child)
+
+
+# Backticks, and the arguments of a class, which are not part of its equation.
+OMITTED = r"(?s)`|\n\n(Parameters|Raises)\n-.+?(?=\n\n|$)"
+
+
+def description(text: str) -> Iterator[Element]:
+    """Yield paragraphs with the formulas between dollar signs as images, as LaTeX writes them."""
+    for paragraph in re.sub(OMITTED, "", text).split("\n\n"):
+        yield tag("p", with_formulas(paragraph))
+
+
+def with_formulas(text: str) -> list[Child]:
+    """Return a text with the formulas between dollar signs as images."""
+    pieces = re.split(r"(?s)(\$\$.+?\$\$|\$.+?\$)", text)
+    return [_formula(piece) if k % 2 else piece for k, piece in enumerate(pieces)]
+
+
+def _formula(piece: str) -> Child:
+    from matplotlib import rc_context  # noqa: PLC0415  (takes a third of a second)
+    from matplotlib.mathtext import math_to_image  # noqa: PLC0415
+
+    is_display = piece.startswith("$$")
+    formula = " ".join(piece.strip("$").split())
+    # As LaTeX does between two dollar signs.
+    drawn = formula.replace(r"\frac", r"\dfrac") if is_display else formula
+    image = io.BytesIO()
+    try:
+        with rc_context({"savefig.transparent": True, "svg.fonttype": "path"}):
+            math_to_image(f"${drawn}$", image, format="svg")
+    except ValueError:  # what matplotlib cannot set, such as matrices
+        return tag("code", formula)
+    source = "data:image/svg+xml;base64," + b64encode(image.getvalue()).decode()
+    return tag("img", src=source, alt=formula, class_="display" if is_display else None)
+
+
+DIGITS = 5  # of numbers in a figure: a pixel is a thousandth of a panel
+COLUMNS = 600  # of a line on the page, two pixels wide; a line then takes about 18 kB
+
+
+def figure_grid(figures: Sequence[Figure]) -> Element:
+    """Return figures for the page, side by side where there is room."""
+    is_alone = len(figures) == 1
+    return tag("div", [figure_element(figure, is_alone) for figure in figures], class_="figures")
+
+
+def figure_element(figure: Figure, is_alone: bool = False) -> Element:
+    """Return a figure; the script draws into the element of class ``plot``."""
+    # In an attribute, which is escaped: a name in the data could end a script element.
+    options = {"ensure_ascii": False, "separators": (",", ":")}
+    data = json.dumps(figure, allow_nan=False, default=_plain, **options)
+    caption = tag("figcaption", tag("strong", figure.title), f" {figure.caption}".rstrip())
+    wide = "wide" if figure.is_wide or is_alone else None
+    return tag("figure", caption, tag("div", class_="plot", data_figure=data), class_=wide)
+
+
+def _plain(item: Any) -> Any:
+    """Return numbers as a list, anything else by the names of its attributes."""
+    if isinstance(item, np.ndarray):
+        values = np.asarray(item, dtype=float)
+        finite = values[np.isfinite(values)]
+        span = float(np.ptp(finite)) if finite.size else 0.0
+        return [_number(value, span) for value in values.tolist()]
+    if isinstance(item, Series) and item.kind == "regions":
+        # NaN ends an outline. Twelve of its 48 vertices look round, in a quarter of the space.
+        ends = np.isnan(item.x)
+        visible = ends | (np.cumsum(~ends) % 4 == 0)
+        item = replace(item, x=item.x[visible], y=item.y[visible])
+    return {name: value for name, value in vars(item).items() if value is not None}
+
+
+def _number(value: float, span: float) -> float | None:
+    """Return a number with the digits that a figure of this span needs, None if not finite."""
+    if not math.isfinite(value):
+        return None
+    # Five digits of a clock time in seconds would be all alike: far from zero keep more of them.
+    digits = math.ceil(math.log10(abs(value) / span)) if 0 < span < abs(value) else 0
+    return float(f"{value:.{DIGITS + digits}g}")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text of a cell, the number by which it is sorted, and the class that marks it."""
+
+    text: Child
+    value: float | None = None
+    mark: str = ""
+
+
+def table(header: Labels, rows: Sequence[Sequence[Cell]]) -> Element:
+    """Return a table; columns of numbers are flush right."""
+    # One number makes a column of numbers: dashes stand for those that are not known.
+    is_number = [any(row[k].value is not None for row in rows) for k in range(len(header))]
+    head = [
+        tag("th", text, scope="col", class_="number" if right else None)
+        for text, right in zip(header, is_number, strict=True)
+    ]
+    body = tag("tbody", *(tag("tr", *map(_cell, row, is_number)) for row in rows))
+    sortable = tag("table", tag("thead", tag("tr", *head)), body, class_="sortable")
+    return tag("div", sortable, class_="scroll", tabindex="0")
+
+
+def parameter_table(fit: Fit) -> Element:
+    """Return the table of all quantities; for a failed fit, the last values of its best run."""
+    header, rows, _ = printed.parameter_table(fit)
+    cells = [[Cell(x, float(x)) if is_number(x) else Cell(x) for x in row] for row in rows]
+    for row, (*_, about) in zip(cells, rows, strict=True):
+        row[-1] = Cell(with_formulas(about) if "$" in about else about)
+    if fit.converged:
+        header = [*header[:3], "95 % interval", "CR, %", "insensitivity, %", *header[3:]]
+        intervals, errors, insensitivities = fit.interval(0.95), {}, {}
+        with suppress(ValueError):  # the fit has no standard errors
+            judged = fit.identifiability
+            errors = by_name(judged.names, judged.error.tolist())
+            insensitivities = by_name(judged.names, judged.insensitivity.tolist())
+        for row, (name, *_) in zip(cells, rows, strict=True):
+            low, high = intervals.get(name, (math.nan, math.nan))
+            row[3:3] = [
+                Cell(_interval(low, high), low),
+                _share(errors.get(name, math.nan), ERROR_GUIDELINE),
+                _share(insensitivities.get(name, math.nan), INSENSITIVITY_GUIDELINE),
+            ]
+    return table(header, cells)
+
+
+def number_cell(value: float | None, digits: int = 5) -> Cell:
+    """Return the cell of a number; a dash for an unknown one."""
+    if value is None or not math.isfinite(value):
+        return Cell("–")
+    return Cell(number(value, digits), value)
+
+
+def _share(share: float, guideline: float) -> Cell:
+    if math.isnan(share):
+        return Cell("–")
+    text = percent(share)
+    return Cell(f"{text} !", share, "doubt") if share > guideline else Cell(text, share)
+
+
+def _interval(low: float, high: float) -> str:
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "–"
+    # A quarter of a 95 % interval is about one standard error, which decides the digits.
+    return " to ".join(with_error(end, (high - low) / 4)[0] for end in (low, high))
+
+
+def _cell(cell: Cell, is_number: bool) -> Element:
+    text = cell.text
+    classes = [cell.mark, "number" if is_number else ""]
+    # Numbers are never broken into lines; sentences must be, or they would widen the page.
+    if isinstance(text, str):
+        if len(text) > 24:  # characters from which a text is broken into lines
+            classes.append("prose")
+        if is_number:
+            text = text.replace("-", "−").replace("inf", "∞")
+
+    # The script sorts by this number, not by the rounded text.
+    value = f"{cell.value:.12g}" if cell.value is not None and math.isfinite(cell.value) else None
+    return tag("td", text, class_=" ".join(filter(None, classes)) or None, data_value=value)

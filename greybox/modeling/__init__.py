@@ -9,16 +9,16 @@ Begin with `model`.
 | `symbolic_reading`, `one_thread` | a formula traced with CasADi; the lock for its derivatives |
 | `fingerprint` | keys of values, equal in every process |
 | `complex_arithmetic` | real and imaginary part of a function of s |
-| `rational`, `factored_form` | numerator, denominator and delay, and their print |
+| `rational` | numerator, denominator and delay, and their print |
 | `function_of_s` | what these two readings of s share |
 | `formula_structure` | a formula operation by operation, and the mean of its switches |
 | `pade_delay` | a delay as a rational function or as states |
 | `linear_response` | the frequency response of a model |
 | `trim`, `linearization` | the operating point, and the linear system there |
 | `elimination` | the response of a linear system of expressions |
-| `sine`, `harmonic_balance`, `periodic_motions` | the response to a sine of finite amplitude |
+| `sine`, `harmonic_balance` | the response to a sine of finite amplitude |
 | `realization` | every model as an ODE with delayed inputs |
-| `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |
+| `integrators`, `step_size` | explicit and implicit steps, and how many |
 | `held_inputs` | the exact step of a linear system with held inputs |
 | `known_systems` | linear models with known numbers, such as a filter |
 | `added_terms` | an ODE with further terms in its derivatives |
@@ -26,16 +26,17 @@ Begin with `model`.
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
 
-from greybox.modeling.implicit_integrators import (
+from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response
+from greybox.modeling.integrators import (
     ImplicitIntegrator as ImplicitIntegrator,
+    Integrator as Integrator,
     Radau as Radau,
+    RungeKutta as RungeKutta,
 )
-from greybox.modeling.integrators import Integrator as Integrator, RungeKutta as RungeKutta
 from greybox.modeling.linear_response import frequency_response as frequency_response
 from greybox.modeling.linearization import LinearSystem as LinearSystem, linearize as linearize
 from greybox.modeling.model import Model as Model
 from greybox.modeling.parameter import Parameter as Parameter
-from greybox.modeling.periodic_motions import harmonic_response as harmonic_response
 from greybox.modeling.rational import rational as rational
 from greybox.modeling.sine import Sine as Sine
 from greybox.modeling.state_space import StateSpace as StateSpace

@@ -24,13 +24,14 @@ from greybox.files.arrays import (
     frozen,
 )
 from greybox.files.text_table import number, one_line, text_table
-from greybox.formulation.input_assumptions import (
+from greybox.formulation.problem import Problem
+from greybox.formulation.time_criteria import (
     Inputs,
+    OutputError,
     between_samples,
     described_inputs,
+    modeled_outputs,
 )
-from greybox.formulation.problem import Problem
-from greybox.formulation.time_criteria import OutputError, modeled_outputs
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics

@@ -24,8 +24,8 @@ from greybox.files.arrays import (
 )
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
-from greybox.modeling.factored_form import factored, upper_half
 from greybox.modeling.parameter import require_whole
+from greybox.modeling.rational import factored, upper_half
 from greybox.regression.poles_and_zeros import NearPair, near_pairs, root_text
 
 # Singular values smaller than this share of the largest are rounding errors: 1e-16 in the columns,

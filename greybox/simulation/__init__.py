@@ -5,9 +5,8 @@ Begin with `simulate`.
 | file | contents |
 | --- | --- |
 | `simulate` | `simulate` and `predict` |
-| `prediction` | the value that `predict` returns |
+| `prediction` | the value that `predict` returns, and the windows of a record |
 | `model_at_estimate` | a model with its values, covariance, and assumptions of the fit |
-| `windows` | a record cut into lead-ins and horizons |
 | `simulator` | simulation with as many steps as accuracy needs, and its standard errors |
 | `state_estimation` | the state at the beginning of each window |
 | `own_values` | biases and trims of a record to which the model was not fitted |

@@ -8,8 +8,13 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.files.arrays import Array, IntArray, StringPair, Strings, Values, frozen
-from greybox.formulation.input_assumptions import Inputs, between_samples
-from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
+from greybox.formulation.time_criteria import (
+    Inputs,
+    OutputError,
+    PredictionError,
+    TimeCriterion,
+    between_samples,
+)
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameters, is_finite_number
 from greybox.modeling.realization import Dynamics, dynamics

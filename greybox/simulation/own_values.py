@@ -23,9 +23,9 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters
 from greybox.simulation.model_at_estimate import ModelAtEstimate
+from greybox.simulation.prediction import Windows, cut
 from greybox.simulation.simulator import Simulator
 from greybox.simulation.state_estimation import whitening
-from greybox.simulation.windows import Windows, cut
 from greybox.statistics.column_space import pseudo_inverse
 
 BLIND = 1e-9  # relative eigenvalue of the information below which a direction is not determined

@@ -10,20 +10,20 @@ from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
 from greybox.files.arrays import Array, BoolArray, Labels, Strings, Values, all_finite
 from greybox.files.text_table import as_names, counted, some
-from greybox.formulation.input_assumptions import Inputs
+from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, require_known
 from greybox.simulation.model_at_estimate import Estimate, ModelAtEstimate, model_at
 from greybox.simulation.own_values import with_own_values
-from greybox.simulation.prediction import Prediction
-from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimulations, diverged
-from greybox.simulation.windows import (
+from greybox.simulation.prediction import (
+    Prediction,
     Windows,
     cut,
     default_length,
     require_lengths,
     require_signals,
 )
+from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimulations, diverged
 
 # s: shortest default horizon and lead-in. The roll axis of the paper, whose unstable poles in
 # (3.18) have the real part 1.7 1/s, doubles in 0.4 s.

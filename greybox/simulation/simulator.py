@@ -22,8 +22,7 @@ from greybox.files.arrays import (
     by_name,
     frozen,
 )
-from greybox.modeling.implicit_integrators import Radau
-from greybox.modeling.integrators import Integrator, RungeKutta
+from greybox.modeling.integrators import Integrator, Radau, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (
     MOST_SUBSTEPS,
@@ -32,6 +31,7 @@ from greybox.modeling.step_size import (
     substep_growth,
 )
 from greybox.simulation.model_at_estimate import ModelAtEstimate
+from greybox.simulation.prediction import Windows, sample_data
 from greybox.simulation.state_estimation import (
     TINY,
     StateEstimates,
@@ -39,7 +39,6 @@ from greybox.simulation.state_estimation import (
     one_step_errors,
     whitening,
 )
-from greybox.simulation.windows import Windows, sample_data
 
 # Largest change of a state in one sample by halved substeps, relative to its size. A thousand such
 # errors in one direction add up to 1e-4 of the state, below the noise of any sensor.

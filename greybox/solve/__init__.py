@@ -8,21 +8,20 @@ Begin with `multistart`.
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
 | `shared_solver` | many responses that share one solve: starts with process noise, no IPOPT |
-| `batched_newton`, `newton_iteration` | Newton's method from many points, and its iteration |
+| `batched_newton` | Newton's method from many points |
 | `process_noise_start` | starts of state spaces by output error with process noise |
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |
 | `ipopt` | IPOPT on one program |
 | `discretization_error` | finer integration steps |
 | `robust_fit` | fits in which large errors are bounded |
-| `runs`, `minima` | the results of runs; distinct minima |
+| `runs`, `minima` | the results of runs, and their storage; distinct minima |
 | `other_minima` | minima beside one that all runs reach |
-| `executors`, `worker_pool`, `run_storage` | runs in other processes; processes here; stored runs |
+| `executors` | runs in other processes, with one thread for matrix products |
 | `interruption` | Ctrl-C, and how long a search may take |
-| `blas_threads` | one thread for matrix products |
 | `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
 | `cost` | the cost at given parameters |
 """
 
 from greybox.formulation.starts import Listed as Listed, Sobol as Sobol, Starts as Starts
-from greybox.solve.worker_pool import WorkerPool as WorkerPool
+from greybox.solve.executors import WorkerPool as WorkerPool

@@ -20,8 +20,16 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.other_minima import points_beside
 from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
-from greybox.solve.run_storage import Memory, RunStorage
-from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
+from greybox.solve.runs import (
+    CUT_SHORT,
+    NOT_FINITE,
+    SCREENED,
+    Memory,
+    Outcome,
+    Run,
+    Runs,
+    RunStorage,
+)
 from greybox.solve.shared_solver import SharedSolver
 from greybox.solve.transcribed_program import TranscribedProgram
 

@@ -27,7 +27,7 @@ from greybox.spectral.estimated_points import (
 )
 from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 
-# Amplitude of an excited line over the largest one. `greybox.experiment.multisine` gives all lines
+# Amplitude of an excited line over the largest one. `greybox.experiment.excitation` gives all lines
 # one amplitude; the limit of -30 dB only has to exceed noise and distortion between them.
 EXCITED = 0.03
 

@@ -15,9 +15,7 @@ Begin with `batch`.
 | `latex` | tables for a paper |
 | `store` | a study on disk: one SQLite database |
 | `bootstrap` | repeat one fit on data that are drawn anew |
-| `replicates` | replicates of any data, by their number |
-| `response_replicates` | drawn frequency responses and their refits |
-| `record_replicates` | drawn records and their refits |
+| `replicates` | drawn responses and records, and their refits |
 """
 
 from greybox.study.batch import Member as Member, batch as batch

@@ -18,8 +18,8 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
+from greybox.estimate.printed import summary
 from greybox.estimate.storage import to_bytes
-from greybox.estimate.summary import summary
 from greybox.files.arrays import Fields, Named, frozen
 from greybox.files.error_place import error_place
 from greybox.files.progress import bar
@@ -30,6 +30,7 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in
 from greybox.solve.executors import (
+    ExecutorLostError,
     pickled,
     require_executor,
     run_all,
@@ -47,9 +48,7 @@ from greybox.solve.interruption import (
 from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
-from greybox.solve.run_storage import RunStorageError
-from greybox.solve.runs import Outcome
-from greybox.solve.worker_pool import ExecutorLostError
+from greybox.solve.runs import Outcome, RunStorageError
 from greybox.study.ranking import held_out_error
 from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, locked
 from greybox.study.study import Study, read_study

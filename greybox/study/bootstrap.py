@@ -23,10 +23,17 @@ from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
-from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
-from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
+from greybox.files.text_table import (
+    Printed,
+    alternatives,
+    counted,
+    number,
+    one_line,
+    some,
+    text_table,
+)
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property
 from greybox.modeling.parameter import require_whole
@@ -35,11 +42,14 @@ from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import ProgressReport, multistart, solver_for
-from greybox.solve.run_storage import Memory
-from greybox.solve.runs import Outcomes
-from greybox.study.record_replicates import RecordReplicates, record_draws
-from greybox.study.replicates import Replicates
-from greybox.study.response_replicates import ResponseReplicates, response_draws
+from greybox.solve.runs import Memory, Outcomes
+from greybox.study.replicates import (
+    RecordReplicates,
+    Replicates,
+    ResponseReplicates,
+    record_draws,
+    response_draws,
+)
 from greybox.study.store import StoredRuns, locked
 
 

@@ -15,13 +15,12 @@ from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import StringPair
 from greybox.files.text_table import counted, percent, some
 from greybox.modeling.one_thread import unchanged
+from greybox.simulation.prediction import default_length
 from greybox.simulation.simulate import predict
-from greybox.simulation.windows import default_length
 from greybox.statistics.metrics import rms
-from greybox.validation.common_likelihood import common_likelihood
 from greybox.validation.comparison import Comparison, Row
 from greybox.validation.held_out import not_held_out
-from greybox.validation.measures import fit_rows, information_rows
+from greybox.validation.measures import common_likelihood, fit_rows, information_rows
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     count_unknowns,

@@ -29,8 +29,7 @@ from greybox.files.arrays import Array, Fields, Labels, Named, Strings, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
-from greybox.solve.run_storage import RunStorage, RunStorageError
-from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
+from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome, RunStorage, RunStorageError
 
 Status = Literal["done", "failed", "unfinished"]
 

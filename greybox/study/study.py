@@ -15,9 +15,9 @@ from typing import Any
 from greybox.data.pandas_frames import Frame
 from greybox.files.arrays import Fields, Labels, Strings, frozen
 from greybox.files.grouping import grouped
-from greybox.files.html_text import Printed
 from greybox.files.optional_package import required
 from greybox.files.text_table import (
+    Printed,
     counted,
     number,
     one_line,

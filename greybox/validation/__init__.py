@@ -7,12 +7,10 @@ Begin with `compare`.
 | `compare` | fits side by side, on their own data and on records that none has seen |
 | `comparison` | the result: a table and sentences that print themselves |
 | `same_data` | whether fits have the same data and comparable costs |
-| `measures` | the rows of the table |
+| `measures` | the rows of the table, and one likelihood for fits by different criteria |
 | `significance` | the sentences: which of two models is closer to the data |
 | `parsimony` | the smallest structure that the data support |
-| `nested_models` | the test of terms that only the larger of two models has |
-| `nesting` | whether one model is another with terms removed |
-| `common_likelihood` | one likelihood for fits of responses by different criteria |
+| `nested_models` | the test of terms that only the larger of two models has, if it is larger |
 | `held_out` | predictions of the same windows by all fits |
 | `stepwise` | terms chosen from a list of candidates |
 | `differences` | which parameters differ between fits to different data |

@@ -6,8 +6,7 @@ from typing import Any
 from greybox.data.record import Record
 from greybox.estimate.result import Fits
 from greybox.files.arrays import Labels
-from greybox.simulation.windows import require_lengths
-from greybox.validation.common_likelihood import common_likelihood
+from greybox.simulation.prediction import require_lengths
 from greybox.validation.comparison import (
     HELD_OUT,
     IDENTIFICATION,
@@ -21,7 +20,7 @@ from greybox.validation.held_out import (
     predict_same_windows,
     window_lengths,
 )
-from greybox.validation.measures import fit_rows, prediction_rows
+from greybox.validation.measures import common_likelihood, fit_rows, prediction_rows
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     check_fits,

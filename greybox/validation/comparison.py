@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from greybox.files.arrays import Fields, Strings, by_name, frozen
-from greybox.files.html_text import Printed
-from greybox.files.text_table import counted, number, one_line, text_table
-from greybox.simulation.prediction import Prediction
-from greybox.simulation.windows import seconds
+from greybox.files.text_table import Printed, counted, number, one_line, text_table
+from greybox.simulation.prediction import Prediction, seconds
 
 IDENTIFICATION = "identification"
 HELD_OUT = "held-out"

@@ -11,9 +11,8 @@ from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import BoolArray, Labels, Strings
 from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.simulation.prediction import Prediction
+from greybox.simulation.prediction import Prediction, cut, default_length
 from greybox.simulation.simulate import cure, predict_windows
-from greybox.simulation.windows import cut, default_length
 
 Predictions = tuple[tuple[Prediction, ...], ...]
 """Predictions by every fit, of every record."""

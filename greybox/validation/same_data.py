@@ -1,6 +1,5 @@
 """Whether fits have the same data, and whether their costs may be compared."""
 
-from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Labels, Strings
 from greybox.files.text_table import number
@@ -41,7 +40,7 @@ def data_difference(fits: Fits, names: Labels) -> str:
                 f"{name} was fitted to {len(fit.parts)} sets of data and {names[0]} to {len(first)}"
             )
         for a, b in zip(first, fit.parts, strict=True):
-            if not _same(a, b):
+            if type(a.data) is not type(b.data) or not a.data.is_same_as(b.data):  # type: ignore[arg-type]
                 titles = [
                     f"({p.data.name or p.name!r}, checksum {p.data.checksum[:8]})" for p in (b, a)
                 ]
@@ -52,11 +51,6 @@ def data_difference(fits: Fits, names: Labels) -> str:
                     f"{name} was fitted to the outputs {outputs[0]} and {names[0]} to {outputs[1]}"
                 )
     return ""
-
-
-def _same(a: FittedPart, b: FittedPart) -> bool:
-    """Return whether two parts have the same data."""
-    return type(a.data) is type(b.data) and a.data.is_same_as(b.data)  # type: ignore[arg-type]
 
 
 def shared_data(fits: Fits) -> str:

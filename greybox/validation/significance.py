@@ -12,11 +12,15 @@ from greybox.files.arrays import Arrays, ArrayTriple, Labels, StringPair, String
 from greybox.files.text_table import counted, listed, number
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
-from greybox.validation.common_likelihood import Likelihoods
 from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT, p_text
 from greybox.validation.held_out import Predictions
-from greybox.validation.nested_models import NestedTest, nested_test_at
-from greybox.validation.nesting import NotNestedError, nested_values
+from greybox.validation.measures import Likelihoods
+from greybox.validation.nested_models import (
+    NestedTest,
+    NotNestedError,
+    nested_test_at,
+    nested_values,
+)
 from greybox.validation.same_data import other_samples
 
 

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import pytest
 
 from greybox.cli.main import main
-from greybox.solve.worker_pool import ExecutorLostError
+from greybox.solve.executors import ExecutorLostError
 from greybox.study.store import StoredRuns
 
 STUDY = """

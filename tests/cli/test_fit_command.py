@@ -17,8 +17,8 @@ from command_line import OWN, QUICK, RECORD, refused, run
 import greybox as gb
 from greybox.cli.fit_command import _stated_fit
 from greybox.problems import pitch_hover
+from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
-from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.catalog import find_problem
 from greybox.study.store import StoredRuns, read_members
 

@@ -24,7 +24,7 @@ from greybox.estimate.covariance import (
     known_directions,
     propagate,
 )
-from greybox.estimate.undetermined import collinear_groups, invisible_groups
+from greybox.estimate.identifiability import collinear_groups, invisible_groups
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt
 

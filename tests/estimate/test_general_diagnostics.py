@@ -15,7 +15,7 @@ from declared_models import (
 )
 
 import greybox as gb
-from greybox.estimate.diagnostics.delay_approximation import coarse_pade, pade_error
+from greybox.estimate.diagnostics.discretization import coarse_pade, pade_error
 from greybox.estimate.diagnostics.identifiability import no_degrees_of_freedom
 from greybox.models.yaw import YawStates
 

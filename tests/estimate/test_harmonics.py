@@ -8,7 +8,7 @@ from evaluation import numeric_jacobian
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.estimate.diagnostics import harmonics
+from greybox.estimate.diagnostics import discretization
 from greybox.modeling import Sine, harmonic_response
 
 OMEGA = np.array([0.45, 1.7])
@@ -31,7 +31,7 @@ def test_harmonics_that_would_shift_the_estimate_are_asked_for(noise, matters):
         Spring(), measured, gb.SquaredRelativeError(), amplitude=Sine("u", 0.7, harmonics=1)
     )
     nlp = compile_problem(problem)
-    texts = [*harmonics.harmonic_warnings(nlp, x)]
+    texts = [*discretization.harmonic_warnings(nlp, x)]
     assert bool(texts) == matters
 
     # The step of least squares, in standard errors.
@@ -67,6 +67,6 @@ def test_where_more_harmonics_find_no_motion_is_said(monkeypatch):
     measured = gb.FrequencyResponse(OMEGA, response(x, 7), "u", "x", name="run")
     problem = gb.Problem(Spring(), measured, amplitude=Sine("u", 0.7, harmonics=7))
     found = np.array([response(x, 7)[0], np.nan])
-    monkeypatch.setattr(harmonics, "directly_found", lambda *_, **__: (found, 17))
-    (text,) = harmonics.harmonic_warnings(compile_problem(problem), np.array(x))
+    monkeypatch.setattr(discretization, "directly_found", lambda *_, **__: (found, 17))
+    (text,) = discretization.harmonic_warnings(compile_problem(problem), np.array(x))
     assert "no motion was found at 1 of 2" in text

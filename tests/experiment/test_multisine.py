@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from greybox.experiment.multisine import multisine
+from greybox.experiment.excitation import multisine
 
 
 @pytest.mark.parametrize("signals", [["u"], ["p", "q", "r"]])

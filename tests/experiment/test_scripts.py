@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox.experiment.excitation import sine_schedule, sweep
 from greybox.experiment.scripts import ardupilot_script, systemid_parameters, write_excitation
-from greybox.experiment.sines import sine_schedule
-from greybox.experiment.sweep import sweep
 
 HZ = 2 * math.pi
 

@@ -7,7 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox.data.intersample import Intersample
-from greybox.formulation.input_assumptions import (
+from greybox.formulation.time_criteria import (
     between_samples,
     described_inputs,
     require_inputs,

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from greybox.html_report.figure import figure_element, figure_grid
+from greybox.html_report.elements import figure_element, figure_grid
 from greybox.plotting.figure import Figure, Panel, Series
 
 

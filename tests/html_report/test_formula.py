@@ -1,7 +1,6 @@
 """The description of a model on the page: formulas are images, what cannot be set stays text."""
 
-from greybox.html_report.elements import html
-from greybox.html_report.formula import description
+from greybox.html_report.elements import description, html
 
 
 def page(text):

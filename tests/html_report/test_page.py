@@ -1,6 +1,7 @@
 """The page as a document: sections, links, what is left out."""
 
 import re
+import sys
 from dataclasses import replace
 from datetime import date
 
@@ -9,10 +10,8 @@ import pytest
 from page_results import lag
 
 import greybox as gb
-from greybox.html_report import page as page_module
-from greybox.html_report.entry import Entry
-from greybox.html_report.fit_section import fit_section
-from greybox.html_report.page import page
+from greybox.html_report.fit_section import Entry, fit_section
+from greybox.html_report.report import page
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import Tilt
 
@@ -44,8 +43,10 @@ def test_one_result_has_its_sections_and_links_to_them(fit):
 
 
 def test_several_results_have_details_that_are_open_up_to_three(fit, monkeypatch):
-    assert page_module.OPEN == 3
-    monkeypatch.setattr(page_module, "OPEN", 2)  # a smaller page
+    # The name of the file is that of the function, too.
+    file = sys.modules["greybox.html_report.report"]
+    assert file.OPEN == 3
+    monkeypatch.setattr(file, "OPEN", 2)  # a smaller page
     alike = replace(fit, parts=fit.parts[:1], models=None)
     for count in (2, 3):
         text = page([Entry(f"fit {k}", alike) for k in range(count)], None, "several")

@@ -13,10 +13,8 @@ import greybox as gb
 from greybox.estimate.printed import error_statement
 from greybox.files.text_table import number, with_error
 from greybox.html_report.comparison_section import comparison_section, overview
-from greybox.html_report.entry import Entry
-from greybox.html_report.fit_section import remarks
-from greybox.html_report.provenance import data_summary, provenance
-from greybox.html_report.tables import Cell, number_cell, parameter_table, table
+from greybox.html_report.elements import Cell, number_cell, parameter_table, table
+from greybox.html_report.fit_section import Entry, data_summary, provenance, remarks
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,7 @@ from scipy.integrate import solve_ivp
 from spring_lag_tilt import HELD, SPRING, Spring, fit, spring
 
 import greybox as gb
-from greybox.modeling.implicit_integrators import Radau
-from greybox.modeling.integrators import step_function
+from greybox.modeling.integrators import Radau, step_function
 from greybox.modeling.realization import dynamics
 
 

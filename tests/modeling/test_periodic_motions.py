@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.modeling.periodic_motions import response_of_test
+from greybox.modeling.harmonic_balance import response_of_test
 
 OMEGA = 2.0
 DAMPING = 0.1
@@ -64,7 +64,7 @@ def test_a_signal_that_a_loop_holds_to_a_sine_keeps_its_mean():
 
 def test_the_most_harmonics_say_what_half_as_many_change(monkeypatch):
     """With seven as the most, to be fast."""
-    monkeypatch.setattr(gb.modeling.periodic_motions, "MOST_HARMONICS", 7)
+    monkeypatch.setattr(gb.modeling.harmonic_balance, "MOST_HARMONICS", 7)
     few, many = (
         gb.modeling.harmonic_response(
             Spring(), {}, [OMEGA], amplitude=gb.modeling.Sine("u", 0.7, harmonics=number)

@@ -11,6 +11,7 @@ from stiff_lag import StiffLag
 
 import greybox as gb
 from greybox.simulation.model_at_estimate import model_at
+from greybox.simulation.prediction import cut
 from greybox.simulation.simulator import (
     DIVERGED,
     Simulator,
@@ -19,7 +20,6 @@ from greybox.simulation.simulator import (
     diverged,
     with_implied_states,
 )
-from greybox.simulation.windows import cut
 
 
 class Growth(gb.StateSpace):

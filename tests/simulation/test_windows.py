@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import greybox as gb
-from greybox.simulation.windows import cut, default_length, sample_data, seconds
+from greybox.simulation.prediction import cut, default_length, sample_data, seconds
 
 
 def record(count=60, step=0.1, missing=(), unmeasured=()):

@@ -33,13 +33,13 @@ import greybox as gb
 from greybox.problems import pitch_hover
 from greybox.solve.executors import (
     TASK_SECONDS,
+    ExecutorLostError,
+    WorkerLostError,
     run_all,
     run_starts,
 )
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.run_storage import Memory
-from greybox.solve.runs import Outcome
-from greybox.solve.worker_pool import ExecutorLostError, WorkerLostError
+from greybox.solve.runs import Memory, Outcome
 
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)

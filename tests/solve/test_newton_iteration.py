@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.solve.newton_iteration import (
+from greybox.solve.batched_newton import (
     COST,
     END,
     IS_NEWTON,

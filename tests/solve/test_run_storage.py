@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.solve.run_storage import Memory, RunStorage, RunStorageError
-from greybox.solve.runs import INTERRUPTED, SEARCH_OVER, Outcome
+from greybox.solve.runs import (
+    INTERRUPTED,
+    SEARCH_OVER,
+    Memory,
+    Outcome,
+    RunStorage,
+    RunStorageError,
+)
 
 START = np.array([1.0, 2.0])
 DONE = Outcome(START + 1, "done", 3, 10.0, converged=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from greybox.solve.worker_pool import WorkerLostError, WorkerPool
+from greybox.solve.executors import WorkerLostError, WorkerPool
 
 
 @pytest.fixture(scope="module")
@@ -79,5 +79,5 @@ def test_calls_that_have_not_begun_are_cancelled(tmp_path):
 
 def test_its_size_is_that_of_the_machine_unless_stated(monkeypatch):
     assert repr(WorkerPool(2)) == "WorkerPool(2)"
-    monkeypatch.setattr("greybox.solve.worker_pool.os.cpu_count", lambda: 7)
+    monkeypatch.setattr("greybox.solve.executors.os.cpu_count", lambda: 7)
     assert WorkerPool().num_workers == 7

@@ -21,7 +21,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
-from greybox.study.response_replicates import response_draws
+from greybox.study.replicates import response_draws
 
 OMEGA = np.geomspace(0.5, 20, 8)
 SIGMA = 0.05

@@ -11,8 +11,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
 from greybox.solve.interruption import limited
 from greybox.solve.runs import SEARCH_OVER
-from greybox.study.replicates import Draws
-from greybox.study.response_replicates import DrawnResponse, ResponseReplicates, response_draws
+from greybox.study.replicates import DrawnResponse, Draws, ResponseReplicates, response_draws
 
 
 def draws(*, points=3, constants=(), root=(), **changes):

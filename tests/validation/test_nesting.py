@@ -7,7 +7,7 @@ from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
 from greybox.models.tilt import PAPER_G
-from greybox.validation.nesting import NotNestedError, nested_values
+from greybox.validation.nested_models import NotNestedError, nested_values
 
 NAMES = ("small", "large")
 

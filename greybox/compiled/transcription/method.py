@@ -11,8 +11,7 @@ from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import counted
-from greybox.modeling.implicit_integrators import Radau
-from greybox.modeling.integrators import Integrator, RungeKutta
+from greybox.modeling.integrators import Integrator, Radau, RungeKutta
 
 
 @frozen

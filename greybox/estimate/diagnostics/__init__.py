@@ -6,17 +6,12 @@ Begin with `general`.
 | --- | --- |
 | `general` | all warnings of a fit, the most serious first |
 | `identifiability` | Which parameters do the data determine, alone or in combination? |
-| `global_minimum` | Is this the global minimum, and the only one? |
-| `noise_level` | Is the noise as large as stated, and does the criterion use that? |
 | `prior_conflict` | Do the data contradict the a-priori knowledge? |
-| `frequency_correlation` | Are the errors of neighboring frequencies independent? |
+| `global_minimum` | Is this the global minimum, and the only one? What came closest to it? |
+| `noise_level` | Is the noise as large as stated, and independent? Are there gusts? |
 | `outlying_points` | Which points of a response or samples of a record are outliers? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |
-| `gusts` | Do the data show process noise, such as gusts? |
-| `discretization` | Is the integration accurate enough? |
-| `delay_approximation` | Is the Padé delay accurate enough? |
-| `harmonics` | Does a sine test have enough harmonics? |
+| `discretization` | Are the integration, the Padé delay and the harmonics accurate enough? |
 | `not_finite` | Where and why does the model have no finite value? |
-| `failure` | What came closest where no run converged? |
 | `repeated` | one sentence in place of many alike |
 """

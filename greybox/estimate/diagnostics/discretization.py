@@ -1,13 +1,33 @@
-"""Whether the integration is accurate enough for the noise."""
+"""Whether the integration is accurate enough for the noise.
+
+Whether the Padé approximation of a delay is accurate enough over the fitted band.
+
+Whether the harmonics of a sine test are enough for the noise.
+
+Too few harmonics shift the response of a nonlinear model, and the parameters with it, without a
+trace in the residuals. In standard errors, the shift of a parameter is at most the shift of the
+whole response in multiples of the noise of a point.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
+from greybox.compiled.response_part import ResponsePart
+from greybox.estimate.fitted_part import FittedResponse
+from greybox.files.arrays import Array, Values, by_name
+from greybox.files.text_table import counted
+from greybox.formulation.problem import Problem
+from greybox.modeling.harmonic_balance import directly_found
+from greybox.modeling.linear_response import frequency_response
+from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.sine import MOST_HARMONICS
 from greybox.solve.discretization_error import DiscretizationError, discretization_error
+from greybox.statistics.metrics import rms
 
 
 def discretization_warnings(
@@ -35,3 +55,62 @@ def discretization_warnings(
         f"{count}) would change {name} or its standard error {size}; "
         f"use {nlp.method.finer(error.growth * count)}{nlp.method.cure_if_stiff}."
     )
+
+
+def pade_error(part: Problem, values: Values) -> float | None:
+    """Return the largest phase error of a Padé delay in the fitted band, degrees; else None."""
+    if delay_order(part.delay) is None:
+        return None
+    data = part.response
+    # Measured frequencies may be far apart, and a resonance between them turns the phase.
+    omega = np.union1d(np.geomspace(data.omega.min(), data.omega.max(), 200), data.omega)
+    signals = {"input": data.input, "output": data.output, "at": part.at}
+    exact = frequency_response(part.model, values, omega, **signals)
+    approximate = frequency_response(part.model, values, omega, **signals, delay=part.delay)
+    return float(np.degrees(np.abs(np.angle(approximate.response * exact.response.conj()))).max())
+
+
+def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
+    """Warn of a phase error beyond one degree, the effect of noise of 1.7 % in each component."""
+    for part in responses:
+        if part.pade_error is not None and part.pade_error > 1.0:
+            yield (
+                f"the phase error of {part.delay} reaches {part.pade_error:.2g}° in the band of "
+                f"{part.name!r}: use a higher order or delay='exact'."
+            )
+
+
+def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
+    """Warn if more harmonics would change the estimate `x` (p,) noticeably, or cannot be tried."""
+    values = nlp.all_values(x)
+    named = by_name(nlp.names, values.tolist())
+    for part in nlp.parts_of(ResponsePart):
+        problem, sine = part.problem, part.problem.amplitude
+        if sine is None or not sine.harmonics:
+            continue
+        more = min(2 * sine.harmonics + 3, MOST_HARMONICS)
+        few = part.response(values)
+        many, _ = directly_found(
+            problem.model,
+            dict(problem.local_values(named)),
+            part.data.omega,
+            replace(sine, harmonics=more),
+            **problem.signals,
+        )
+        lost = np.isnan(many)
+        change = np.where(lost, 0.0, np.abs(many / few - 1))
+        noise = rms(np.abs(part.data.response / few - 1))
+        # A shift matters above a tenth of a standard error, which adds 0.5 % to the root mean
+        # square error.
+        if np.linalg.norm(change) > max(0.1 * noise, 1e-7):
+            count = counted(sine.harmonics, "harmonic is", "harmonics are")
+            yield (
+                f"{count} too few for {problem.name!r}: with {more} the response changes by up to "
+                f"{100 * change.max():.2g} %; use Sine({sine.signal!r}, ..., harmonics={more})."
+            )
+        if lost.any():
+            yield (
+                f"with {more} harmonics no motion was found at {lost.sum()} of {lost.size} "
+                f"frequencies of {problem.name!r}: whether {sine.harmonics} are enough there is "
+                "not known."
+            )

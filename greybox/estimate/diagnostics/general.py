@@ -5,31 +5,32 @@ from collections.abc import Sequence
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
-from greybox.estimate.diagnostics.delay_approximation import coarse_pade
-from greybox.estimate.diagnostics.discretization import discretization_warnings
-from greybox.estimate.diagnostics.failure import failure_warnings
-from greybox.estimate.diagnostics.frequency_correlation import (
-    correlated_frequencies,
-    doubtful_manoeuvres,
-    uncertain_gusts,
+from greybox.estimate.diagnostics.discretization import (
+    coarse_pade,
+    discretization_warnings,
+    harmonic_warnings,
 )
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
+    failure_warnings,
     few_agreeing_starts,
     minimum_at_kink,
     rival_minima,
     several_estimates_of_one_response,
     unfinished_runs,
 )
-from greybox.estimate.diagnostics.gusts import gusts
-from greybox.estimate.diagnostics.harmonics import harmonic_warnings
 from greybox.estimate.diagnostics.identifiability import (
     at_bounds,
     held_without_error,
     no_degrees_of_freedom,
     not_determined,
 )
-from greybox.estimate.diagnostics.noise_level import unlikely_noise
+from greybox.estimate.diagnostics.noise_level import (
+    correlated_frequencies,
+    gusts,
+    manoeuvre_warnings,
+    unlikely_noise,
+)
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points, outlying_samples
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
@@ -85,7 +86,11 @@ def warnings(
         *repeated_data(nlp),
         *discretization_warnings(nlp, trajectories, error),
         *(() if explained else (UNEXPLAINED,)),
-        *record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy, explained=explained),
+        *(
+            record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy, explained=explained)
+            if answer.records
+            else ()
+        ),
         *gusts(nlp, trajectories, accuracy, noisy=noisy),
         *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),
@@ -100,8 +105,7 @@ def warnings(
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(answer.responses),
         *unlikely_noise(nlp, trajectories),
-        *doubtful_manoeuvres(accuracy),
-        *uncertain_gusts(answer),
+        *(manoeuvre_warnings(accuracy, answer) if answer.spectra else ()),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
         *(() if exact else outlying_points(nlp, best.estimate)),

@@ -8,8 +8,8 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy
+from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
-from greybox.estimate.undetermined import Combination
 from greybox.files.text_table import counted, listed
 from greybox.solve.minima import Minimum
 

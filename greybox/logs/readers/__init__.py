@@ -7,13 +7,10 @@ loads neither pymavlink nor h5py nor scipy.
 | file | contents |
 | --- | --- |
 | `dataflash` | ArduPilot logs, binary |
-| `dataflash_index` | positions of the messages in a binary ArduPilot log |
+| `dataflash_index` | positions, layouts and units of the messages in an ArduPilot log |
 | `dataflash_text` | ArduPilot logs, text |
-| `dataflash_units` | unit tables of ArduPilot logs |
 | `ardupilot_metadata` | vehicle, firmware, parameters and modes of ArduPilot logs |
-| `telemetry` | MAVLink telemetry logs |
-| `telemetry_packets` | packets in a telemetry log |
-| `telemetry_metadata` | vehicle, parameters and modes of telemetry logs |
+| `telemetry` | MAVLink telemetry logs: packets, clocks, vehicle, parameters and modes |
 | `ulog` | PX4 logs |
 | `csv_table` | tables as text |
 | `betaflight` | tables of Betaflight's blackbox |

@@ -17,8 +17,7 @@ import numpy as np
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record, median_step
 from greybox.files.arrays import Array, Values
-from greybox.files.delimited_text import are_numbers
-from greybox.files.heading import Heading
+from greybox.files.delimited_text import Heading, are_numbers
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
 DOUBT = (

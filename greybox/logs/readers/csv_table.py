@@ -15,13 +15,14 @@ from greybox.files.arrays import Array, Labels, NamedStrings
 from greybox.files.delimited_text import (
     MISSING,
     DelimitedText,
+    Heading,
     are_numbers,
     has_decimal_comma,
+    heading,
     number_in,
     numbered,
     read_delimited,
 )
-from greybox.files.heading import Heading, heading
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable, some
 from greybox.logs.readers.betaflight import completed, with_units, without_settings

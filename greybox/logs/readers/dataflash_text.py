@@ -10,8 +10,7 @@ from greybox.data.record import Recording
 from greybox.files.arrays import by_name
 from greybox.files.text_table import is_number
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, is_wanted, recording
-from greybox.logs.readers.dataflash_index import Layout, sound_layout
-from greybox.logs.readers.dataflash_units import Units, UnitTables
+from greybox.logs.readers.dataflash_index import Layout, Units, UnitTables, sound_layout
 from greybox.logs.readers.messages import MessageNames, Messages, bare
 
 TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number
