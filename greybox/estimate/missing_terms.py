@@ -167,10 +167,6 @@ TEXTS = {
         "a sensor of {b} with a curved characteristic",
         "a function of the output {b} in place of it, which gb.plotting.residuals draws",
     ),
-    "sensor play": (
-        "a sensor of {b} with a backlash of about {level}",
-        "a function of its earlier values in place of the output {b}, or another sensor",
-    ),
     "sensor scale": (
         "a sensor of {b} whose scale changes along the record",
         "two records, with a factor of the output {b} in the second",
@@ -262,7 +258,6 @@ NEAR_HALF = 0.6
 STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
 ONSETS = (20, 5)  # of loads: parts of the record, and of each part, from which the best is tried
-PLAYS = (0.02, 0.05, 0.15)  # of sensors, over the range of their output
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 KNOTS, FINE = 11, 41  # of functions, and of those of inputs, which an actuator may quantize
 DAMPING = 0.05  # of modes in records
@@ -550,9 +545,6 @@ def _of_output(
     yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
     for power in (2, 3):
         yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
-    for level in np.ptp(y) * np.array(PLAYS):
-        row = record.by_stretch(_followed, y, level / 2, False)
-        yield Term("sensor play", row, by_output, b=b, level=level)
     # Where the errors jump most.
     level = float(_time(record)[np.argmax(np.abs(np.diff(record.residuals[k]))) + 1])
     yield Term("jump", 1.0 * (_time(record) >= level), by_output, b=b, level=level, tries=len(y))
