@@ -27,8 +27,6 @@ from greybox.solve.runs import NOT_FINITE, Outcome, spent
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
-MOST = 0.5  # share of the variance that predictions leave, below which they explain most of it
-
 
 class GaussNewton(LocalSolver):
     """The solver of one compiled problem with hidden unknowns, built once for all starts.
@@ -67,8 +65,7 @@ class GaussNewton(LocalSolver):
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,), or from where short segments lead from there.
 
-        It is moved if predictions over whole segments are worse than the means of the outputs, to
-        where they are better: most of the variance explained, or at least no parameter at a bound.
+        It is moved if predictions over whole segments are worse than the means of the outputs.
         """
         parts = self._parts
         begin = parts.at(self._nearest(start))
@@ -76,11 +73,9 @@ class GaussNewton(LocalSolver):
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
         if can_screen(self.nlp) and parts.unexplained(begin) > 1:
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
-            z, left = moved.z, parts.unexplained(moved)
-            is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
-            # From a bound where little is explained, a run seldom returns.
-            if left < MOST or (is_inside and left < parts.unexplained(begin)):
-                begin = moved
+            # From a bound, a run seldom returns.
+            if np.all((moved.z > self.limits.low) & (moved.z < self.limits.high)):
+                begin = min(begin, moved, key=parts.unexplained)
         return self._solved(begin, parts.first_progress())
 
     @DIVERGING
