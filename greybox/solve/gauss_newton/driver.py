@@ -27,6 +27,8 @@ from greybox.solve.runs import NOT_FINITE, Outcome, spent
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
+CLOSE = 0.01  # share of the variance that predictions leave where they follow the outputs closely
+
 
 class GaussNewton(LocalSolver):
     """The solver of one compiled problem with hidden unknowns, built once for all starts.
@@ -73,8 +75,10 @@ class GaussNewton(LocalSolver):
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
         if can_screen(self.nlp) and parts.unexplained(begin) > 1:
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
-            # From a bound, a run seldom returns.
-            if np.all((moved.z > self.limits.low) & (moved.z < self.limits.high)):
+            z = moved.z
+            is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
+            # From a bound, a run seldom returns, unless that is nearly where it ends.
+            if is_inside or parts.unexplained(moved) < CLOSE:
                 begin = min(begin, moved, key=parts.unexplained)
         return self._solved(begin, parts.first_progress())
 
