@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.checked_array import checked_array, finite_array, require, require_size
-from greybox.data.intersample import HOLD, NO_HOLD, response_of_hold
+from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
 from greybox.files.arrays import (
@@ -326,6 +326,7 @@ class FrequencyResponse:
             output=name,
             units=units,
             common_errors=common,
+            about={**self.about, MULTIPLIED: name},
         )
 
     def __repr__(self) -> str:

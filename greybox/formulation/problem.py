@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import MULTIPLIED
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Fields, Interval, Labels, Named, NamedStrings, Values, frozen
@@ -447,8 +448,12 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     @cached_property
     def sampled_hold(self) -> float:
-        """The divided hold of a response, s; zero without one, and for a model with delays."""
-        hold = self.response.divided_hold
+        """The divided hold of a response, s; zero without one, and for a model with delays.
+
+        It is also zero for the rate that is s times the response of an angle: what sampling folds
+        back is that of the angle.
+        """
+        hold = self.response.divided_hold * (MULTIPLIED not in self.response.about)
         with suppress(ValueError):  # a loop around a delay
             return hold and hold * (not dynamics(self.model).delayed)
         return 0.0

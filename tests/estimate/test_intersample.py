@@ -230,6 +230,17 @@ def test_samples_of_outputs_without_a_lag_give_the_parameters(model, hold):
         assert_allclose([*fit.estimate.values()], [*truth.values()], rtol=1e-3)
 
 
+def test_the_rate_of_a_sampled_angle_is_not_that_of_a_sampled_rate():
+    hold, s = 0.05, 1j * np.geomspace(0.5, 16, 30)
+    # Exact samples of 20 / (s (s + 2.5)) behind a hold.
+    z, decay = np.exp(s * hold), np.exp(-2.5 * hold)
+    angle = 20 / 2.5 * (hold / (z - 1) - (1 - decay) / 2.5 / (z - decay))
+    about = {"hold of the input, s": f"{hold}"}
+    rate = gb.FrequencyResponse(s.imag, angle, "aileron", "phi", about=about).times_s("p")
+    fit = gb.fit(gb.Problem(Roll(), rate), starts=2, progress=False)
+    assert_allclose([fit.estimate["L"], fit.estimate["Lp"]], [20, 2.5], rtol=1e-3)
+
+
 class Proportional(gb.Controller):
     inputs, outputs = ("y",), ("u",)
 
