@@ -81,8 +81,8 @@ TEXTS = {
         "samples",
     ),
     "slip": (
-        "a delay behind {a} that grows along the record, as of lost rows of {a}, or of two clocks",
-        "a delay behind {a} that falls along the record, as of lost rows of outputs, or two clocks",
+        "a delay after {a} that grows along the record, as when rows of {a} are lost",
+        "a delay after {a} that shrinks along the record, as when rows of outputs are lost",
         "a record in which all signals have one clock, and NaN where rows are lost",
     ),
     "side": (
@@ -133,8 +133,8 @@ TEXTS = {
         "two records, {b} with an offset in the second",
     ),
     "input load": (
-        "a constant {size} beside {b} from {level} s on, such as a load",
-        "a constant -{size} beside {b} from {level} s on, such as a load",
+        "a constant {size} added to {b} from {level} s on, such as a load",
+        "a constant -{size} added to {b} from {level} s on, such as a load",
         "a record whose input {b} has this constant added",
     ),
     "equation": (
@@ -415,7 +415,7 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
 
 
 def _of_loads(record: DisturbedRecord) -> Iterator[Term]:
-    """Yield constants in the equations, or else beside the input, from some sample on."""
+    """Yield constants in the equations, or else at the input, from some sample on."""
     part, time = record.part, _time(record)
     places = [
         ("load", part.system.states[i], partial(record.by_state, i))

@@ -104,9 +104,11 @@ class Parameter:
             normal_prior(self.prior, "prior")
 
     def _require_types(self) -> None:
-        for name, kind in {"unit": str, "about": str, "fixed": bool}.items():
-            if not isinstance(value := getattr(self, name), kind):
-                raise TypeError(f"{name} is {value!r}: give a value of type {kind.__name__}.")
+        for name in ("unit", "about"):
+            if not isinstance(value := getattr(self, name), str):
+                raise TypeError(f"{name} is {value!r}: give a text.")
+        if not isinstance(self.fixed, bool | np.bool_):
+            raise TypeError(f"fixed is {self.fixed!r}: give True or False.")
 
     @property
     def box(self) -> Interval:

@@ -93,7 +93,7 @@ AFTER_LOST_ROWS = np.where(IS_LATE, np.roll(STEPS, 6), STEPS)
     [
         (STEPS + 0.3 * IS_LATE, lambda v: v, r"a constant 0\.\d+ in the equation of v from 1[678]"),
         (STEPS, lambda v: v + 0.1 * IS_LATE, r"an offset of v by 0\.\d+ from 1[678]"),
-        (AFTER_LOST_ROWS, lambda v: v, "a delay behind u that grows along the record"),
+        (AFTER_LOST_ROWS, lambda v: v, "a delay after u that grows along the record"),
     ],
     ids=["load", "offset", "lost rows"],
 )

@@ -33,6 +33,7 @@ def test_texts_and_flags_of_another_type_are_refused_by_their_name(wrong):
     (name,) = wrong
     with pytest.raises(TypeError, match=f"^{name} is "):
         gb.Parameter(1.0, **wrong)
+    assert gb.Parameter(1.0, fixed=np.True_).fixed
 
 
 @pytest.mark.parametrize("start", [0.0, 5.0])
