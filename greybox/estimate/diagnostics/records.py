@@ -91,8 +91,8 @@ def record_warnings(
     the model explains the data.
     """
     misfit, pairs = answer.misfit, nlp.rows_of(RecordPart, answer.parts)
-    unstable = misfit is not None and misfit.is_unstable
-    answered = unstable and (misfit.left > ANSWERED or not explained)
+    unstable = bool(misfit and misfit.is_unstable)
+    answered = bool(misfit and unstable and (misfit.left > ANSWERED or not explained))
 
     return (
         *(once(_slow(nlp, answer, accuracy)) if noisy and explained else ()),
