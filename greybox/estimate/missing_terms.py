@@ -546,8 +546,9 @@ def _of_output(
     for power in (2, 3):
         yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
     # Where the errors jump most.
-    level = float(_time(record)[np.argmax(np.abs(np.diff(record.residuals[k]))) + 1])
-    yield Term("jump", 1.0 * (_time(record) >= level), by_output, b=b, level=level, tries=len(y))
+    time = _time(record)
+    level = float(time[np.argmax(np.abs(np.diff(record.residuals[k]))) + 1])
+    yield Term("jump", 1.0 * (time >= level), by_output, b=b, level=level, tries=len(y))
     # From each sample on, the errors along the output and its squares: a jump of its scale is
     # where the errors show it best.
     along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
@@ -453,10 +452,13 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         It is also zero for the rate that is s times the response of an angle: what sampling folds
         back is that of the angle.
         """
-        hold = self.response.divided_hold * (MULTIPLIED not in self.response.about)
-        with suppress(ValueError):  # a loop around a delay
-            return hold and hold * (not dynamics(self.model).delayed)
-        return 0.0
+        hold = self.response.divided_hold
+        if not hold or MULTIPLIED in self.response.about:
+            return 0.0
+        try:
+            return 0.0 if dynamics(self.model).delayed else hold
+        except ValueError:  # a loop around a delay
+            return 0.0
 
     @property
     def record(self) -> Record:

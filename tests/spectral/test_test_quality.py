@@ -217,6 +217,16 @@ def test_a_response_is_judged_by_the_stated_coherence_and_error(measured, about,
     assert all(said in f.text for f in texts)
 
 
+@pytest.mark.parametrize(("size", "count"), [(0.49, 0), (0.51, 2)])
+def test_single_points_that_hardly_count_are_named(size, count):
+    made = response(0.01)
+    error = np.where(np.arange(12) < 2, size, 0.01) * np.abs(made.response)
+    measured = gb.FrequencyResponse(made.omega, made.response, variance=2 * error**2)
+    notes = [f for f in check(record(), measured, GOOD).findings if f.about == "noise"]
+    assert [(f.severity, f.value) for f in notes] == [("note", count)] * (count > 0)
+    assert all("50 % of the magnitude at 1 and 1.23 rad/s: these" in f.text for f in notes)
+
+
 @pytest.mark.parametrize(
     ("count", "places"), [(1, "1"), (5, "1, 1.23, 1.52, 1.87 and 2.31"), (6, "1.87 and 2 more")]
 )

@@ -73,13 +73,13 @@ class GaussNewton(LocalSolver):
         begin = parts.at(self._nearest(start))
         # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
-        if can_screen(self.nlp) and parts.unexplained(begin) > 1:
+        if can_screen(self.nlp) and (left := parts.unexplained(begin)) > 1:
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             z = moved.z
             is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
             # From a bound, a run seldom returns, unless that is nearly where it ends.
-            if is_inside or parts.unexplained(moved) < CLOSE:
-                begin = min(begin, moved, key=parts.unexplained)
+            if parts.unexplained(moved) < (left if is_inside else CLOSE):
+                begin = moved
         return self._solved(begin, parts.first_progress())
 
     @DIVERGING
