@@ -47,8 +47,8 @@ study STUDY
 --resume
     continue the study in the folder STUDY, also on another machine, with the files that lie in it
 --check
-    remove what is damaged in the folder STUDY, and show what is missing; its command makes that
-    again
+    remove damaged parts of the study in the folder STUDY, and list what is missing; run its
+    command again to compute that
 --dry-run
     print the members and their numbers of starts, and fit nothing
 --workers

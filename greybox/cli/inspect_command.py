@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _tests(recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment]) -> str:
-    text = "no test segments found: give --announced or --setpoint."
+    text = "no sweep or sine was found: name their message, --announced, or signal, --setpoint."
     if segments:
         text = segment_table(segments)
     elif not any(record.has_time for record in recording.values()):

@@ -16,7 +16,8 @@ EXAMPLES = (
 OPTIONS = f"""
 {PROBLEM_OPTIONS}
 --candidates NAME[=VALUE]...
-    parameters that may be left out, with the value without their term, by default 0 (required)
+    parameters that may be left out, each with the value that removes its term, 0 unless stated
+    (required)
 --starts N
     number of starts of every structure, besides the previous estimate (default: 4)
 --out FILE

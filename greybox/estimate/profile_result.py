@@ -57,7 +57,7 @@ class ProfileOf:
 
     def __str__(self) -> str:
         low, high = (number(value, 4) for value in self.interval)
-        unit = f" {self.unit}" if self.unit else ""
+        unit = "" if self.unit in ("", "1") else f" {self.unit}"
         # An open side is more important than the number on the other side, so it is written in
         # words.
         is_open = [math.isinf(value) for value in self.interval]

@@ -81,6 +81,11 @@ def percent(share: float) -> str:
     return number(100 * share, 2)
 
 
+def probability(p: float) -> str:
+    """Format a p-value with two digits; below 0.0001 they would say more than a test knows."""
+    return "< 0.0001" if p < 1e-4 else number(p, 2)
+
+
 def counted(count: float, singular: str, plural: str = "") -> str:
     """Return "1 record" or "2 records"; `plural` is an irregular one."""
     amount = f"{count:g}" if isinstance(count, float) else f"{count}"

@@ -96,7 +96,10 @@ def _comparison(comparison: Comparison) -> Iterator[Element]:
     for statement in filter(None, (comparison.verdict, *comparison.statements)):
         yield tag("p", statement)
     rows = [
-        [*map(Cell, (row.data, row.output, row.measure, row.unit)), *map(number_cell, row.values)]
+        [
+            *map(Cell, (row.data, row.output, row.measure, row.unit)),
+            *map(Cell, row.texts, row.values),
+        ]
         for row in comparison.rows
     ]
     yield table(["data", "output", "measure", "unit", *comparison.labels], rows)

@@ -3,8 +3,6 @@
 import re
 from typing import Any, Literal
 
-import numpy as np
-
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
@@ -67,9 +65,13 @@ def to_control(
     if isinstance(thing, FrequencyResponse):
         # python-control interpolates between frequencies, which must increase for that.
         thing = thing.by_frequency
-        names = {"inputs": [thing.input or "u"], "outputs": [thing.output or "y"]}
-        response = thing.response.reshape(1, 1, -1)
-        return control.FrequencyResponseData(response, thing.omega, **names, **_named(thing.name))
+        return control.FrequencyResponseData(
+            thing.response.reshape(1, 1, -1),
+            thing.omega,
+            inputs=[thing.input or "u"],
+            outputs=[thing.output or "y"],
+            **_named(thing.name),
+        )
 
     if isinstance(thing, Margins):
         loop = thing.require_loop()
@@ -125,24 +127,19 @@ def from_control(
         For a transfer function of several inputs or outputs, discrete time, or another object.
     """
     control = required("control", "control", "from_control()")
-    pair = (control.FrequencyResponseData, control.TransferFunction)
-    if not isinstance(system, (*pair, control.StateSpace)):
-        kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
-        raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
-
-    if isinstance(system, control.TransferFunction) and (system.ninputs, system.noutputs) != (1, 1):
-        raise ValueError(
-            f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one of "
-            "its pairs, system[0, 0]."
+    kinds = control.FrequencyResponseData | control.TransferFunction | control.StateSpace
+    if not isinstance(system, kinds):
+        raise TypeError(
+            f"system is {system!r:.60}: give a FrequencyResponseData, a TransferFunction or a "
+            "StateSpace of python-control."
         )
 
     u = _signal_names(inputs, system.input_labels)
     y = _signal_names(outputs, system.output_labels)
     if isinstance(system, control.FrequencyResponseData):
-        matrix = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)
         name = "" if "[" in (system.name or "[") else system.name  # sys[0] was generated
         first, *others = (
-            FrequencyResponse(system.omega, matrix[k, i], input=u[i], output=y[k], name=name)
+            FrequencyResponse(system.omega, system.frdata[k, i], input=u[i], output=y[k], name=name)
             for k in range(len(y))
             for i in range(len(u))
         )
@@ -154,6 +151,11 @@ def from_control(
             "time."
         )
     if isinstance(system, control.TransferFunction):
+        if (system.ninputs, system.noutputs) != (1, 1):
+            raise ValueError(
+                f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one "
+                "of its pairs, system[0, 0]."
+            )
         numerator, denominator = (
             polynomial[0][0].tolist() for polynomial in (system.num, system.den)
         )

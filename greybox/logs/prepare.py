@@ -21,6 +21,10 @@ from greybox.logs.flight_controllers import passed_filters
 PASS = 0.35
 STOP = 0.5
 
+# Share of rows with a value: a table has those of a slower sensor in fewer, and lost samples leave
+# more.
+SPARSE = 0.5
+
 
 @dataclass(frozen=True)
 class Derived:
@@ -226,6 +230,13 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
         values = untruncated(signal, values) if unit == "deg" else values
         values, unit = conversion.apply(values), conversion.si
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
+
+    if finite.mean() < SPARSE:
+        findings += (
+            f"fewer than half of the rows have a value of {signal}, and the others are "
+            "interpolated: for a fit, take the rows as they are, record = gb.read(FILE, "
+            "columns={NAME: COLUMN, ...})[TABLE].",
+        )
 
     inside = time[(time >= start) & (time <= end)]
     step = median_step(inside if inside.size > 1 else time)

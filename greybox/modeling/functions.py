@@ -24,7 +24,8 @@ def _function(
             method = getattr(x, name, None)
             if method is None:
                 raise ValueError(
-                    f"{name} of a function of s has no {type(x).__name__.lower()} form."
+                    f"{name} of a function of s has no {type(x).__name__.lower()} form: write the "
+                    "response as a ratio of polynomials of s, with delays as gb.exp(-s * T)."
                 )
             return method()
         return casadi(x) if is_casadi(x) else numpy(x)

@@ -17,8 +17,8 @@ from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
 
 CURE = (
-    "write it with + - * / **, gb.exp, gb.where, gb.maximum and the like, not with math, numpy, "
-    "if, max or and."
+    "write it with p.NAME for parameters, + - * / **, gb.exp, gb.where, gb.maximum and the like, "
+    "not with self.NAME for parameters, math, numpy, if, max or and."
 )
 
 ARGUMENTS = "write derivative(self, x, u, p), output(self, x, u, p) or response(self, s, p)."

@@ -25,7 +25,7 @@ def signal_label(record: Record, name: str) -> str:
 
 def with_unit(label: str, unit: str) -> str:
     """Return the label of an axis with its unit, if it has one."""
-    return f"{label}, {unit}" if unit else label
+    return label if unit in ("", "1") else f"{label}, {unit}"
 
 
 def chosen(items: Sequence[Item], number: int, kind: str) -> Item:

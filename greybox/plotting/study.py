@@ -223,8 +223,7 @@ def _values(study: Study, quantity: str) -> list[Value]:
 
 def _label(study: Study, quantity: str) -> str:
     units = {n: unit for m in study.done for n, unit in m.answer.get("unit", {}).items()}
-    unit = units.get(quantity, "")
-    return with_unit(quantity, "" if unit == "1" else unit)
+    return with_unit(quantity, units.get(quantity, ""))
 
 
 def _by_model(values: list[Value]) -> list[tuple[str, list[Value]]]:

@@ -226,7 +226,7 @@ def _amplitude(record: Record, control: str, output: str) -> Findings:
                 float(levels.size),
                 LEVELS,
                 f"{name} takes only {levels.size} values: its amplitude is close to its "
-                "resolution; excite more.",
+                "resolution; use a larger one.",
             )
 
 

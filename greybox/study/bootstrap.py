@@ -469,7 +469,11 @@ def replicate_warnings(statuses: Strings, dof: float) -> Iterator[str]:
     needed = 4 / tail(0.95, dof)
     if len(statuses) < needed:
         few = f"with {dof:.3g} degrees of freedom " if math.isfinite(dof) else ""
+        cure = f"make {math.ceil(needed / 100) * 100} instead of {len(statuses)}"
+        # The next hundred thousand replicates would take hours.
+        if needed > 1e5:
+            cure = "take a profile instead, gb.profile or greybox profile"
         yield (
             f"{few}{100 * tail(0.95, dof):.2g} % of the replicates lie beyond each end of a 95 % "
-            f"interval: make {math.ceil(needed / 100) * 100} instead of {len(statuses)}."
+            f"interval: {cure}."
         )

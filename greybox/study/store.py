@@ -212,7 +212,10 @@ def read_members(folder: Path) -> list[StudyMember]:
         If its database is damaged, or was written by a later version.
     """
     if not is_study(folder):
-        raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
+        raise FileNotFoundError(
+            f"{folder} is not a study, since it has no file {DATABASE}: give the folder that a "
+            "batch wrote."
+        )
     with _database(folder) as database:
         rows = database.execute(
             "SELECT id, name, answer, fit, checksum, "

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from greybox.files.arrays import Fields, Strings, by_name, frozen
-from greybox.files.text_table import Printed, counted, number, one_line, text_table
+from greybox.files.text_table import Printed, counted, number, one_line, probability, text_table
 from greybox.simulation.prediction import Prediction, seconds
 
 IDENTIFICATION = "identification"
@@ -38,6 +38,15 @@ class Row:
     measure: str
     unit: str
     values: tuple[float | None, ...]
+
+    @property
+    def texts(self) -> list[str]:
+        """The values as a person reads them."""
+        is_probability = self.measure.endswith("(p)")
+        return [
+            probability(value) if is_probability and value is not None else number(value)
+            for value in self.values
+        ]
 
 
 @frozen
@@ -126,19 +135,12 @@ class Comparison(Printed):
         return " and ".join(texts)
 
     def _section(self, rows: Sequence[Row], title: str) -> list[str]:
-        cells = [
-            [r.measure, r.unit, *(_cell(r.measure, value) for value in r.values)] for r in rows
-        ]
+        cells = [[r.measure, r.unit, *r.texts] for r in rows]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]
 
 
-def _cell(measure: str, value: float | None) -> str:
-    if measure.endswith("(p)") and value is not None and value < 1e-4:
-        return "< 0.0001"
-    return number(value)
-
-
 def p_text(p: float) -> str:
     """Return a p-value as text for a sentence."""
-    return "p < 0.0001" if p < 1e-4 else f"p = {p:.2g}"
+    text = probability(p)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"

@@ -8,9 +8,9 @@ import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Labels, StringPair, frozen
-from greybox.files.text_table import counted, listed, one_line, text_table, with_error
+from greybox.files.text_table import counted, listed, one_line, probability, text_table, with_error
 from greybox.modeling.model import require_known
-from greybox.validation.comparison import SIGNIFICANT, p_text
+from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.same_data import check_fits, labels_of
 
 
@@ -77,9 +77,8 @@ class Differences:
         for q in self.quantities:
             pairs = [*zip(q.values, q.errors, strict=True)]
             pairs.append((q.values[1] - q.values[0], math.hypot(*q.errors)))
-            p = p_text(q.p_of_all).removeprefix("p = ").removeprefix("p ")
             cells = [" ± ".join(with_error(*pair)) for pair in pairs]
-            p = "-" if math.isnan(q.p_of_all) else p
+            p = probability(q.p_of_all)
             rows.append([q.name, *cells, q.unit, p, "differs" if q.differs else ""])
         header = ["parameter", *self.labels, "difference", "unit", "p", ""]
         return "\n".join([self.verdict, "", text_table(header, rows, left=(0, 4, 6))])

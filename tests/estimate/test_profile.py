@@ -124,6 +124,8 @@ def test_an_open_end_is_said_and_the_ratio_is_known(monkeypatch):
     assert np.all(steps[1:] < 3.01 * steps[:-1])
     assert_allclose(low, brute_force(fit, OneSided(), "a", 20.0), rtol=0.01)
     assert "no upper limit up to the bound 1e+06" in str(profiles["a"])
+    assert profiles["a"].unit == "1"  # which is not written
+    assert str(profiles["a"]).startswith(f"above {number(low, 4)}, ")
     assert_allclose(profiles["ratio"].interval, 2.0, rtol=0.1)
 
 

@@ -15,6 +15,7 @@ from greybox.files.text_table import number, with_error
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.elements import Cell, number_cell, parameter_table, table
 from greybox.html_report.fit_section import Entry, data_summary, provenance, remarks
+from greybox.validation.comparison import Comparison, Row
 
 
 @pytest.fixture(scope="module")
@@ -242,6 +243,12 @@ def test_quantities_that_a_result_has_not_are_empty_and_unknown_ones_a_dash():
         ["one", "2.00 ± 0.25", "–", ""],
         ["two", "", "", "3"],
     ]
+
+
+def test_a_page_shows_small_probabilities_as_the_text_does():
+    rows = (Row("held-out", "x", "  white (p)", "", (5.6e-165, 0.3612)),)
+    *_, made = comparison_section([], Comparison(("a", "b"), "all", rows, ()))
+    assert texts(made)[1][-2:] == ["< 0.0001", "0.36"]
 
 
 def test_combinations_are_told_below_the_parameters():

@@ -140,6 +140,18 @@ def test_nothing_is_invented_across_a_gap():
     assert record["y"] == pytest.approx(wave(record.time), abs=1e-4)
 
 
+def test_a_slower_sensor_in_a_table_is_named_and_stays_missing_where_columns_are_stated(tmp_path):
+    path = tmp_path / "flight.csv"
+    rows = [f"{0.02 * k:.2f};{k};{k if k % 10 == 0 else ''}" for k in range(200)]
+    path.write_text("\n".join(["time [s];rate [deg/s];bank [deg]", *rows]))
+    made = gb.prepare(gb.read(path), {"p": "rate", "phi": "bank"})
+    (text,) = [text for text in made.findings if "bank" in text]
+    assert "interpolated" in text
+    as_measured = gb.read(path, columns={"p": "rate", "phi": "bank"})["flight"]
+    assert as_measured.units == {"p": "rad/s", "phi": "rad"}
+    assert np.isfinite(as_measured["p"]).sum() == 10 * np.isfinite(as_measured["phi"]).sum() == 200
+
+
 def test_missing_samples_are_left_out():
     time = stamps(100, 5)
     values = wave(time)

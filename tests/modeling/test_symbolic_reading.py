@@ -43,6 +43,8 @@ def state_space(derivative=lambda x, u, p: (u.u - p.c * x.x,), output=lambda x, 
         # math functions silently turn a CasADi symbol into NaN
         ({"derivative": lambda x, u, p: (u.u - math.sin(x.x),)}, r"gb\."),
         ({"output": lambda x, u, p: (math.sin(x.x),)}, r"gb\."),
+        # what self.c is in place of p.c
+        ({"output": lambda x, u, p: (gb.Parameter(1.0) * x.x,)}, r"p\.NAME"),
         # the truth value of an expression
         ({"derivative": lambda x, u, p: (u.u - max(x.x, 0),)}, r"gb\."),
         ({"derivative": lambda x, u, p: (u.u - (x.x if x.x > 0 else 0),)}, r"gb\.where"),

@@ -215,6 +215,12 @@ def test_many_failed_replicates_are_told_and_few_are_not():
     assert said.startswith("500 of 1000 replicates failed (500 stagnated)")
 
 
+def test_no_number_of_replicates_reaches_the_tails_of_one_degree_of_freedom():
+    (text,) = replicate_warnings(("",) * 100, 1.26)
+    assert "make" not in text
+    assert "profile" in text
+
+
 @pytest.fixture(scope="module")
 def replicates():
     """Two quantities of 40 replicates, two of which failed; the first is held by its bounds, 0 and 10."""

@@ -50,7 +50,7 @@ def test_p_values_in_sentences():
         "p = 0.012",
         "p = 0.5",
     ]
-    assert p_text(math.nan) == "p = nan"
+    assert p_text(math.nan) == "p = -"
 
 
 def test_tiny_p_values_are_limits_in_the_table():

@@ -60,7 +60,8 @@ def _not_determined(combination: Combination) -> str:
     if len(names) == 1 and not combination.states:
         return (
             f"{names[0]} is not determined: it does not change the response to these data at this "
-            "estimate; fix it, or try starts at which it does."
+            "estimate. If no equation uses it, remove it; else fix it, or try starts at which it "
+            "does."
         )
 
     members = [*names, *(f"the initial state of {name}" for name in combination.states)]
