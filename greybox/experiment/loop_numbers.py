@@ -93,16 +93,15 @@ class Crossings:
     def listed(self, name: str, values: Array) -> Numbers:
         """Return the values (k,) at every crossing of the first plant, if it has several.
 
-        They are NaN for plants that have another number of crossings.
+        Plants with fewer crossings have no limit at the last ones.
         """
-        count = np.bincount(self.plant, minlength=self.plants)
-        if count[0] < 2:
-            return {}
-        complete = count == count[0]
-        table = np.full((2, self.plants, count[0]), math.nan)
-        for row, numbers in zip(table, (values, self.omega), strict=True):
-            row[complete] = numbers[complete[self.plant]].reshape(-1, count[0])
-        return {f"{name} {k + 1}": Located(*table[:, :, k]) for k in range(count[0])}
+        # The rows of a plant are in the order of frequency.
+        rank = np.arange(len(self.plant)) - np.searchsorted(self.plant, self.plant)
+        count = np.count_nonzero(self.plant == 0)
+        return {
+            f"{name} {k + 1}": self.where(rank == k).smallest(values[rank == k])
+            for k in range(count if count > 1 else 0)
+        }
 
 
 def crossings(values: Array, omega: Array) -> Crossings:
@@ -121,7 +120,31 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
     # A loop at 8 kHz, or with a slow integrator, crosses a gain of one much below its rate. There
     # its response is smooth, and fewer points suffice.
     slow = np.geomspace(1e-6, 1e-4, points // 8, endpoint=False)
-    return np.r_[slow, np.geomspace(1e-4, 0.999, points)] * math.pi / loop.period
+    grid = np.r_[slow, np.geomspace(1e-4, 0.999, points)] * math.pi / loop.period
+    near = np.concatenate([grid[:0], *_resonances(loop)])
+    return np.union1d(grid, near[near < grid[-1]])
+
+
+def _resonances(loop: SampledLoop) -> list[Array]:
+    """Return frequencies across each resonance that is narrower than the spacing of the others."""
+    with np.errstate(all="ignore"):  # past controls are poles at zero
+        poles = np.log(np.hstack([np.linalg.eigvals(loop.A), loop.poles])) / loop.period
+    first = poles[0]
+    bands = []
+    for pole in first[(first.imag > 0) & (np.abs(first.real) < 0.1 * first.imag)]:
+        # Every draw has this resonance at another frequency.
+        places = _nearest(poles, pole).imag
+        width = max(abs(pole.real), 1e-4 * pole.imag)
+        low, high = places.min() - 5 * width, places.max() + 5 * width
+        # A peak between points a quarter of its half width apart is at most 1 % higher.
+        bands.append(np.linspace(low, high, min(int(4 * (high - low) / width), POINTS)))
+    return bands
+
+
+def _nearest(poles: ComplexArray, pole: complex) -> ComplexArray:
+    """Return the pole of each plant (plants, n) that is nearest to another pole."""
+    place = np.nanargmin(np.abs(poles - pole), axis=1)[:, None]
+    return np.take_along_axis(poles, place, 1)[:, 0]
 
 
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
@@ -138,26 +161,33 @@ def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
         # A phase delay takes the phase at twice its frequency, too.
         near = np.outer([*places, *(2 * places)], np.exp(np.linspace(-1.5, 1.5, 61) * width))
         omega = np.unique([*coarse, *near.ravel()])
-        answer = numbers(alone, omega[omega <= coarse[-1]])
+        answer = numbers(alone, omega[(omega >= coarse[0]) & (omega <= coarse[-1])])
         width /= 20  # the straight lines between points leave 0.001 of a spacing of 0.05 widths
     return answer
 
 
-def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Numbers:
-    """Return the margins of broken loops with these gains (plants, n) at `omega` (n,)."""
-    with np.errstate(divide="ignore"):
-        size = np.log(np.abs(gain))
+def margin_numbers(
+    gain: ComplexArray, omega: Array, is_stable: BoolArray, period: float = 0.0
+) -> Numbers:
+    """Return the margins of broken loops with these gains (plants, n) at `omega` (n,).
+
+    With the `period` of a sampled loop, `omega` ends near rest and the Nyquist frequency, where its
+    gain is real.
+    """
     phase = np.unwrap(np.angle(gain), axis=1)
 
     # Where the gain is one, and how far the phase is from -180 degrees there.
-    unity = crossings(size, omega)
+    unity = crossings(_log_size(gain), omega)
     lag = np.mod(unity.between(phase) + math.pi, 2 * math.pi)
     angle = np.degrees(np.minimum(lag, 2 * math.pi - lag))
 
     # Where the gain is real and negative.
-    real = crossings(gain.imag, omega)
-    real = real.where(real.between(gain.real) < 0)
-    decibels = -20 / math.log(10) * real.between(size)
+    around, at = _mirrored(gain, omega, period) if period else (gain, omega)
+    real = crossings(around.imag, at)
+    real = real.where(real.between(around.real) < 0)
+    decibels = -20 / math.log(10) * real.between(_log_size(around))
+    # Two integrators are computed with rounding errors near rest.
+    reduced = (decibels < 0) & (decibels > -120)
 
     is_near = np.abs(decibels) < 40.0  # a crossing that is farther away limits no gain
 
@@ -166,7 +196,7 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
     margins = {
         "phase margin": unity.smallest(angle),
         "gain margin": real.smallest(np.where(decibels > 0, decibels, math.inf)),
-        "gain reduction margin": real.smallest(np.where(decibels < 0, -decibels, math.inf)),
+        "gain reduction margin": real.smallest(np.where(reduced, -decibels, math.inf)),
         "delay margin": unity.smallest(lag / unity.omega),
         "modulus margin": Located(least, closest),
     }
@@ -184,6 +214,24 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
         **unity.listed("phase margin", angle),
         **real.where(is_near).listed("gain margin", decibels[is_near]),
     }
+
+
+def _log_size(gain: ComplexArray) -> Array:
+    with np.errstate(divide="ignore"):
+        return np.log(np.abs(gain))
+
+
+def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexArray, Array]:
+    """Return gains and frequencies with their images beyond rest and the Nyquist frequency.
+
+    The gain passes into its conjugate at both. An integrator has no gain at rest.
+    """
+    first, last = gain[:, :1], gain[:, -1:]
+    octave = np.searchsorted(omega, 2 * omega[0])
+    is_integrator = np.abs(gain[:, [octave]]) < 0.9 * np.abs(first)
+    before = np.where(is_integrator, first, first.conj())
+    at = np.r_[-omega[0], omega, 2 * math.pi / period - omega[-1]]
+    return np.concatenate([before, gain, last.conj()], axis=1), at
 
 
 def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
@@ -273,10 +321,8 @@ def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     # controller holds.
     part[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
     dominant = np.log(z[np.abs(part).argmax()]) / loop.period
-    poles = np.log(loop.poles) / loop.period
     dominant = dominant.real + 1j * abs(dominant.imag)
-    nearest = np.nanargmin(np.abs(poles - dominant), axis=1)[:, None]
-    pole = np.take_along_axis(poles, nearest, 1)[:, 0]
+    pole = _nearest(np.log(loop.poles) / loop.period, dominant)
     frequency = np.abs(pole)
     return {
         "damping ratio": Located(-pole.real / frequency, frequency),

@@ -350,7 +350,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
 
     groups: dict[str, LoopNumbers] = {
         f"broken at {signal}": lambda loops, omega: margin_numbers(
-            loops.broken_at(signal, omega), omega, loops.is_stable
+            loops.broken_at(signal, omega), omega, loops.is_stable, loops.period
         )
     }
     if setpoint and follows(loop, setpoint, response):

@@ -15,22 +15,7 @@ def time_needed(information: Array, wanted: Array) -> float:
     wanted : (p,) array
         Standard errors; infinite for parameters that do not matter.
     """
-    matters = np.isfinite(wanted)
-    variance = variances(information)[matters]
-    if not (variance > 0).all():
-        return np.inf
-    return float(np.max(variance / wanted[matters] ** 2))
-
-
-def variances(information: Array) -> Array:
-    """Return the variances (p,): NaN without information, all NaN if some cannot be separated."""
-    informed = np.diag(information) > 0
-    variance = np.full(len(information), np.nan)
-    try:
-        variance[informed] = np.diag(np.linalg.inv(information[np.ix_(informed, informed)]))
-    except np.linalg.LinAlgError:
-        return np.full(len(information), np.nan)
-    return variance
+    return float(np.max(np.diag(np.linalg.inv(information)) / wanted**2))
 
 
 def require_determined(information: Array, names: Labels) -> None:

@@ -202,7 +202,8 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    _require_valid(band, wanted, {**wanted, **limits})
+    sizes = {"amplitude": amplitude, "rate": rate, "periods": periods}
+    _require_valid(band, wanted, {**sizes, **wanted, **limits})
     input, output = pick_signals(model, input, output)
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)
@@ -226,6 +227,11 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
     card = _Card(periods, lead_in, pause)
     chosen, duration = _fewest(omega, information, target, card)
+    if not duration.size:
+        raise ValueError(
+            "no flight in this band reaches the wanted errors of "
+            f"{', '.join(f'{name} ± {error:g}' for name, error in wanted.items())}: raise them."
+        )
     # Four numbers more than the parameters use up remain for judging the model.
     count = math.ceil((len(nlp.free) + 4) / 2)
     chosen, duration = with_spare_sines(omega, chosen, duration, count, periods)
