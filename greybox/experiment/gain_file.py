@@ -4,7 +4,6 @@ from pathlib import Path
 
 from greybox.files.arrays import Values
 from greybox.files.safe_files import write_text
-from greybox.modeling.parameter import is_finite_number
 
 REAL = 9  # MAV_PARAM_TYPE_REAL32 of MAVLink
 
@@ -27,13 +26,9 @@ def write_gains(gains: Values, path: str | Path) -> None:
     Raises
     ------
     ValueError
-        For a gain that is not a finite number, or one between 0 and 1 in a file for Betaflight,
-        which would be rounded to another one.
+        For a gain between 0 and 1 in a file for Betaflight, which would be rounded to another one.
     """
     path = Path(path)
-    for name, value in gains.items():
-        if not is_finite_number(value):
-            raise ValueError(f"{name} = {value!r} is not a finite number: nothing was written.")
     if path.suffix == ".params":
         header = ["# Vehicle-Id Component-Id Name Value Type"]
         lines = header + [f"1\t1\t{name}\t{value:.7g}\t{REAL}" for name, value in gains.items()]

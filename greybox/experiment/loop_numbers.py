@@ -1,6 +1,6 @@
 """Numbers that describe loops of many plants: margins, crossings, closed-loop response, poles.
 
-Begin with `loop_numbers`.
+Begin with `margin_numbers` and `closed_loop_numbers`.
 """
 
 import math
@@ -11,10 +11,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.experiment.sampled_loop import SampledLoop
-from greybox.files.arrays import Array, ArrayPair, BoolArray, ComplexArray, IntArray, frozen
+from greybox.files.arrays import (
+    AnyArray,
+    Array,
+    ArrayPair,
+    BoolArray,
+    ComplexArray,
+    IntArray,
+    frozen,
+)
 
 POINTS = 400  # in four decades below the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
+LARGEST = math.log(1e4)  # gain; the phase of two integrators, near rest, is rounding above it
 STEPS = 2**14  # most points of a step response: 70 MB for all draws
 
 
@@ -61,8 +70,7 @@ class Crossings:
     def between(self, values: Array) -> Array:
         """Interpolate other curves (plants, n) at the crossings (k,)."""
         before, after = (values[self.plant, self.place + k] for k in (0, 1))
-        with np.errstate(invalid="ignore"):  # a plant without gain is at minus infinity
-            return before + self.share * (after - before)
+        return before + self.share * (after - before)
 
     def where(self, condition: BoolArray) -> "Crossings":
         """Return those that fulfil a condition (k,)."""
@@ -109,8 +117,7 @@ def crossings(values: Array, omega: Array) -> Crossings:
     is_negative = values < 0
     plant, place = np.nonzero(is_negative[:, :-1] != is_negative[:, 1:])
     before, after = values[plant, place], values[plant, place + 1]
-    with np.errstate(all="ignore"):  # unstable loops
-        share = before / (before - after)
+    share = before / (before - after)
     at = omega[place] + share * (omega[place + 1] - omega[place])
     return Crossings(len(values), plant, place, share, at)
 
@@ -121,27 +128,18 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
     # its response is smooth, and fewer points suffice.
     slow = np.geomspace(1e-6, 1e-4, points // 8, endpoint=False)
     grid = np.r_[slow, np.geomspace(1e-4, 0.999, points)] * math.pi / loop.period
-    near = np.concatenate([grid[:0], *_resonances(loop)])
-    return np.union1d(grid, near[near < grid[-1]])
-
-
-def _resonances(loop: SampledLoop) -> list[Array]:
-    """Return frequencies across each resonance that is narrower than the spacing of the others."""
-    with np.errstate(all="ignore"):  # past controls are poles at zero
-        poles = np.log(np.hstack([np.linalg.eigvals(loop.A), loop.poles])) / loop.period
+    poles = np.log(np.linalg.eigvals(loop.A).astype(complex)) / loop.period
     first = poles[0]
-    bands = []
     for pole in first[(first.imag > 0) & (np.abs(first.real) < 0.1 * first.imag)]:
-        # Every draw has this resonance at another frequency.
+        # A resonance that is narrower than the spacing, at another frequency in every draw.
         places = _nearest(poles, pole).imag
-        width = max(abs(pole.real), 1e-4 * pole.imag)
-        low, high = places.min() - 5 * width, places.max() + 5 * width
-        # A peak between points a quarter of its half width apart is at most 1 % higher.
-        bands.append(np.linspace(low, high, min(int(4 * (high - low) / width), POINTS)))
-    return bands
+        reach = 5 * max(abs(pole.real), 1e-4 * pole.imag)
+        near = np.linspace(places.min() - reach, places.max() + reach, 100)
+        grid = np.union1d(grid, near[(near > grid[0]) & (near < grid[-1])])
+    return grid
 
 
-def _nearest(poles: ComplexArray, pole: complex) -> ComplexArray:
+def _nearest(poles: AnyArray, pole: Any) -> AnyArray:
     """Return the pole of each plant (plants, n) that is nearest to another pole."""
     place = np.nanargmin(np.abs(poles - pole), axis=1)[:, None]
     return np.take_along_axis(poles, place, 1)[:, 0]
@@ -166,37 +164,37 @@ def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
     return answer
 
 
+@np.errstate(all="ignore")  # a plant without gain is at minus infinity
 def margin_numbers(
-    gain: ComplexArray, omega: Array, is_stable: BoolArray, period: float = 0.0
+    gain: ComplexArray, omega: Array, *, is_stable: BoolArray | bool = True, period: float = 0.0
 ) -> Numbers:
     """Return the margins of broken loops with these gains (plants, n) at `omega` (n,).
 
     With the `period` of a sampled loop, `omega` ends near rest and the Nyquist frequency, where its
     gain is real.
     """
-    phase = np.unwrap(np.angle(gain), axis=1)
+    if period:
+        gain, omega = _mirrored(gain, omega, period)
+    size, phase = np.log(np.abs(gain)), np.unwrap(np.angle(gain), axis=1)
 
     # Where the gain is one, and how far the phase is from -180 degrees there.
-    unity = crossings(_log_size(gain), omega)
+    unity = crossings(size, omega)
     lag = np.mod(unity.between(phase) + math.pi, 2 * math.pi)
     angle = np.degrees(np.minimum(lag, 2 * math.pi - lag))
 
     # Where the gain is real and negative.
-    around, at = _mirrored(gain, omega, period) if period else (gain, omega)
-    real = crossings(around.imag, at)
-    real = real.where(real.between(around.real) < 0)
-    decibels = -20 / math.log(10) * real.between(_log_size(around))
-    # Two integrators are computed with rounding errors near rest.
-    reduced = (decibels < 0) & (decibels > -120)
+    real = crossings(gain.imag, omega)
+    real = real.where((real.between(gain.real) < 0) & (real.between(size) < LARGEST))
+    decibels = -20 / math.log(10) * real.between(size)
 
     is_near = np.abs(decibels) < 40.0  # a crossing that is farther away limits no gain
 
     distance = np.abs(1 + gain)
-    least, closest = distance.min(axis=1), omega[distance.argmin(axis=1)]
+    least, closest = distance.min(axis=1), np.abs(omega[distance.argmin(axis=1)])
     margins = {
         "phase margin": unity.smallest(angle),
         "gain margin": real.smallest(np.where(decibels > 0, decibels, math.inf)),
-        "gain reduction margin": real.smallest(np.where(reduced, -decibels, math.inf)),
+        "gain reduction margin": real.smallest(np.where(decibels < 0, -decibels, math.inf)),
         "delay margin": unity.smallest(lag / unity.omega),
         "modulus margin": Located(least, closest),
     }
@@ -216,19 +214,14 @@ def margin_numbers(
     }
 
 
-def _log_size(gain: ComplexArray) -> Array:
-    with np.errstate(divide="ignore"):
-        return np.log(np.abs(gain))
-
-
 def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexArray, Array]:
     """Return gains and frequencies with their images beyond rest and the Nyquist frequency.
 
-    The gain passes into its conjugate at both. An integrator has no gain at rest.
+    The gain passes into its conjugate at both. That of an integrator is imaginary near rest, and
+    does not pass the real axis.
     """
     first, last = gain[:, :1], gain[:, -1:]
-    octave = np.searchsorted(omega, 2 * omega[0])
-    is_integrator = np.abs(gain[:, [octave]]) < 0.9 * np.abs(first)
+    is_integrator = np.abs(first.imag) > np.abs(first.real)
     before = np.where(is_integrator, first, first.conj())
     at = np.r_[-omega[0], omega, 2 * math.pi / period - omega[-1]]
     return np.concatenate([before, gain, last.conj()], axis=1), at

@@ -176,12 +176,11 @@ class SampledLoop:
         Raises
         ------
         ValueError
-            For a signal that is not in the loop.
+            For a command that is not in the loop.
         """
         commands, F, G, H, J = self.controller
         sensors = self.sensors
         require_known([command], commands, "command", "the loop")
-        require_known([signal], self.signals, "signal", "the loop")
         added = len(sensors) + commands.index(command)
         rows = [commands.index(name) for name in self.inputs]
         plants, n = self.A.shape[:2]
@@ -250,7 +249,8 @@ def sampled_loop(
     """
     system = dynamics(model)
     controllers = connected(controller, model.label, system)
-    if not controllers and rate is None:
+    clock = controllers[0].rate if controllers else rate
+    if not clock:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
     commands = {
         *system.inputs,
@@ -262,17 +262,17 @@ def sampled_loop(
         )
     )
     A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
-    period = 1 / (controllers[0].rate if controllers else float(rate or 0))
+    period = 1 / clock
     if has_hold:
         delay = np.maximum(delay - period / 2, 0)
     whole, part = in_periods(delay, period, system.inputs)
 
     # Before a control arrives the one before it acts: exp(A t) and its integral.
-    transition, _ = held_response(A, B, period)
     columns = B.swapaxes(1, 2)[..., None]
     alike = np.repeat(A[:, None], B.shape[2], axis=1)  # for each input, whose delay is its own
-    _, first = held_response(alike, columns, part * period)
+    before, first = held_response(alike, columns, part * period)
     decay, second = held_response(alike, columns, (1 - part) * period)
+    transition = (decay @ before)[:, 0]
     early, late = (block[..., 0].swapaxes(1, 2) for block in (decay @ first, second))
     return SampledLoop(
         system.inputs,

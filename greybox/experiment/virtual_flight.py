@@ -124,7 +124,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     test = _as_excitation(excitation, controllers[0].rate if controllers else rate)
     clock = float(controllers[0].rate if controllers else test.rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
-    require_known(test.signals, dict.fromkeys(places), "place for", model.label)
+    require_known(test.signals, places, "place for", model.label)
     # A controller may run faster than the test signal is sampled.
     time = np.arange(math.floor(test.time[-1] * clock + 1e-6) + 1) / clock
     commands = {n: np.interp(time, test.time, v) for n, v in test.signals.items()}
