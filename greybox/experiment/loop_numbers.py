@@ -139,7 +139,7 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
     return grid
 
 
-def _nearest(poles: AnyArray, pole: Any) -> AnyArray:
+def _nearest(poles: AnyArray, pole: Any) -> ComplexArray:
     """Return the pole of each plant (plants, n) that is nearest to another pole."""
     place = np.nanargmin(np.abs(poles - pole), axis=1)[:, None]
     return np.take_along_axis(poles, place, 1)[:, 0]

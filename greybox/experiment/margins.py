@@ -229,8 +229,10 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     the loop broken at one signal, with every other loop closed:
 
     - *phase margin*: the smallest phase, lag or lead, that makes the loop unstable, in degrees;
-    - *gain margin* and *gain reduction margin*: the smallest factors above and below one that do;
-    - *delay margin*: the smallest additional delay that does;
+    - *gain margin* and *gain reduction margin*: the smallest factors above and below one that do,
+      at rest and at the Nyquist frequency, too;
+    - *delay margin*: the smallest additional delay that does; near a fifth of the rate of the loop
+      and above it, a delay of a fraction of a sample changes the gain, too, which is not counted;
     - *modulus margin*: the smallest distance of the loop gain from -1, the inverse of the peak of
       the sensitivity;
     - *crossover*: the highest frequency at which the gain is one;

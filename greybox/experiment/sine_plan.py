@@ -183,7 +183,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         Flies the vehicle meanwhile; without one the plant is tested in open loop.
     limits : mapping of signal to float
         Largest amplitudes of signals of the loop: outputs, inputs, states, and derivatives such as
-        ``theta_dot``.
+        ``theta_dot``; of settled sines, at whose beginnings the signals overshoot.
     rate : float, Hz
         Sampling rate of the log.
     periods : int
@@ -274,7 +274,7 @@ def _gains(
     rate: float,
 ) -> dict[str, ComplexArray]:
     """Return the gains (n,) from excitation to signals, with the sampling of the controller."""
-    row = np.array([list(model.values(values).values())], dtype=float)
+    row = np.array([[*model.values(values).values()]])
     loop = sampled_loop(model, row, controller, measured=signals, rate=rate)
     if controller is not None and not loop.is_stable[0]:
         raise ValueError(
