@@ -186,7 +186,9 @@ def connected(
     TypeError
         If one is not a controller.
     """
-    controllers = [controller] if isinstance(controller, Controller) else [*(controller or ())]
+    controllers: list[Controller] = []
+    if controller is not None:
+        controllers += controller if isinstance(controller, Sequence) else [controller]
     inputs, driven_by_plant = system.inputs, {*system.outputs, *system.states}
     driven: set[str] = set()
     for k, c in enumerate(controllers):

@@ -135,7 +135,7 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
         places = _nearest(poles, pole).imag
         reach = 5 * max(abs(pole.real), 1e-4 * pole.imag)
         near = np.linspace(places.min() - reach, places.max() + reach, 100)
-        grid = np.union1d(grid, near[(near > grid[0]) & (near < grid[-1])])
+        grid = np.union1d(grid, np.clip(near, grid[0], grid[-1]))
     return grid
 
 
