@@ -76,14 +76,11 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError("--log is of one flight: give a single RESULT with it.")
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
-    first = next(iter(fits.values()))
+    first, *_ = fits.values()
     is_fit = isinstance(first, Fit)
     if not is_fit and (options.log or options.report or options.plot):
         raise UsageError("--log, --report and --plot are for fits, and a table is a measured loop.")
-    settings = {
-        "tracking": tuple(options.tracking) if options.tracking else None,
-        **attributes(options, "at", "level", "boundary"),
-    }
+    settings = attributes(options, "tracking", "at", "level", "boundary")
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
     is_single = is_fit and len(fits) == 1

@@ -63,8 +63,9 @@ def run(options: argparse.Namespace) -> Answer:
     )
     require_figure(options.plot, options.force)
     fits = [saved_fit(path, options) for path in options.fits]
-    names = ("phase_margin", "gain_margin", "delay", "level", "broken_at", "at")
-    required = attributes(options, *names)
+    required = attributes(
+        options, "phase_margin", "gain_margin", "delay", "level", "broken_at", "at"
+    )
     log = flight_log(fits[0], options.fits[0], options)
     if log:
         refuse_controllers(options)

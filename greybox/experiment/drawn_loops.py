@@ -59,7 +59,7 @@ def drawn_loops(
         _plants(plant, [fitted.rename.get(name, name) for name in model.parameters]),
         controller,
         at=at or fitted.at,
-        delay_has="hold" if has_hold else "nothing",
+        has_hold=has_hold,
     )
 
 

@@ -107,9 +107,7 @@ class Excitation:
         )
 
     def __repr__(self) -> str:
-        return one_line(
-            self, ", ".join(self.signals), f"{self.time.size / self.rate:.4g} s at {self.rate:g} Hz"
-        )
+        return one_line(self, str(self))
 
     def __str__(self) -> str:
         kinds = sorted({maneuver.kind for maneuver in self.schedule})
@@ -340,7 +338,7 @@ def multisine(
         )
     # The harmonics in the band are assigned to the signals in turn.
     step = 2 * math.pi / period
-    harmonics = np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    harmonics = np.arange(round_up(low / step), math.floor(high / step + 1e-9) + 1)
     if not 0 < 2 * len(signals) <= harmonics.size:
         raise ValueError(
             f"a period of {period:g} s has {harmonics.size} harmonics from {low:g} to {high:g} "

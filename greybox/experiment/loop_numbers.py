@@ -1,6 +1,6 @@
 """Numbers that describe loops of many plants: margins, crossings, closed-loop response, poles.
 
-Begin with `loop_numbers`.
+Begin with `margin_numbers` and `closed_loop_numbers`.
 """
 
 import math
@@ -11,10 +11,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.experiment.sampled_loop import SampledLoop
-from greybox.files.arrays import Array, ArrayPair, BoolArray, ComplexArray, IntArray, frozen
+from greybox.files.arrays import (
+    AnyArray,
+    Array,
+    ArrayPair,
+    BoolArray,
+    ComplexArray,
+    IntArray,
+    frozen,
+)
 
 POINTS = 400  # in four decades below the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
+LARGEST = math.log(1e4)  # gain; the phase of two integrators, near rest, is rounding above it
 STEPS = 2**14  # most points of a step response: 70 MB for all draws
 
 
@@ -61,8 +70,7 @@ class Crossings:
     def between(self, values: Array) -> Array:
         """Interpolate other curves (plants, n) at the crossings (k,)."""
         before, after = (values[self.plant, self.place + k] for k in (0, 1))
-        with np.errstate(invalid="ignore"):  # a plant without gain is at minus infinity
-            return before + self.share * (after - before)
+        return before + self.share * (after - before)
 
     def where(self, condition: BoolArray) -> "Crossings":
         """Return those that fulfil a condition (k,)."""
@@ -93,16 +101,15 @@ class Crossings:
     def listed(self, name: str, values: Array) -> Numbers:
         """Return the values (k,) at every crossing of the first plant, if it has several.
 
-        They are NaN for plants that have another number of crossings.
+        Plants with fewer crossings have no limit at the last ones.
         """
-        count = np.bincount(self.plant, minlength=self.plants)
-        if count[0] < 2:
-            return {}
-        complete = count == count[0]
-        table = np.full((2, self.plants, count[0]), math.nan)
-        for row, numbers in zip(table, (values, self.omega), strict=True):
-            row[complete] = numbers[complete[self.plant]].reshape(-1, count[0])
-        return {f"{name} {k + 1}": Located(*table[:, :, k]) for k in range(count[0])}
+        # The rows of a plant are in the order of frequency.
+        rank = np.arange(len(self.plant)) - np.searchsorted(self.plant, self.plant)
+        count = np.count_nonzero(self.plant == 0)
+        return {
+            f"{name} {k + 1}": self.where(rank == k).smallest(values[rank == k])
+            for k in range(count if count > 1 else 0)
+        }
 
 
 def crossings(values: Array, omega: Array) -> Crossings:
@@ -110,8 +117,7 @@ def crossings(values: Array, omega: Array) -> Crossings:
     is_negative = values < 0
     plant, place = np.nonzero(is_negative[:, :-1] != is_negative[:, 1:])
     before, after = values[plant, place], values[plant, place + 1]
-    with np.errstate(all="ignore"):  # unstable loops
-        share = before / (before - after)
+    share = before / (before - after)
     at = omega[place] + share * (omega[place + 1] - omega[place])
     return Crossings(len(values), plant, place, share, at)
 
@@ -121,7 +127,22 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
     # A loop at 8 kHz, or with a slow integrator, crosses a gain of one much below its rate. There
     # its response is smooth, and fewer points suffice.
     slow = np.geomspace(1e-6, 1e-4, points // 8, endpoint=False)
-    return np.r_[slow, np.geomspace(1e-4, 0.999, points)] * math.pi / loop.period
+    grid = np.r_[slow, np.geomspace(1e-4, 0.999, points)] * math.pi / loop.period
+    poles = np.log(np.linalg.eigvals(loop.A).astype(complex)) / loop.period
+    first = poles[0]
+    for pole in first[(first.imag > 0) & (np.abs(first.real) < 0.1 * first.imag)]:
+        # A resonance that is narrower than the spacing, at another frequency in every draw.
+        places = _nearest(poles, pole).imag
+        reach = 5 * max(abs(pole.real), 1e-4 * pole.imag)
+        near = np.linspace(places.min() - reach, places.max() + reach, 100)
+        grid = np.union1d(grid, np.clip(near, grid[0], grid[-1]))
+    return grid
+
+
+def _nearest(poles: AnyArray, pole: Any) -> ComplexArray:
+    """Return the pole of each plant (plants, n) that is nearest to another pole."""
+    place = np.nanargmin(np.abs(poles - pole), axis=1)[:, None]
+    return np.take_along_axis(poles, place, 1)[:, 0]
 
 
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
@@ -138,16 +159,23 @@ def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
         # A phase delay takes the phase at twice its frequency, too.
         near = np.outer([*places, *(2 * places)], np.exp(np.linspace(-1.5, 1.5, 61) * width))
         omega = np.unique([*coarse, *near.ravel()])
-        answer = numbers(alone, omega[omega <= coarse[-1]])
+        answer = numbers(alone, omega[(omega >= coarse[0]) & (omega <= coarse[-1])])
         width /= 20  # the straight lines between points leave 0.001 of a spacing of 0.05 widths
     return answer
 
 
-def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Numbers:
-    """Return the margins of broken loops with these gains (plants, n) at `omega` (n,)."""
-    with np.errstate(divide="ignore"):
-        size = np.log(np.abs(gain))
-    phase = np.unwrap(np.angle(gain), axis=1)
+@np.errstate(all="ignore")  # a plant without gain is at minus infinity
+def margin_numbers(
+    gain: ComplexArray, omega: Array, *, is_stable: BoolArray | bool = True, period: float = 0.0
+) -> Numbers:
+    """Return the margins of broken loops with these gains (plants, n) at `omega` (n,).
+
+    With the `period` of a sampled loop, `omega` ends near rest and the Nyquist frequency, where its
+    gain is real.
+    """
+    if period:
+        gain, omega = _mirrored(gain, omega, period)
+    size, phase = np.log(np.abs(gain)), np.unwrap(np.angle(gain), axis=1)
 
     # Where the gain is one, and how far the phase is from -180 degrees there.
     unity = crossings(size, omega)
@@ -156,13 +184,13 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
 
     # Where the gain is real and negative.
     real = crossings(gain.imag, omega)
-    real = real.where(real.between(gain.real) < 0)
+    real = real.where((real.between(gain.real) < 0) & (real.between(size) < LARGEST))
     decibels = -20 / math.log(10) * real.between(size)
 
     is_near = np.abs(decibels) < 40.0  # a crossing that is farther away limits no gain
 
     distance = np.abs(1 + gain)
-    least, closest = distance.min(axis=1), omega[distance.argmin(axis=1)]
+    least, closest = distance.min(axis=1), np.abs(omega[distance.argmin(axis=1)])
     margins = {
         "phase margin": unity.smallest(angle),
         "gain margin": real.smallest(np.where(decibels > 0, decibels, math.inf)),
@@ -184,6 +212,19 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
         **unity.listed("phase margin", angle),
         **real.where(is_near).listed("gain margin", decibels[is_near]),
     }
+
+
+def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexArray, Array]:
+    """Return gains and frequencies with their images beyond rest and the Nyquist frequency.
+
+    The gain passes into its conjugate at both. That of an integrator is imaginary near rest, and
+    does not pass the real axis.
+    """
+    first, last = gain[:, :1], gain[:, -1:]
+    is_integrator = np.abs(first.imag) > np.abs(first.real)
+    before = np.where(is_integrator, first, first.conj())
+    at = np.r_[-omega[0], omega, 2 * math.pi / period - omega[-1]]
+    return np.concatenate([before, gain, last.conj()], axis=1), at
 
 
 def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
@@ -273,10 +314,8 @@ def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     # controller holds.
     part[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
     dominant = np.log(z[np.abs(part).argmax()]) / loop.period
-    poles = np.log(loop.poles) / loop.period
     dominant = dominant.real + 1j * abs(dominant.imag)
-    nearest = np.nanargmin(np.abs(poles - dominant), axis=1)[:, None]
-    pole = np.take_along_axis(poles, nearest, 1)[:, 0]
+    pole = _nearest(np.log(loop.poles) / loop.period, dominant)
     frequency = np.abs(pole)
     return {
         "damping ratio": Located(-pole.real / frequency, frequency),

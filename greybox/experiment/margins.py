@@ -28,7 +28,7 @@ from greybox.experiment.sampled_loop import DOT, SampledLoop
 from greybox.files.arrays import Array, ComplexArray, Fields, StringPair, Strings, Values, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
-from greybox.modeling.model import Model, require_known
+from greybox.modeling.model import Model
 
 UNITS = {
     "phase margin": "deg",
@@ -229,8 +229,10 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     the loop broken at one signal, with every other loop closed:
 
     - *phase margin*: the smallest phase, lag or lead, that makes the loop unstable, in degrees;
-    - *gain margin* and *gain reduction margin*: the smallest factors above and below one that do;
-    - *delay margin*: the smallest additional delay that does;
+    - *gain margin* and *gain reduction margin*: the smallest factors above and below one that do,
+      at rest and at the Nyquist frequency, too;
+    - *delay margin*: the smallest additional delay that does; near a fifth of the rate of the loop
+      and above it, a delay of a fraction of a sample changes the gain, too, which is not counted;
     - *modulus margin*: the smallest distance of the loop gain from -1, the inverse of the peak of
       the sensitivity;
     - *crossover*: the highest frequency at which the gain is one;
@@ -330,8 +332,6 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     controllers = [controller] if isinstance(controller, Controller) else controller
     signal = broken_at or loop.inputs[0]
     setpoint, response = tracking or _tracking(controllers)
-    chosen = (signal, setpoint, response) if setpoint else (signal,)
-    require_known(chosen, loop.signals, "signal", "the loop")
 
     answer = Margins(
         fit.name if fit else model.label,
@@ -350,7 +350,10 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
 
     groups: dict[str, LoopNumbers] = {
         f"broken at {signal}": lambda loops, omega: margin_numbers(
-            loops.broken_at(signal, omega), omega, loops.is_stable
+            loops.broken_at(signal, omega),
+            omega,
+            is_stable=loops.is_stable,
+            period=loops.period,
         )
     }
     if setpoint and follows(loop, setpoint, response):
@@ -471,12 +474,12 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     intervals).
     """
     require_level(level)
-    order = np.argsort(loop.omega)
-    points, drawn = np.log(loop.omega[order]), _drawn(loop)[:, order]
+    loop = loop.by_frequency
+    points, drawn = np.log(loop.omega), _drawn(loop)
     has_errors = len(drawn) > 1
     gain, omega = _between(points, drawn)
-    numbers = margin_numbers(gain, omega, np.ones(len(gain), dtype=bool))
-    fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]), np.ones(1, dtype=bool))
+    numbers = margin_numbers(gain, omega)
+    fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]))
     ends = [(1 - level) / 2, 0.5, (1 + level) / 2]
     rows, unmeasured = [], []
     for name, (values, places) in numbers.items():

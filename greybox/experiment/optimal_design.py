@@ -2,35 +2,19 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, Labels
+from greybox.files.arrays import Array, ArrayPair, BoolArray, Labels
 
 
-def time_needed(information: Array, wanted: Array) -> float:
-    """Return the shortest time, s, after which no error exceeds the wanted one.
+def time_needed(information: Array, matters: BoolArray) -> float:
+    """Return the shortest time, s, after which no error that matters exceeds one.
 
     Parameters
     ----------
     information : (p, p) array
-        Fisher information of one second.
-    wanted : (p,) array
-        Standard errors; infinite for parameters that do not matter.
+        Fisher information of one second, for parameters in units of their wanted errors.
+    matters : (p,) array of bool
     """
-    matters = np.isfinite(wanted)
-    variance = variances(information)[matters]
-    if not (variance > 0).all():
-        return np.inf
-    return float(np.max(variance / wanted[matters] ** 2))
-
-
-def variances(information: Array) -> Array:
-    """Return the variances (p,): NaN without information, all NaN if some cannot be separated."""
-    informed = np.diag(information) > 0
-    variance = np.full(len(information), np.nan)
-    try:
-        variance[informed] = np.diag(np.linalg.inv(information[np.ix_(informed, informed)]))
-    except np.linalg.LinAlgError:
-        return np.full(len(information), np.nan)
-    return variance
+    return float(np.max(np.diag(np.linalg.inv(information))[matters]))
 
 
 def require_determined(information: Array, names: Labels) -> None:
@@ -51,25 +35,23 @@ def require_determined(information: Array, names: Labels) -> None:
         )
 
 
-def shares(informations: Array, wanted: Array) -> Array:
+def shares(informations: Array, matters: BoolArray) -> Array:
     """Return the shares (n,) of the flight time that reach the wanted errors soonest.
 
     The variance of an estimate is convex in the times, so the problem is: minimize their sum such
-    that every variance is at most the wanted one (Fedorov 1972, Theory of Optimal Experiments;
+    that every variance that matters is at most one (Fedorov 1972, Theory of Optimal Experiments;
     Goodwin and Payne 1977, Dynamic System Identification, chapter 6).
 
     Parameters
     ----------
     informations : (n, p, p) array
-        Fisher information of one second at each of n frequencies, for parameters of size one.
-    wanted : (p,) array
+        Fisher information of one second at each of n frequencies, for parameters in units of their
+        wanted errors.
+    matters : (p,) array of bool
     """
     from scipy.optimize import minimize  # noqa: PLC0415  (slow import)
 
     count = len(informations)
-    matters = np.isfinite(wanted)
-    scale = np.where(matters, wanted, 1.0)  # in these units, every wanted error is one
-    informations = informations * np.outer(scale, scale)
     # The frequencies in use may have no information on a parameter that does not matter: this keeps
     # its variance finite.
     floor = 1e-9 * np.diag(np.diag(informations.mean(axis=0)))

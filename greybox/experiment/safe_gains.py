@@ -237,6 +237,9 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
             law[k].values = Names({**law[k].values, own: float(value)}, type(law[k]).__name__)
         laws.append(law)
     wanted = {"phase margin": phase_margin, "gain margin": gain_margin, "delay": delay}
+    for name, value in wanted.items():
+        if not value >= 0:
+            raise ValueError(f"the required {name} is {value:g}: give 0 or more.")
     answers = [
         _judged(fit, part, drawn_loops(fit, controllers, at=at, part=part), laws, wanted, broken_at)
         for fit in flights
@@ -278,7 +281,6 @@ def _judged(
     """Return confidence and bandwidth (sets,) of a flight, and the cure of poor measurements."""
     loops = loops.of(slice(1 + DRAWS))
     signal = broken_at or loops.inputs[0]
-    require_known([signal], loops.signals, "signal", "the loop")
     omega = loop_frequencies(loops, 260)  # margins to 0.1 degrees
     late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
     plants = loops.plant_response(omega)
@@ -292,7 +294,7 @@ def _judged(
         is_stable = np.ones(len(plant), dtype=bool)
         is_stable[:FEW] = loop.of(slice(FEW)).is_stable
         with_and_without = [
-            margin_numbers(loop.broken_at(signal, omega, response), omega, is_stable)
+            margin_numbers(loop.broken_at(signal, omega, response), omega, period=loop.period)
             for response in ([plant, plant * late] if wanted["delay"] else [plant])
         ]
         # A loop that is stable without the delay is stable for any delay below its delay margin.

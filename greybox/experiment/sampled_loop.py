@@ -8,7 +8,7 @@ the parameters.
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -176,12 +176,11 @@ class SampledLoop:
         Raises
         ------
         ValueError
-            For a signal that is not in the loop.
+            For a command that is not in the loop.
         """
         commands, F, G, H, J = self.controller
         sensors = self.sensors
         require_known([command], commands, "command", "the loop")
-        require_known([signal], self.signals, "signal", "the loop")
         added = len(sensors) + commands.index(command)
         rows = [commands.index(name) for name in self.inputs]
         plants, n = self.A.shape[:2]
@@ -234,12 +233,12 @@ def sampled_loop(
     at: Values | None = None,
     measured: Labels = (),
     rate: float | None = None,
-    delay_has: Literal["hold", "nothing"] = "nothing",
+    has_hold: bool = False,
 ) -> SampledLoop:
     """Return loops of a model with each row of `values` (plants, parameters), linearized at `at`.
 
     The delay of a response that was measured from logged controls contains the half sample by which
-    a held control is late; say so by ``delay_has="hold"``, and it is not counted twice. `measured`
+    a held control is late; say so by `has_hold`, and it is not counted twice. `measured`
     are signals in addition to the outputs and what the controllers measure. Without a controller,
     give the `rate` at which the control changes.
 
@@ -250,7 +249,8 @@ def sampled_loop(
     """
     system = dynamics(model)
     controllers = connected(controller, model.label, system)
-    if not controllers and rate is None:
+    clock = controllers[0].rate if controllers else rate
+    if not clock:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
     commands = {
         *system.inputs,
@@ -262,18 +262,17 @@ def sampled_loop(
         )
     )
     A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
-    period = 1 / (controllers[0].rate if controllers else float(rate or 0))
-    if delay_has == "hold":
+    period = 1 / clock
+    if has_hold:
         delay = np.maximum(delay - period / 2, 0)
-    whole = np.floor(delay / period + 1e-9)
-    part = np.maximum(delay / period - whole, 0)
+    whole, part = in_periods(delay, period, system.inputs)
 
     # Before a control arrives the one before it acts: exp(A t) and its integral.
-    transition, _ = held_response(A, B, period)
     columns = B.swapaxes(1, 2)[..., None]
     alike = np.repeat(A[:, None], B.shape[2], axis=1)  # for each input, whose delay is its own
-    _, first = held_response(alike, columns, part * period)
+    before, first = held_response(alike, columns, part * period)
     decay, second = held_response(alike, columns, (1 - part) * period)
+    transition = (decay @ before)[:, 0]
     early, late = (block[..., 0].swapaxes(1, 2) for block in (decay @ first, second))
     return SampledLoop(
         system.inputs,
@@ -283,10 +282,28 @@ def sampled_loop(
         late,
         C,
         D,
-        whole.astype(int),
+        whole,
         linear_controller(controllers, sensors, system.inputs),
         period,
     )
+
+
+def in_periods(delay: Array, period: float, inputs: Strings) -> tuple[IntArray, Array]:
+    """Return whole periods in delays (..., inputs), s, and the remaining fractions of a period.
+
+    Raises
+    ------
+    ValueError
+        For a delay that is negative or not finite.
+    """
+    wrong = np.argwhere(~((delay >= 0) & (delay < np.inf)))
+    if wrong.size:
+        name, value = inputs[wrong[0, -1]], delay[tuple(wrong[0])]
+        raise ValueError(f"the delay of {name!r} is {value:g} s: give a value of 0 or more.")
+    # A delay of whole periods must not become one period less and a fraction by rounding.
+    whole = np.floor(delay / period + 1e-9).astype(int)
+    part = delay / period - whole
+    return whole, np.where(part > 1e-9, part, 0.0)
 
 
 @one_thread_at_a_time

@@ -49,7 +49,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:
             "the script flies sines only: use sine_schedule(...), or systemid_parameters for a "
             "sweep."
         )
-    unit = next(iter(excitation.units.values()))
+    [unit] = excitation.units.values()
     if unit != "rad":
         raise ValueError(
             f"the setpoint is an angle in rad, but the signal is in {unit or 'no unit'}: give "

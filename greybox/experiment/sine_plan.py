@@ -12,7 +12,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller
 from greybox.experiment.excitation import NOTHING, Excitation, sine_schedule
@@ -20,6 +19,7 @@ from greybox.experiment.optimal_design import require_determined, shares, time_n
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.files.arrays import (
     Array,
+    BoolArray,
     ComplexArray,
     IntArray,
     Interval,
@@ -32,7 +32,6 @@ from greybox.files.arrays import (
     positive_or_one,
 )
 from greybox.files.text_table import text_table
-from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
 from greybox.modeling.model import pick_signals, require_known
@@ -184,7 +183,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         Flies the vehicle meanwhile; without one the plant is tested in open loop.
     limits : mapping of signal to float
         Largest amplitudes of signals of the loop: outputs, inputs, states, and derivatives such as
-        ``theta_dot``.
+        ``theta_dot``; of settled sines, at whose beginnings the signals overshoot.
     rate : float, Hz
         Sampling rate of the log.
     periods : int
@@ -202,14 +201,14 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    _require_valid(band, wanted, {**wanted, **limits})
+    _require_valid(band, wanted, {"amplitude": amplitude, **wanted, **limits})
     input, output = pick_signals(model, input, output)
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)
     values = {**values, **fixed}
     gains = _gains(model, values, omega, (input, *limits), excitation, controller, rate)
     bounds = [limit / np.abs(gains[name]) for name, limit in limits.items()]
-    amplitudes = np.array([np.full(len(omega), amplitude), *bounds])
+    amplitudes = np.array([np.full_like(omega, amplitude), *bounds])
     size, limit = amplitudes.min(axis=0), amplitudes.argmin(axis=0)
 
     nlp, sensitivity = _sensitivities(model, values, omega, (input, output), fixed)
@@ -221,11 +220,16 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     scale = np.array([wanted.get(name, s) for name, s in zip(nlp.free, alone, strict=True)])
     scaled = sensitivity * scale
     information = weight[:, None, None] * np.real(np.conj(scaled)[:, :, None] * scaled[:, None, :])
-    target = np.array([1.0 if name in wanted else np.inf for name in nlp.free])
+    matters = np.array([name in wanted for name in nlp.free])
     require_determined(information.mean(axis=0), nlp.free)
 
     card = _Card(periods, lead_in, pause)
-    chosen, duration = _fewest(omega, information, target, card)
+    chosen, duration = _fewest(omega, information, matters, card)
+    if not duration.size:
+        raise ValueError(
+            "no flight in this band reaches the wanted errors of "
+            f"{', '.join(f'{name} ± {error:g}' for name, error in wanted.items())}: raise them."
+        )
     # Four numbers more than the parameters use up remain for judging the model.
     count = math.ceil((len(nlp.free) + 4) / 2)
     chosen, duration = with_spare_sines(omega, chosen, duration, count, periods)
@@ -270,7 +274,7 @@ def _gains(
     rate: float,
 ) -> dict[str, ComplexArray]:
     """Return the gains (n,) from excitation to signals, with the sampling of the controller."""
-    row = np.array([list(model.values(values).values())], dtype=float)
+    row = np.array([[*model.values(values).values()]])
     loop = sampled_loop(model, row, controller, measured=signals, rate=rate)
     if controller is not None and not loop.is_stable[0]:
         raise ValueError(
@@ -288,9 +292,7 @@ def _sensitivities(
 ) -> tuple[CompiledProblem, ComplexArray]:
     """Return the compiled problem, and the derivatives (n, p) in its free parameters."""
     exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
-    # The problem is only used for sensitivities, so any variance is suitable.
-    data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)
-    nlp = compile_problem(Problem(model, data, MaximumLikelihood(), fixed=fixed))
+    nlp = compile_problem(Problem(model, exact, fixed=fixed))
     values = model.values(values)
     x = np.array([values[name] for name in nlp.names])
     [part] = nlp.parts_of(ResponsePart)
@@ -311,7 +313,7 @@ def noise_density(
             raise ValueError(
                 f"noise={noise!r} must be a positive standard deviation, or a quiet flight."
             )
-        return np.full(len(omega), 2 * float(noise) ** 2 / rate)
+        return np.full_like(omega, 2 * float(noise) ** 2 / rate)
     from scipy.signal import detrend  # noqa: PLC0415  (takes a tenth of a second to import)
 
     input, output = signals
@@ -340,23 +342,24 @@ def noise_density(
     return total / seconds
 
 
-def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tuple[IntArray, Array]:
+def _fewest(
+    omega: Array, information: Array, matters: BoolArray, card: _Card
+) -> tuple[IntArray, Array]:
     """Return the places of the sines that make the flight shortest, and their durations, s.
 
     The optimal shares concentrate on few frequencies and their neighbors. Every further sine costs
     its time to settle, so the smallest share is dropped as long as that shortens the flight.
     """
-    chosen = np.flatnonzero(shares(information, target))
+    chosen = np.arange(len(omega))
     best = math.inf, chosen, np.zeros(0)
     while len(chosen):
-        part = information[chosen]
-        if np.linalg.cond(part.sum(axis=0)) > 1e14:
-            break
-        share = shares(part, target)
+        share = shares(information[chosen], matters)
         chosen, share = chosen[share > 0], share[share > 0]
-        seconds = share * time_needed(np.tensordot(share, information[chosen], 1), target)
-        duration, total = card.flown(omega[chosen], seconds)
-        if not np.isfinite(total) or total > 1.5 * best[0]:
+        second = np.tensordot(share, information[chosen], 1)
+        if np.linalg.cond(second) > 1e14:
+            break
+        duration, total = card.flown(omega[chosen], share * time_needed(second, matters))
+        if total > 1.5 * best[0]:
             break
         if total < best[0]:
             best = total, chosen, duration

@@ -17,7 +17,7 @@ from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import NOTHING, Excitation
-from greybox.experiment.sampled_loop import measured_signal
+from greybox.experiment.sampled_loop import in_periods, measured_signal
 from greybox.files.arrays import Array, Labels, Strings, Values, all_finite, frozen
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
@@ -124,7 +124,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     test = _as_excitation(excitation, controllers[0].rate if controllers else rate)
     clock = float(controllers[0].rate if controllers else test.rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
-    require_known(test.signals, dict.fromkeys(places), "place for", model.label)
+    require_known(test.signals, places, "place for", model.label)
     # A controller may run faster than the test signal is sampled.
     time = np.arange(math.floor(test.time[-1] * clock + 1e-6) + 1) / clock
     commands = {n: np.interp(time, test.time, v) for n, v in test.signals.items()}
@@ -190,15 +190,8 @@ class _Loop:
     def delays(self) -> tuple[list[int], list[float]]:
         """Whole controller periods in the delay of every input, and the remaining fractions."""
         delays = np.asarray(self.system.delay(self.p)).ravel()
-        for name, delay in zip(self.system.inputs, delays, strict=True):
-            if not 0 <= delay < math.inf:
-                raise ValueError(
-                    f"the delay of {name!r} is {delay:g} s: give a value of 0 or more."
-                )
-        # A delay of whole periods must not become one period less and a fraction by rounding.
-        periods = np.floor(delays * self.clock + 1e-9).astype(int)
-        parts = delays * self.clock - periods
-        return periods.tolist(), np.where(parts > 1e-9, parts, 0.0).tolist()
+        whole, part = in_periods(delays, 1 / self.clock, self.system.inputs)
+        return whole.tolist(), part.tolist()
 
     def start(self) -> Array:
         """Return the initial state of the first step: plant, controllers, past controls."""

@@ -109,6 +109,83 @@ def test_a_flight_diverges_where_the_gain_margin_is_used_up(margin, sign):
     assert growth[0] < 1 < growth[1]
 
 
+class Gain(gb.Controller):
+    """Proportional control of the rate."""
+
+    inputs, outputs, rate = ("q",), ("u",), RATE
+    K_P = gb.Parameter(0.5)
+
+    def update(self, x, u, p):
+        return (), (p.K_P * (u.reference - u.q),)
+
+
+class FirstOrder(gb.TransferFunction):
+    """A lag, unstable where a is negative."""
+
+    input, output = "u", "q"
+    K = gb.Parameter(4.0)
+    a = gb.Parameter(2.0)
+
+    def response(self, s, p):
+        return p.K / (s + p.a)
+
+
+@pytest.mark.parametrize("a", [-0.5, 2.0, 60.0])
+def test_a_gain_that_is_real_at_rest_and_at_half_the_rate_counts(a):
+    """The pole of the loop, z = e^(-a h) - k b, is one at rest and -1 at the Nyquist frequency."""
+    decay = np.exp(-a / RATE)
+    b = 0.5 * 4.0 * (1 - decay) / a
+    answer = gb.margins(FirstOrder(), Gain(), {"a": a})
+    assert answer["gain margin"].value == pytest.approx(20 * np.log10((1 + decay) / b), rel=1e-4)
+    reduction = 20 * np.log10(b / (decay - 1)) if a < 0 else np.inf
+    assert answer["gain reduction margin"].value == pytest.approx(reduction, rel=1e-4)
+    assert answer["gain margin"].omega == pytest.approx(np.pi * RATE)
+
+
+def test_two_integrators_have_no_gain_reduction_margin():
+    class Position(gb.TransferFunction):
+        input, output = "u", "q"
+        K = gb.Parameter(4.0)
+
+        def response(self, s, p):
+            return p.K * (s + 1) / s**2
+
+    assert gb.margins(Position(), Gain())["gain reduction margin"].value == np.inf
+
+
+def test_a_resonance_narrower_than_the_spacing_of_frequencies_counts_in_every_draw():
+    """A structural mode with 0.3 % of critical damping: its peak limits the gain."""
+
+    class Flexible(gb.TransferFunction):
+        input, output = "u", "q"
+        K = gb.Parameter(3.0, bounds=(0.1, 30))
+        w = gb.Parameter(20.0, bounds=(15, 25))
+        zeta = gb.Parameter(0.003, bounds=(1e-4, 0.1))
+
+        def response(self, s, p):
+            mode = p.w**2 / (s**2 + 2 * p.zeta * p.w * s + p.w**2)
+            return p.K / s * mode * gb.exp(-0.055 * s)
+
+    omega = np.r_[np.geomspace(0.03, 40, 20), np.linspace(19.8, 20.2, 30)]
+    exact = gb.frequency_response(Flexible(), {}, omega).response
+    errors = 0.01 * np.random.default_rng(0).normal(size=(2, omega.size))
+    data = gb.FrequencyResponse(omega, exact * (1 + errors[0] + 1j * errors[1]), "u", "q")
+    problem = gb.Problem(Flexible(), data)
+    fit = gb.fit(problem, starts=[{}], profiles=False, progress=False)
+    law = Gain({"K_P": 0.03}, rate=200)
+    margin = gb.margins(fit, law)["gain margin"]
+    assert 0.9 * margin.value < margin.low < margin.value < margin.high < 1.1 * margin.value
+    # A set of gains is judged by the same peak: 6 dB remain up to this gain.
+    limit = 0.03 * 10 ** ((margin.value - 6) / 20)
+    safe = gb.safe_gains(fit, law, {"K_P": (limit / 1.5, 1.5 * limit)}, phase_margin=0)
+    assert 0.9 * limit < safe.values["K_P"][safe.allowed].max() < limit
+
+
+def test_a_negative_delay_is_refused():
+    with pytest.raises(ValueError, match=r"the delay of 'u' is -0\.1 s: give a value of 0 or more"):
+        gb.margins(RateDynamics(), RateLoop(), {**TRUTH, "tau": -0.1})
+
+
 def test_gains_of_the_closed_loop_are_those_of_a_sampled_lag():
     class Lag(gb.StateSpace):
         states, inputs, outputs = ("y",), ("u",), ("y",)

@@ -199,6 +199,14 @@ def test_what_cannot_be_tried_is_refused(gains, message):
         gb.safe_gains(fitted(0), RateLoop(), gains)
 
 
+@pytest.mark.parametrize("requirement", ["phase_margin", "gain_margin", "delay"])
+@pytest.mark.parametrize("value", [-0.01, np.nan])
+def test_requirements_below_zero_are_refused(requirement, value):
+    """A negative delay would allow gains that the loop without it does not tolerate."""
+    with pytest.raises(ValueError, match=f"required {requirement.replace('_', ' ')} is {value:g}"):
+        gb.safe_gains(fitted(0), RateLoop(), {"K_P": (0.1, 1)}, **{requirement: value})
+
+
 def test_files_of_gains_are_those_of_the_ground_stations(tmp_path):
     gb.experiment.write_gains({"ATC_RAT_PIT_P": 0.14}, tmp_path / "pitch.param")
     assert (tmp_path / "pitch.param").read_text(encoding="utf-8") == "ATC_RAT_PIT_P,0.14\n"

@@ -159,6 +159,9 @@ def test_expected_errors_are_those_of_a_fit_that_ends_there():
         ({"wanted": {"Q": 1.0}}, "no free parameter 'Q'"),
         ({"noise": 0.0}, "must be a positive standard deviation"),
         ({"limits": {"y": 0.0}}, "must be a positive number"),
+        ({"amplitude": -0.5}, "amplitude, -0.5, must be a positive number"),
+        ({"rate": 0.0}, "has no rate: give rate=... in Hz"),
+        ({"wanted": {"K": 1e-12}}, "no flight in this band reaches the wanted errors of K ± 1e-12"),
         ({"fixed": {"K": 2.0}}, "no free parameter 'K'"),
     ],
 )
