@@ -276,9 +276,8 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     """Say how far the points are from the model, of many responses for the worst three."""
     lines = []
     for part in responses:
+        error = part.relative_residuals
         # A response that contains a zero has no relative residual: it has no line.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.abs(part.data.response - part.response) / np.abs(part.data.response)
         if all_finite(error):
             worst = int(np.argmax(error))
             place = f" ({part.name})" if part.name and len(responses) > 1 else ""

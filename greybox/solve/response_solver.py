@@ -131,7 +131,7 @@ class ResponseSolver(LocalSolver):
         """Return the point x (p,): there are no hidden unknowns."""
         z = self.problem.scaling.to_solver(x)
         trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
-        return Profile(z, trajectories, self.problem.costs(x[None]).item(), converged=True)
+        return Profile(trajectories, self.problem.costs(x[None]).item(), converged=True)
 
     def judged(self, outcomes: Outcomes) -> Outcomes:
         """Return outcomes with costs, without smoothing, and signatures; blocks are exchanged."""
