@@ -258,7 +258,8 @@ class ResponsePart(Part):
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
 
-        errors = criterion.jacobian(response, (data.response - response)[:, None], data)[:, 0]
+        residuals = (data.response - response)[:, None]
+        errors = criterion.jacobian(response, residuals, data)[:, 0]
         reach = np.linalg.norm(jacobian, axis=0)
         return Information(
             self,

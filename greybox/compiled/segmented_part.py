@@ -95,7 +95,8 @@ class SegmentedPart(Part):
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
         # The variances of a filter or of a prior are not estimated.
-        self.few = covariance.few * (not (model.driven or model.is_prior))
+        is_estimated = not (model.driven or model.is_prior)
+        self.few = covariance.few if is_estimated else np.zeros_like(covariance.few)
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
         self._placed_data: ArrayPair | None = None
 

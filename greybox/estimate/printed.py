@@ -170,10 +170,10 @@ def error_statement(fit: Any) -> str:
     # With every parameter at a bound, there is no interval to compare.
     if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
         width = t_quantile(0.95, fit.independent[1]) / t_quantile(0.95, fit.dof)
+        between = " or between responses" if len(fit.responses) > 1 else ""
         conditions += (
-            f"; correlated along frequency{' or between responses' * (len(fit.responses) > 1)} "
-            "like the residuals (intervals for independent errors would be "
-            f"{width / math.sqrt(fit.inflation):.2g} times as wide)"
+            f"; correlated along frequency{between} like the residuals (intervals for independent "
+            f"errors would be {width / math.sqrt(fit.inflation):.2g} times as wide)"
         )
     elif any(
         len(part.data) < FEW and not part.data.has_independent_errors for part in fit.responses
@@ -188,7 +188,7 @@ def error_statement(fit: Any) -> str:
         )
 
     is_wrong = fit.misfit is not None and not fit.misfit.explains
-    valid = ", valid only if the model explains the data" * is_wrong
+    valid = ", valid only if the model explains the data" if is_wrong else ""
     return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
 
 

@@ -331,7 +331,8 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     new = ca.if_else(finite, new, ca.inf)
     decrease = old - new
     invisible = ca.logic_and(finite, ca.fabs(promised) <= 1e-12 * ca.fabs(old))
-    accepted = ca.logic_or(invisible, ca.logic_and(promised > 0, decrease >= 1e-4 * promised))
+    falls = ca.logic_and(promised > 0, decrease >= 1e-4 * promised)
+    accepted = ca.logic_or(invisible, falls)
     next_radius = _next_radius(radius, ca.norm_2(step), promised, modeled, decrease, accepted)
     # The first evaluation at another level is not a step.
     radius = ca.if_else(switched, radius, next_radius)

@@ -579,11 +579,13 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
     complete = np.hstack([fitted.transients, fitted.basis])
 
     def unexplained(signal: ComplexArray, basis: AnyArray) -> float:
-        return float(np.sum(np.abs(_without(basis, signal)) ** 2)) / (n - basis.shape[1])
+        residual = _without(basis, signal)
+        return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
     if lines.direct:
         return 1 - noise / output, 0.0
     input = max(unexplained(u, nuisance), np.finfo(float).tiny)
     input_noise = unexplained(u, complete)
-    return 1 - max((unexplained(y, complete) / output, input_noise / input)), input_noise
+    shares = unexplained(y, complete) / output, input_noise / input
+    return 1 - max(shares), input_noise
