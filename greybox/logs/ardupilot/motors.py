@@ -85,7 +85,7 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
         for name in record.signals
         if name[:1] == "C" and parameters.get(f"SERVO{name[1:]}_FUNCTION") in MOTORS
     ]
-    rows = np.flatnonzero((record.time >= start) & (record.time <= end))
+    rows = np.flatnonzero(record.during(start, end))
     if not motors or not rows.size:
         return None
     inside = record.rows(rows)
