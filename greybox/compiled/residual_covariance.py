@@ -133,7 +133,8 @@ def residual_covariance_of(
     criterion: TimeCriterion, outputs: Strings, measured: Array
 ) -> ResidualCovariance:
     """Return the residual covariance that the criterion asks for; measured outputs (k, samples)."""
-    known, is_full = None, criterion.noise == "full"
+    known = None
+    is_full = criterion.noise == "full"
     if isinstance(criterion.noise, Mapping):
         known = np.array([float(criterion.noise[name]) for name in outputs])
     if is_full:

@@ -429,7 +429,8 @@ class SubstepDerivatives:
         rows = np.tile(np.arange(self._substeps)[:, None, None] / self._substeps - 0.5, columns)
         most = CHUNK // (columns + 1) + 1
         for group in np.split(rows, range(most, len(rows), most)):
-            begins, count = [x[:, -columns:]], len(group)
+            begins = [x[:, -columns:]]
+            count = len(group)
             for place in group[:-1]:
                 begins += self._advance(begins[-1], q, data, place)
             x, *parts = self._substep(

@@ -275,7 +275,9 @@ class Record:
             For anything but a data frame of numbers that makes a record.
         """
         require_frame(frame)
-        moments, column, findings = None, "", ()
+        moments = None
+        column = ""
+        findings = ()
         if others.pop("has_time", True):
             moments, column, findings = times_of(frame, time)
         columns = columns_of(frame, without=column)

@@ -154,7 +154,8 @@ def parameter_table(fit: Any) -> Table:
 
 def data_text(fit: Any) -> str:
     """Return how many points, lines, samples and rows the data have, and how many were compared."""
-    texts, parts = [], [part for part in fit.parts if not part.is_prior]
+    texts = []
+    parts = [part for part in fit.parts if not part.is_prior]
     for nouns in dict.fromkeys(part.nouns for part in parts):
         alike = [part for part in parts if part.nouns == nouns]
         count, compared = sum(len(p.data) for p in alike), sum(p.compared for p in alike)
@@ -327,7 +328,8 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     """Return the numbers of a `Fit`; None for one that is unknown or not finite."""
     parameters = [q for q in result.quantities if q.kind != "derived"]
     free = [q for q in parameters if q.kind == "free"]
-    runs, misfit = Runs.of(result.runs), result.misfit
+    runs = Runs.of(result.runs)
+    misfit = result.misfit
     named = ("criterion", "rule", "delay", "seed", "agreeing", "cost", "costs", "status")
     named += ("estimate", "best_effort", "standard_error", "derived", "dof")
     named += ("warnings", "notes", "checksum", "seconds", "versions")

@@ -173,7 +173,8 @@ def _cure(parameters: Values, mode: str) -> str:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
     mask = int(parameters.get("LOG_BITMASK", 0))
     # The firmware logs at full rate in this mode only if both bits are set.
-    needed, bits = mask | FAST, "fast attitude"
+    needed = mask | FAST
+    bits = "fast attitude"
     if mode == "SYSTEMID":
         needed |= MEDIUM
         bits = "fast and medium attitude: System Identification mode needs both"

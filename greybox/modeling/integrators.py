@@ -198,7 +198,8 @@ class ImplicitIntegrator(Integrator):
             "abstol": 1e-13,
             "max_iter": 30,
         }
-        unknown, arguments = ca.vec(change), ca.vertcat(given, unit)
+        unknown = ca.vec(change)
+        arguments = ca.vertcat(given, unit)
         newton = ca.rootfinder(
             "stages", "newton", {"x": unknown, "p": arguments, "g": equations}, options
         )

@@ -297,7 +297,8 @@ class Simulator:
                 # What is stiff far from rest; a jump would stop Newton's iteration, not RK4.
                 # Windows in which a formula has left its domain are left out instead.
                 self._is_automatic, self._integrator = False, Radau()
-                self._substeps, self._steps = MOST_AT_FIRST, {}
+                self._substeps = MOST_AT_FIRST
+                self._steps = {}
                 continue
             if chosen or not states.size or most:
                 return result
@@ -370,7 +371,8 @@ def with_implied_states(
     the measurements, whose errors have the covariance `noise` (j, j). `precision` (n,) is that of
     the states' prior. The variances are NaN where the states are not determined.
     """
-    w, n = len(slopes), precision.size
+    w = len(slopes)
+    n = precision.size
     if not n:
         return slopes, np.zeros(slopes.shape[:-1])
     # Whitened, so that least squares weight every output by its noise.

@@ -134,7 +134,8 @@ class BatchedNewton:
 
         It also takes the `roots` of z and data, if there are any: its derivatives may contain them.
         """
-        self._function, self._data = function, data[:, None]
+        self._function = function
+        self._data = data[:, None]
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
         self._p = len(lower)
@@ -241,7 +242,8 @@ def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
 
     Three of four, so that few layouts of registers are built; half where none are built.
     """
-    live, width = searches.live, len(searches.live)
+    live = searches.live
+    width = len(searches.live)
     narrower = 4 if width >= FEWEST_COLUMNS else 2
     if count > width // narrower:
         return searches
@@ -385,7 +387,8 @@ def bounded(p: int, last: int) -> ca.Function:
     curvature, directions = ca.SX.sym("curvature", p), ca.SX.sym("directions", p * p)
     lower, upper = numbers[rows.lower], numbers[rows.upper]
     z, gradient, radius = numbers[rows.z], numbers[rows.gradient], numbers[RADIUS]
-    free, eigenvectors = _free(z, gradient, lower, upper), ca.reshape(directions, p, p).T
+    free = _free(z, gradient, lower, upper)
+    eigenvectors = ca.reshape(directions, p, p).T
     positive = ca.fabs(curvature)
     positive = ca.fmax(positive, FLATTEST * ca.fmax(ca.mmax(positive), TINY))
     along = _within(radius, eigenvectors.T @ (free * gradient), positive)

@@ -45,7 +45,8 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     limit = costs[0] + RIVAL * likelihood_unit(alike, costs[0]) + 1e-3
     # A value that fits as it is does not lie beyond a ridge.
     away = costs[1:] > limit
-    held, z = held[:, away], alike.scaling.to_solver(starts[1:][away]).T
+    held = held[:, away]
+    z = alike.scaling.to_solver(starts[1:][away]).T
     low, high = (np.where(held, z, bound[:, None]) for bound in alike.bounds)
     # Approximate ends suffice, since runs begin there: kinks of the cost are rounded off.
     search = partial(

@@ -471,7 +471,8 @@ def _with_pole(
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
     T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
     """
-    center, half = fitted.center, DOUBLED * fitted.half
+    center = fitted.center
+    half = DOUBLED * fitted.half
     rows, x, y, inputs, signals, transients = _in_band(lines, center, half, TRANSIENT_ORDER)
     # Divided by the frequency, the numerator allows for an integrator beside the pole.
     powers = np.vander(x, ORDER + 2, increasing=True) * (center / lines.omega[rows])[:, None]

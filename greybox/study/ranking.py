@@ -124,7 +124,8 @@ def _rows_of_shared_samples(fits: Fits) -> list[Row]:
     A free delay leaves out the first samples. The errors of each output are normal, with a variance
     that is estimated.
     """
-    costs, count = np.zeros(len(fits)), 0
+    costs = np.zeros(len(fits))
+    count = 0
     for parts in zip(*(fit.records for fit in fits), strict=True):
         for output in parts[0].outputs:
             residuals = np.array([part.residual(output) for part in parts])

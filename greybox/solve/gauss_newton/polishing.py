@@ -63,7 +63,9 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         remaining = abs(step.decrease) + step.distance
         if not remaining < shortest:
             break
-        end, shortest, distance = iterate, remaining, 2 * step.distance
+        end = iterate
+        shortest = remaining
+        distance = 2 * step.distance
         if remaining < 1e-18:  # changes none of the first nine digits of a parameter
             break
 
