@@ -304,7 +304,8 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
             # Formulas are compared as compiled: equal lambdas are different objects in Python.
             label = f"constraints[{k}] of {part.name!r}"
             value = ca.SX(constraint(local))
-            limits.setdefault(ca.Function("formula", [x], [value]).serialize(), (label, value))
+            formula = ca.Function("formula", [x], [value])
+            limits.setdefault(formula.serialize(), (label, value))
         for name in part.tied:
             sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
             for side, bound, sign in sides:

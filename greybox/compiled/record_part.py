@@ -169,7 +169,8 @@ class RecordPart(SegmentedPart):
 
         # A steady filter belongs to one linear model: the one about the mean state.
         outputs, inputs = self.at_nodes
-        nodes = model.initial_states.at(outputs, inputs, model.begin, np.full(self.states, np.nan))
+        unknown = np.full(self.states, np.nan)
+        nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
         rows = data.rows(np.zeros(len(self.system.inputs)))
         reference = nodes.mean(axis=1), rows.mean(axis=1)
         step = max(data.stretches, key=len).step

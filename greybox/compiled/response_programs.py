@@ -340,7 +340,8 @@ class ResponseCompiler:
         """Return the cost in numpy, if the responses share their solves."""
         if len(self.parts) < len(self.problem.parts):
             return None
-        systems = shared_systems(self.parts, self.point, self.values_at(self.point, self.constants))
+        named = self.values_at(self.point, self.constants)
+        systems = shared_systems(self.parts, self.point, named)
         if systems is None:
             return None
         data, _, measured = self.at_point()

@@ -173,7 +173,8 @@ class Segments:
 
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
-        return values.reshape(-1, self.count, self.length).swapaxes(1, 2).reshape(values.shape)
+        by_segment = values.reshape(-1, self.count, self.length)
+        return by_segment.swapaxes(1, 2).reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""

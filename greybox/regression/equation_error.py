@@ -169,7 +169,8 @@ def equation_error(
     if not isinstance(record, Record):
         raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
     require_time(record, "equation_error")
-    problem = Problem(model, record, _NoOutputs(inputs=inputs), fixed=fixed or {}, free=free)
+    criterion = _NoOutputs(inputs=inputs)
+    problem = Problem(model, record, criterion, fixed=fixed or {}, free=free)
     parameters = problem.parameters
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}

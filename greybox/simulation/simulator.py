@@ -281,7 +281,8 @@ class Simulator:
             # of a root is infinite.
             model = self._model
             states = np.full((len(model.system.states), 1), 1e-3)
-            poles = self._initial.poles(states, np.zeros((len(model.system.inputs), 1)), model.p)
+            inputs = np.zeros((len(model.system.inputs), 1))
+            poles = self._initial.poles(states, inputs, model.p)
             needed = stable_substeps(poles, step, reach=self._integrator.reach)
             if self._is_automatic and needed > MOST_SUBSTEPS:
                 self._is_automatic, self._integrator = False, Radau()

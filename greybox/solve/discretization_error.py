@@ -221,7 +221,8 @@ def with_finer_steps(
 
 def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> ArrayPair:
     """Return Hessian and gradient of the weighted squares with respect to the unknowns."""
-    condensed = part.condense(part.linearize(trajectory, weight), trajectory)
+    linearization = part.linearize(trajectory, weight)
+    condensed = part.condense(linearization, trajectory)
     return condensed.hessian, condensed.gradient
 
 

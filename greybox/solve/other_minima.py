@@ -56,7 +56,9 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
         from_near=True,
         smoothing=1e-2,
     )
-    z = search(search(z, bounds=(low, high)).z).z
+    # First with a value held, then from there with all values free.
+    ends_of_held = search(z, bounds=(low, high))
+    z = search(ends_of_held.z).z
 
     ends = np.vstack([best, alike.estimate_at(z.T)])
     ends = ends[alike.costs(ends) <= limit]
@@ -73,7 +75,8 @@ def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     """
     for part in nlp.parts_of(RecordPart)[:1]:
         problem, symbols = part.problem, part.system.symbols
-        is_linear = ca.is_linear(part.system.derivative(*symbols), ca.vertcat(*symbols[:2]))
+        derivative = part.system.derivative(*symbols)
+        is_linear = ca.is_linear(derivative, ca.vertcat(*symbols[:2]))
         if part.system.inputs and len(part.outputs) < part.states and is_linear:
             values = problem.local_values(by_name(nlp.names, nlp.all_values(x)))
             # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.

@@ -351,7 +351,8 @@ def _kinds(packets: Packets, messages: MessageNames) -> tuple[dict[str, Kind], f
     for number, (received, packet) in enumerate(packets):
         name = packet.get_type()
         if name not in kinds:
-            kinds[name] = Kind(type(packet), messages is None or name in (*ABOUT, *messages))
+            is_stored = messages is None or name in (*ABOUT, *messages)
+            kinds[name] = Kind(type(packet), is_stored)
         first_received = first_received or received
         kinds[name].append(number, received, packet)
 
