@@ -61,7 +61,7 @@ _UFUNCS |= {
     "INV": np.reciprocal,
 }
 _OPERATIONS = {getattr(ca, f"OP_{name}"): ufunc for name, ufunc in _UFUNCS.items()}
-_READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
+_KNOWN = _OPERATIONS.keys() | {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
 
 
 class Columns(Rebuilt):
@@ -124,8 +124,7 @@ class Columns(Rebuilt):
         """Whether numpy can do every operation."""
         f = self.function
         return f.is_a("SXFunction") and all(
-            f.instruction_id(k) in _OPERATIONS or f.instruction_id(k) in _READING
-            for k in range(f.n_instructions())
+            f.instruction_id(k) in _KNOWN for k in range(f.n_instructions())
         )
 
 
