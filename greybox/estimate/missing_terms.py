@@ -423,11 +423,8 @@ def _of_loads(record: DisturbedRecord) -> Iterator[Term]:
     ]
     if not isinstance(part.problem.model, StateSpace):
         places = [("input load", part.system.inputs[0], partial(record.by_input, 0))]
-    if not places:
-        return
-    # One by one, the constants of a rod of 20 states take a tenth of the test.
-    effects = record.followed_by([(place, np.ones(part.samples)) for *_, place in places])
-    for (kind, b, place), effect in zip(places, effects.swapaxes(0, 1), strict=True):
+    for kind, b, place in places:
+        effect = record.followed_by([(place, np.ones(part.samples))])[:, 0]
         for level in time[_onsets(record, effect)].tolist():
             yield Term(kind, 1.0 * (time >= level), place, b=b, level=level, tries=ONSETS[1])
 

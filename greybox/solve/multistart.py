@@ -88,10 +88,10 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     Then, with `beside`, other minima are looked for from the best one, see `other_minima`.
 
     A `movable` start moves to where the model is finite. Unfinished runs at a lower cost than all
-    that converged are continued, the lowest first. All runs are stored. A run that fails is a
-    result with its status, and never ranks before one that converged. When a stop is requested
-    (`greybox.solve.interruption`), the current run is the last. With an executor its workers make the runs
-    (`greybox.solve.executors`). Runs in the `storage` are not made again.
+    that converged are continued. All runs are stored. A run that fails is a result with its status,
+    and never ranks before one that converged. When a stop is requested
+    (`greybox.solve.interruption`), the current run is the last. With an executor its workers make
+    the runs (`greybox.solve.executors`). Runs in the `storage` are not made again.
     """
     # In 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
     # that of the conversion.
@@ -112,8 +112,8 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
             results[number] = start, ended
             if progress is not None:
                 progress(len(results), len(starts))
-        # A first run that was continued before the others took two thirds of the time of a fit of a
-        # rod, for a cost that was never the lowest.
+        # A first run of a rod that was continued before the others took two thirds of the time of
+        # the fit, for a cost that was never the lowest.
         for number in sorted(results.keys() & wave, key=lambda number: results[number][1].cost):
             start, ended = results[number]
             outcome = _continued(solver, ended, lowest, memory, number)

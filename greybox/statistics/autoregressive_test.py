@@ -168,30 +168,30 @@ def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
 def _products(pieces: Arrays) -> tuple[int, Array]:
     """Return the number of windows of pieces (n, c), and the sums (c, c, q + 1, q + 1) of products.
 
-    Windows are of q + 1 samples, the last one first.
+    Windows are of q + 1 samples, the last one first. Sums are the Toeplitz ones of pieces between
+    zeros, less the products of windows that have such zeros.
     """
     total, columns = sum(map(len, pieces)), pieces[0].shape[1]
     # Short stretches would lose all of their samples.
     order = max(min(ORDER, total // SAMPLES, total // (2 * len(pieces))), 1)
-    pieces = [piece for piece in pieces if len(piece) > order]
-    by_lag = np.zeros((order + 1, columns, columns))
-    ends = np.zeros((2, len(pieces), columns * order))
-    for k, piece in enumerate(pieces):
-        later = sliding_window_view(piece, len(piece) - order, axis=0)[::-1]
-        by_lag += later @ piece[order:]
-        ends[:, k] = piece[order - 1 :: -1].T.ravel(), piece[: -order - 1 : -1].T.ravel()
-    # Products one sample earlier in both columns differ at the ends only.
-    first, last = ends
-    change = (first.T @ first - last.T @ last).reshape(columns, order, columns, order)
-    sums = np.empty((columns, columns, order + 1, order + 1))
-    sums[:, :, 0], sums[..., 0] = by_lag.T, by_lag.transpose(1, 2, 0)
-    for lag in range(order):
-        sums[:, :, lag + 1, 1:] = sums[:, :, lag, :-1] + change[:, lag]
+    lags = np.arange(order + 1)
+    count, width = 0, columns * (order + 1)
+    by_lag, ends = np.zeros((order + 1, columns, columns)), list[Array]()
+    for piece in pieces:
+        n = len(piece)
+        padded = np.pad(piece, ((order, order), (0, 0)))
+        by_lag += sliding_window_view(padded[:-order], n, axis=0) @ piece
+        windows = sliding_window_view(padded, order + 1, axis=0)[..., ::-1]
+        ends.append(np.delete(windows, slice(order, n), axis=0).reshape(-1, width))
+        count += max(n - order, 0)
+    both = np.concatenate([by_lag.T.swapaxes(0, 1), by_lag.T[..., -2::-1]], axis=2)
+    sums = both[..., order + lags - lags[:, None]]
+    outer = np.vstack(ends)
+    # The product of a matrix with itself takes half of the time.
+    sums -= (outer.T @ outer).reshape(columns, order + 1, columns, -1).swapaxes(1, 2)
     # What is predicted exactly would have no filter, and leave rounding errors alone.
     errors = ROUNDING * np.diag(sums[..., 0, 0]) + TINY
-    column, lag = np.arange(columns)[:, None], np.arange(order + 1)
-    sums[column, column, lag, lag] += errors[:, None]
-    return sum(map(len, pieces)) - order * len(pieces), sums
+    return count, sums + np.diag(errors)[..., None, None] * np.eye(order + 1)
 
 
 def _filters(factors: Array, count: int, sums: Array) -> Array:
