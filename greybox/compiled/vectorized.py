@@ -18,9 +18,9 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 
 CHUNK = 4096  # columns at once: as many as fit into the cache
-# Numbers of columns above which registers are faster than CasADi: for a function of any size that
-# is evaluated hundreds of times, and for one with a large number of operations.
-FEWEST, LARGE_FEWEST, LARGE = 129, 513, 20_000
+# Numbers of columns from which registers are faster than CasADi, for a function that is evaluated
+# hundreds of times.
+FEWEST = 129
 
 
 # CasADi's operations by name. The ufuncs of the first have the same name.
@@ -61,7 +61,7 @@ _UFUNCS |= {
     "INV": np.reciprocal,
 }
 _OPERATIONS = {getattr(ca, f"OP_{name}"): ufunc for name, ufunc in _UFUNCS.items()}
-_READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
+_KNOWN = _OPERATIONS.keys() | {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
 
 
 class Columns(Rebuilt):
@@ -80,7 +80,7 @@ class Columns(Rebuilt):
     """
 
     def __init__(
-        self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = 1
+        self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = FEWEST
     ) -> None:
         function = _dense(function)
         self.function, self._shared, self._fewest = function, shared, fewest
@@ -110,13 +110,10 @@ class Columns(Rebuilt):
             if len(self._layouts) > 12:
                 self._layouts.clear()
             # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each.
-            # But the layout takes 10 µs an operation, which many operations do not earn back.
-            f = self.function
-            is_large = f.is_a("SXFunction") and f.n_instructions() > LARGE
-            fewest = max(self._fewest, LARGE_FEWEST if is_large else FEWEST)
-            use_casadi = m < fewest or not self._has_ufuncs
+            # But the layout takes 10 µs an operation.
+            use_casadi = m < self._fewest or not self._has_ufuncs
             kind = _Mapped if use_casadi else _Registers
-            self._layouts[m] = kind(f, self._shared, m)
+            self._layouts[m] = kind(self.function, self._shared, m)
         return self._layouts[m]
 
     @cached_property
@@ -124,8 +121,7 @@ class Columns(Rebuilt):
         """Whether numpy can do every operation."""
         f = self.function
         return f.is_a("SXFunction") and all(
-            f.instruction_id(k) in _OPERATIONS or f.instruction_id(k) in _READING
-            for k in range(f.n_instructions())
+            f.instruction_id(k) in _KNOWN for k in range(f.n_instructions())
         )
 
 

@@ -398,7 +398,7 @@ def _batches(group: Group, keys: Sequence[Key], columns: int = 1) -> Iterator[Se
     """Yield the keys of terms, each of some columns, that are tested at a time."""
     # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
     # time and 370 MB.
-    size = 400_000 // (columns * len(group.residuals) + 1) + 1
+    size = 100_000 // (columns * len(group.residuals) + 1) + 1
     return (keys[first : first + size] for first in range(0, len(keys), size))
 
 

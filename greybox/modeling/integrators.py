@@ -115,9 +115,9 @@ def step_function(system: Dynamics, substep: ca.Function, substeps: int) -> ca.F
     `mean` and `change` (m,) are those of the inputs over the step, which takes as many steps of a
     `substep_function`.
     """
-    # Copies of many operations take longer to compile than calls of one function to evaluate. A rod
-    # of 20 cells has 7000 in nine substeps: half a second to compile and to differentiate.
-    is_copied = substep.is_a("SXFunction") and substep.n_instructions() * substeps <= 5000
+    # Copies of many operations take longer to compile than calls of one function to evaluate: a
+    # chain of four masses, with 1400 in four substeps, takes twice the time.
+    is_copied = substep.is_a("SXFunction") and substep.n_instructions() * substeps <= 1000
     kind: Any = ca.SX if is_copied else ca.MX
     x = kind.sym("x", len(system.states))
     p = kind.sym("p", len(system.parameters))
