@@ -6,8 +6,10 @@ Here the errors are an autoregression whose coefficients are estimated without t
 with it: the term must shorten the residuals by more than it could by chance.
 
 An estimated autoregression is too short-lived if the errors drift through the whole record, and a
-slow term would then look significant. So the differences of the samples are tested, too, for which
-such a drift is short: the larger probability counts.
+slow term would then look significant. So the differences of the samples are tested, for which such
+a drift is short. And it reaches back by few samples: where gusts move a vehicle slowly, beneath the
+noise of its sensors, the past of many samples would have to be averaged. So means of some samples
+are tested, too, if the term is slow enough: the larger probability counts.
 
 Process noise reaches several outputs, in which it can look like one term. Their errors are then not
 independent, and their log-likelihoods must not be added.
@@ -38,6 +40,8 @@ ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
 # Factors on a smooth term, fitted with errors that drift, converge in up to seven rounds.
 ROUNDS = 7
+# Samples in a mean. Means of 16 would excuse few more right models, and more wrong ones.
+MEANS = 4
 TINY = 1e-300
 
 # For every output: the rows of its measured samples, for each stretch in order of time.
@@ -118,43 +122,67 @@ def autoregressive_p_values(
     tests = np.repeat(np.eye(len(size) + 1, len(size)), size, axis=1)
     used = np.hstack([np.ones((len(tests), first)), tests])
     used = used[..., None] * used[:, None]
-    squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors = list[Array](), _least(squares, used)
-    shared: Any = 1.0
-    # Pairs of columns that no fit has, such as two terms, would take most of the time.
-    i, j = np.nonzero(used.any(axis=0))
-    squares = np.zeros(used.shape)
-    counts, whole = zip(
-        *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
-    )
-    for times in range(2):
-        # Differences of the samples in a window are a window of one order less.
-        sums = [np.diff(np.diff(each[i, j], times), times, axis=1) for each in whole]
-        # The errors are fitted together with the columns: the effect of a missing term is an
-        # autoregression, too, and filters that contained it would leave nothing of the term. The
-        # likelihood has several maxima: differences begin at the factors of the samples.
-        for _ in range(ROUNDS):
-            filters = map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)
-            added = [
-                np.tensordot(w[..., None] * w[:, None], each, ((1, 2), (1, 2)))
-                for each, w in zip(sums, filters, strict=True)
-            ]
-            squares[:, i, j] = np.sum(added, axis=0)
-            earlier, factors = factors, _least(squares, used)
-            # At a maximum, the likelihood changes with the square of a change of the factors.
-            if np.allclose(factors, earlier, atol=1e-4):
-                break
-        filters = [*map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)]
+
+    counts, filters, factors = _fits(values, outputs, used, m=1, times=1)
+    # Filters of differences, as filters of samples.
+    weights = [np.convolve(w[-1], [1.0, -1.0]) for w in filters]
+    columns = np.column_stack([values @ factors[-1], values[:, first:]])
+    shared = tests[:-1] @ _shared(columns, weights, outputs, width) / size
+
+    def p_values(counts: Sequence[int], filters: Arrays) -> Array:
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
         # A probability near one depends on the root of the decrease, which may be all rounding.
-        decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
-        if width > 1 and not times:
-            columns = np.column_stack([values @ factors[-1], values[:, first:]])
-            shared = tests[:-1] @ _shared(columns, [w[-1] for w in filters], outputs, width) / size
-        decrease /= shared
+        decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0) / shared
         remaining = sum(counts) - lost - first - sum(w.shape[1] for w in filters) + 1 - size
-        p_values.append(chance(np.exp(-decrease / sum(counts)), remaining, size))
-    return np.max(p_values, axis=0)
+        return chance(np.exp(-decrease / sum(counts)), remaining, size)
+
+    p_of_samples = p_values(counts, filters)
+    # Where samples are few, an autoregression of means does not reach further back.
+    fewest = min(sum(len(rows) // MEANS for rows in stretches) for stretches in outputs)
+    m = MEANS if MEANS * fewest > ORDER * SAMPLES else 1
+    white = whitened(values[:, first:], weights, outputs)
+    kept, whole = (tests[:-1] @ (k * np.sum(_means(white, k) ** 2, axis=0)) for k in (m, 1))
+    p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
+    return np.where(kept > whole / 2, np.maximum(p_of_samples, p_of_means), p_of_samples)
+
+
+def _fits(
+    values: Array, outputs: Outputs, used: Array, m: int, times: int
+) -> tuple[Sequence[int], Arrays, Array]:
+    """Return the numbers of samples, the filters, and the factors (h, n) of fits of values (N, n).
+
+    They are fits of the means of `m` samples, or of their differences, `times` one. The errors are
+    fitted together with the columns: the effect of a missing term is an autoregression, too, and
+    filters that contained it would leave nothing of the term.
+    """
+    counts, whole = zip(
+        *[_products([_means(values[rows], m) for rows in stretches]) for stretches in outputs],
+        strict=True,
+    )
+    # Pairs of columns that no fit has, such as two terms, would take most of the time.
+    i, j = np.nonzero(used.any(axis=0))
+    # Differences of the samples in a window are a window of one order less.
+    sums = [np.diff(np.diff(each[i, j], times), times, axis=1) for each in whole]
+    squares = np.zeros(used.shape)
+    factors = _least(values.T @ values + TINY * np.eye(values.shape[1]), used)
+    for _ in range(ROUNDS):
+        filters = map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)
+        added = [
+            np.tensordot(w[..., None] * w[:, None], each, ((1, 2), (1, 2)))
+            for each, w in zip(sums, filters, strict=True)
+        ]
+        squares[:, i, j] = np.sum(added, axis=0)
+        earlier, factors = factors, _least(squares, used)
+        # At a maximum, the likelihood changes with the square of a change of the factors.
+        if np.allclose(factors, earlier, atol=1e-4):
+            break
+    return counts, [*map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)], factors
+
+
+def _means(values: Array, m: int) -> Array:
+    """Return the means (n // m, c) of m neighboring rows of values (n, c) each."""
+    count = len(values) // m
+    return values[: count * m].reshape(count, m, values.shape[1]).mean(axis=1)
 
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
