@@ -28,6 +28,7 @@ from greybox.estimate.misfit_regression import (
 from greybox.estimate.missing_terms import KNOTS, Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
 from greybox.files.arrays import Array, Arrays, Labels, Strings, frozen
+from greybox.files.text_table import numbered_where_alike
 from greybox.modeling.added_terms import Formula
 from greybox.statistics.autoregressive_test import (
     Outputs,
@@ -140,33 +141,37 @@ def assessed_misfit(
     user.
     """
     moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    # Flights of one model are often all named like it.
+    names = numbered_where_alike([part.name for part in nlp.parts])
     responses = [
-        regression_of_response(part, values, nlp.names, moves)
-        for part in nlp.parts_of(ResponsePart)
+        regression_of_response(part, name, values, nlp.names, moves)
+        for part, name in nlp.rows_of(ResponsePart, names)
     ]
     records = [
-        (part, trajectory)
-        for part, trajectory in nlp.rows_of(RecordPart, trajectories)
-        if part.model.has_time and not part.model.is_prior
+        row
+        for row in nlp.rows_of(RecordPart, trajectories, names)
+        if row[0].model.has_time and not row[0].model.is_prior
     ]
 
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
     # of more. A third of the samples of six outputs tells as much as all of two.
-    outputs = max((len(part.outputs) for part, _ in records), default=1)
+    outputs = max((len(part.outputs) for part, *_ in records), default=1)
     most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
     disturbed = [
-        DisturbedRecord(*on_excerpts(part, trajectory, most)) for part, trajectory in records
+        DisturbedRecord(*on_excerpts(part, trajectory, most)) for part, trajectory, _ in records
     ]
     regressions = [
         regression_of_record(
             record,
-            [*terms_of_record(record, at_bound, candidates), *terms],
+            [*terms_of_record(record, name, at_bound, candidates), *terms],
             # Records are linearized by the solver's variables, responses by the parameters.
             np.diag(nlp.scaling.slope(x))[moves],
             is_new,
             len(records),
         )
-        for record, (terms, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True)
+        for record, (*_, name), (terms, is_new) in zip(
+            disturbed, records, repeated_residuals(disturbed), strict=True
+        )
     ]
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
     groups = [*map(_group, tested)]

@@ -224,7 +224,7 @@ def on_excerpts(
 
 
 def regression_of_response(
-    part: ResponsePart, values: Array, names: Labels, moves: BoolArray
+    part: ResponsePart, part_name: str, values: Array, names: Labels, moves: BoolArray
 ) -> Regression:
     """Return the regression of a response at all `values`; of the free ones some are fitted."""
     free, places = moves.size, np.flatnonzero(moves)
@@ -258,7 +258,7 @@ def regression_of_response(
 
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = part.problem.model.state_names, part.problem.amplitude
-    orders = [("own", part.name, 1.0)]
+    orders = [("own", part_name, 1.0)]
     orders += [
         ("trim" if signal in states else "schedule", signal, value)
         for signal, value in part.problem.at.items()

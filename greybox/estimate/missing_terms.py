@@ -365,9 +365,9 @@ class Term:
 
 
 def terms_of_record(
-    record: DisturbedRecord, at_bound: Labels, candidates: Mapping[str, Formula]
+    record: DisturbedRecord, name: str, at_bound: Labels, candidates: Mapping[str, Formula]
 ) -> Iterator[Term]:
-    """Yield the terms that the model of a record may lack; `candidates` are the user's.
+    """Yield the terms that the model of a record, so named, may lack; `candidates` are the user's.
 
     Those in equations are functions of the simulated states. Measured ones have noise, which must
     not decide whether the model is wrong.
@@ -393,7 +393,7 @@ def terms_of_record(
     else:
         yield from _of_feedback(record)
     yield from _of_loads(record)
-    yield from _of_parameters(record, at_bound)
+    yield from _of_parameters(record, name, at_bound)
 
 
 def constants_of_record(record: DisturbedRecord) -> Iterator[Term]:
@@ -458,11 +458,11 @@ def _along(samples: int) -> list[Array]:
     return [slope, *(1.0 * (slope > share) for share in JUMPS)]
 
 
-def _of_parameters(record: DisturbedRecord, at_bound: Labels) -> Iterator[Term]:
+def _of_parameters(record: DisturbedRecord, record_name: str, at_bound: Labels) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
     ones = np.ones(part.samples)
     # Among several records, one may need different values.
-    changes = [("own", ones, part.name), *(("change", row, "") for row in _along(part.samples))]
+    changes = [("own", ones, record_name), *(("change", row, "") for row in _along(part.samples))]
     # A signal that the model does not use, such as an airspeed, may order the flights, or act.
     motion = np.vstack([record.states, record.inputs, ones]).T
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):

@@ -142,6 +142,15 @@ def test_a_record_that_needs_a_value_of_its_own_is_named(k):
         assert "a value of k that is" in misfit.likely[0].text
 
 
+def test_flights_that_are_named_alike_are_told_apart():
+    flights = [problem(seed=seed, k=25 + 3 * (seed == 2)).with_(name="") for seed in range(3)]
+    assert len({flight.name for flight in flights}) == 1
+    misfit = gb.fit(sum(flights), starts=1, progress=False).misfit
+    assert not misfit.explains
+    assert "a value of k that is larger" in misfit.likely[0].text
+    assert f"in '{flights[0].name} 3'" in misfit.likely[0].text
+
+
 def test_a_record_that_decides_the_values_does_not_hide_what_another_one_needs():
     """The variance of each record is estimated, and one that the model leaves counts for little."""
     fit = gb.fit(problem(seed=0) + problem(seed=1, k=8), starts=2, progress=False)
