@@ -91,15 +91,10 @@ class Group:
         """An orthonormal basis (M, r) of what the parameters can take of white residuals."""
         return column_basis(self.white_fitted)
 
-    @property
-    def remains(self) -> float:
-        """Share of a term that must remain beside the parameters."""
-        return min(part.remains for part in self.parts)
-
     def score_tests(self, columns: Array) -> list[list[float]]:
         """Return the tests of columns (N, c) one by one, see `score_tests`."""
-        residuals, white = self.white_residuals[:, 0], self.white(columns)
-        return score_tests(residuals, self.white_fitted, white, self.remains).T.tolist()
+        residuals = self.white_residuals[:, 0]
+        return score_tests(residuals, self.white_fitted, self.white(columns)).T.tolist()
 
     def chances(self, columns: Array, sizes: Sequence[int] = ()) -> Array:
         """Return the probabilities of columns (N, c) of records, see `autoregressive_p_values`."""
@@ -148,9 +143,9 @@ def assessed_misfit(
         for part, name in nlp.rows_of(ResponsePart, names)
     ]
     records = [
-        row
-        for row in nlp.rows_of(RecordPart, trajectories, names)
-        if row[0].model.has_time and not row[0].model.is_prior
+        (part, trajectory, name)
+        for part, trajectory, name in nlp.rows_of(RecordPart, trajectories, names)
+        if part.model.has_time and not part.model.is_prior
     ]
 
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
@@ -158,20 +153,19 @@ def assessed_misfit(
     outputs = max((len(part.outputs) for part, *_ in records), default=1)
     most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
     disturbed = [
-        DisturbedRecord(*on_excerpts(part, trajectory, most)) for part, trajectory, _ in records
+        DisturbedRecord(*on_excerpts(part, trajectory, most), name)
+        for part, trajectory, name in records
     ]
     regressions = [
         regression_of_record(
             record,
-            [*terms_of_record(record, name, at_bound, candidates), *terms],
+            [*terms_of_record(record, at_bound, candidates), *terms],
             # Records are linearized by the solver's variables, responses by the parameters.
             np.diag(nlp.scaling.slope(x))[moves],
             is_new,
             len(records),
         )
-        for record, (*_, name), (terms, is_new) in zip(
-            disturbed, records, repeated_residuals(disturbed), strict=True
-        )
+        for record, (terms, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
     groups = [*map(_group, tested)]
@@ -402,8 +396,7 @@ def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Teste
             # The probability is NaN where nothing of a term is left.
             if test[1] <= 1:
                 tried[key[0]] += 1
-                # Of two records, either may have a value of its own: the first has, not rounding.
-                if key[0] not in best or test[0] > best[key[0]].decrease * (1 + 1e-9):
+                if key[0] not in best or test[0] > best[key[0]].decrease:
                     best[key[0]] = Tested(key, columns[:, [k]], *test)
     # The best twelve are tested together with the color of the errors.
     return tried, sorted(best.values(), key=lambda test: -round(test.decrease, 9))[:12]
@@ -438,7 +431,7 @@ def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested]
         ends = np.cumsum([len(each[0]) for each in by_key])
         for key, each in zip(keys, np.split(columns, ends[:-1], axis=1), strict=True):
             p_value, directions = joint_test(
-                group.white_residuals[:, 0], group.basis, group.white(each), group.remains
+                group.white_residuals[:, 0], group.basis, group.white(each)
             )
             if directions.size:
                 tested.append((p_value, key, each @ directions))

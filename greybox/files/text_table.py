@@ -94,9 +94,8 @@ def listed(names: Labels) -> str:
 
 def numbered_where_alike(names: Labels) -> list[str]:
     """Return the names, with their place as a number if two of them are alike."""
-    if len(set(names)) == len(names):
-        return list(names)
-    return [f"{name} {k}" for k, name in enumerate(names, 1)]
+    alike = len(set(names)) < len(names)
+    return [f"{name} {k}" if alike else name for k, name in enumerate(names, 1)]
 
 
 def as_names(names: str | Iterable[str]) -> Strings:

@@ -44,7 +44,7 @@ def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
     return items[number]
 
 
-def distinct_labels(defaults: Labels, labels: Labels) -> list[str]:
+def distinct_labels(defaults: Labels, labels: Labels) -> Labels:
     """Return one label for each item, by default numbered where two are alike.
 
     Raises
@@ -58,4 +58,4 @@ def distinct_labels(defaults: Labels, labels: Labels) -> list[str]:
         raise ValueError(
             f"there are {len(labels)} labels for {len(defaults)} items: give one for each."
         )
-    return list(labels) or numbered_where_alike(defaults)
+    return labels or numbered_where_alike(defaults)
