@@ -426,7 +426,8 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
 
 def _of_loads(record: DisturbedRecord) -> Iterator[Term]:
     """Yield constants and offsets from some sample on."""
-    time, tries = _time(record), 1 + record.part.samples // PARTS
+    time = _time(record)
+    tries = 1 + len(time) // PARTS
     for constant in constants_of_record(record):
         if kind := LATER.get(constant.kind):
             effect = record.followed_by([(constant.place, constant.values)])[:, 0]
@@ -522,7 +523,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     # From a few periods in the record to what the input moves, by the power of its differences:
     # faster modes look like a delay.
     moved = np.cumsum(np.abs(np.fft.rfft(np.diff(u))) ** 2)
-    fastest = min(np.pi * np.mean(moved < 0.95 * moved[-1]), FASTEST)
+    fastest = np.clip(np.pi * np.mean(moved < 0.95 * moved[-1]), 0.3, FASTEST)
     for angle in np.geomspace(2 * np.pi * PERIODS / len(u), fastest, MODES).tolist():
         # The poles of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, with ω where it is in the samples.
         w = 2 * float(np.tan(angle / 2))
