@@ -26,10 +26,11 @@ UNSTABLE = 4.6
 
 
 class DisturbedRecord:
-    """A record along its best trajectory, with its signals (·, samples) in order."""
+    """A record along its best trajectory, with a name and its signals (·, samples) in order."""
 
-    def __init__(self, part: RecordPart, trajectory: Trajectory) -> None:
-        self.part, self.trajectory, self._placed = part, trajectory, trajectory.detail
+    def __init__(self, part: RecordPart, trajectory: Trajectory, name: str) -> None:
+        self.part, self.trajectory, self.name = part, trajectory, name
+        self._placed = trajectory.detail
         segments, data = part.segments, self._placed.data
         m, k = len(part.system.inputs), len(part.outputs)
         slopes = segments.sample_derivatives(self._placed.along(trajectory.states))
@@ -144,14 +145,6 @@ class DisturbedRecord:
         Changes are pairs of a function of values (c, samples) that returns their effect, and of
         values (samples,). Those of the same function are best neighbors.
         """
-        # Numbers of the effects in memory at once: 40 MB. A rod of 100 states has 2700 terms, 300
-        # MB.
-        size = max(5_000_000 // max(self.states.size, 1), 1)
-        batches = [changes[k : k + size] for k in range(0, len(changes), size)]
-        rows = np.concatenate([self._followed_by(batch) for batch in batches], axis=2)
-        return rows.transpose(1, 2, 0)
-
-    def _followed_by(self, changes: Sequence[tuple[Any, Array]]) -> Array:
         part = self.part
         # Residuals are measured less simulated outputs: they follow what is subtracted as outputs
         # follow what is added.
@@ -163,7 +156,7 @@ class DisturbedRecord:
         ends, rows = self._carried(at_nodes, effects)
         if part.states:
             rows += self._by_nodes[1] @ self._nodes(ends, rows)
-        return rows.reshape(part.samples, -1, len(changes))
+        return rows.reshape(part.samples, -1, len(changes)).transpose(1, 2, 0)
 
     def _nodes(self, ends: Array, rows: Array) -> Array:
         """Return the nodes (s, n, c) that follow such ends and residuals from zero ones."""

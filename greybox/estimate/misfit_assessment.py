@@ -28,6 +28,7 @@ from greybox.estimate.misfit_regression import (
 from greybox.estimate.missing_terms import KNOTS, Term, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
 from greybox.files.arrays import Array, Arrays, Labels, Strings, frozen
+from greybox.files.text_table import numbered_where_alike
 from greybox.modeling.added_terms import Formula
 from greybox.statistics.autoregressive_test import (
     Outputs,
@@ -90,15 +91,10 @@ class Group:
         """An orthonormal basis (M, r) of what the parameters can take of white residuals."""
         return column_basis(self.white_fitted)
 
-    @property
-    def remains(self) -> float:
-        """Share of a term that must remain beside the parameters."""
-        return min(part.remains for part in self.parts)
-
     def score_tests(self, columns: Array) -> list[list[float]]:
         """Return the tests of columns (N, c) one by one, see `score_tests`."""
-        residuals, white = self.white_residuals[:, 0], self.white(columns)
-        return score_tests(residuals, self.white_fitted, white, self.remains).T.tolist()
+        residuals = self.white_residuals[:, 0]
+        return score_tests(residuals, self.white_fitted, self.white(columns)).T.tolist()
 
     def chances(self, columns: Array, sizes: Sequence[int] = ()) -> Array:
         """Return the probabilities of columns (N, c) of records, see `autoregressive_p_values`."""
@@ -140,22 +136,25 @@ def assessed_misfit(
     user.
     """
     moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    # Flights of one model are often all named like it.
+    names = numbered_where_alike([part.name for part in nlp.parts])
     responses = [
-        regression_of_response(part, values, nlp.names, moves)
-        for part in nlp.parts_of(ResponsePart)
+        regression_of_response(part, name, values, nlp.names, moves)
+        for part, name in nlp.rows_of(ResponsePart, names)
     ]
     records = [
-        (part, trajectory)
-        for part, trajectory in nlp.rows_of(RecordPart, trajectories)
+        (part, trajectory, name)
+        for part, trajectory, name in nlp.rows_of(RecordPart, trajectories, names)
         if part.model.has_time and not part.model.is_prior
     ]
 
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
     # of more. A third of the samples of six outputs tells as much as all of two.
-    outputs = max((len(part.outputs) for part, _ in records), default=1)
+    outputs = max((len(part.outputs) for part, *_ in records), default=1)
     most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
     disturbed = [
-        DisturbedRecord(*on_excerpts(part, trajectory, most)) for part, trajectory in records
+        DisturbedRecord(*on_excerpts(part, trajectory, most), name)
+        for part, trajectory, name in records
     ]
     regressions = [
         regression_of_record(
@@ -423,7 +422,7 @@ def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested]
         ends = np.cumsum([len(each[0]) for each in by_key])
         for key, each in zip(keys, np.split(columns, ends[:-1], axis=1), strict=True):
             p_value, directions = joint_test(
-                group.white_residuals[:, 0], group.basis, group.white(each), group.remains
+                group.white_residuals[:, 0], group.basis, group.white(each)
             )
             if directions.size:
                 tested.append((p_value, key, each @ directions))

@@ -33,8 +33,8 @@ from greybox.files.arrays import (
     real_and_imaginary,
 )
 from greybox.statistics.autoregressive_test import Outputs
-from greybox.statistics.column_space import DEPENDENT, beside, column_basis, outside
-from greybox.statistics.score_test import REMAINS, chance, score_tests
+from greybox.statistics.column_space import beside, column_basis, outside
+from greybox.statistics.score_test import chance, score_tests
 
 TINY = 1e-300
 STEP = 1e-6  # of the numbers of a term, for derivatives
@@ -50,8 +50,7 @@ class Regression:
     and slopes (N, 1 + d + q) of a response at changes (d,) of the parameters, multiplied by the
     first of (1 + q, n) factors; the others are those at the next numbers of a term. `outputs` has
     the rows of every output of a record, by stretches, and `signals` returns those over which the
-    shape of a term is drawn. What parameters leave of a term is an error of the integration if it
-    is less than `remains` of it. All columns have `lost` this many degrees of freedom.
+    shape of a term is drawn. All columns have `lost` this many degrees of freedom.
     """
 
     measured: Array
@@ -63,7 +62,6 @@ class Regression:
     outputs: Outputs = ()
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
-    remains: float = REMAINS
     lost: int = 0
     signals: Callable[[], NamedArrays] = dict
 
@@ -101,29 +99,34 @@ def regression_of_record(
     is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= 8)
     present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
-    def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
-        result = np.where(measured.T[..., None], weight @ values.transpose(2, 0, 1), 0.0)
-        return result.reshape(measured.size, -1)
-
-    by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
-    starts = [*map(rows_of_stretch, by_initial, present)]
-    # An offset or a trend cannot be distinguished from a drift of the errors.
-    drifts = [
-        column_basis(np.hstack(pair)) for pair in zip(starts, map(_lines, present), strict=True)
-    ]
-    starts = [*map(column_basis, starts)]
-
-    def rows(values: Array, taken: Arrays = drifts) -> Array:
-        stretches = map(rows_of_stretch, data.unpadded(values), present)
-        # The initial states and straight lines of every stretch are fitted first.
-        return np.vstack([*map(outside, stretches, taken)])
+    def by_stretch(values: Array) -> Arrays:
+        return [
+            np.where(measured.T[..., None], weight @ piece.transpose(2, 0, 1), 0.0).reshape(
+                measured.size, -1
+            )
+            for piece, measured in zip(data.unpadded(values), present, strict=True)
+        ]
 
     def followed(terms: Sequence[Term]) -> Array:
         return record.followed_by([(term.place, term.values) for term in terms if term.place])
 
-    by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
+    by_initial = np.einsum("ab,bmn->amn", noise, slopes.by_initial)
+    starts = [*map(column_basis, by_stretch(by_initial))]
     constants = [*constants_of_record(record)]
     effects = followed(constants)
+    # A wrong initial state is a cause of its own, beside which all terms are tested. An offset or a
+    # trend cannot be distinguished from a drift of the errors.
+    known = by_stretch(effects[:, [term.kind == "initial" for term in constants]])
+    drifts = [
+        column_basis(np.hstack(each))
+        for each in zip(starts, known, map(_lines, present), strict=True)
+    ]
+
+    def rows(values: Array, taken: Arrays = drifts) -> Array:
+        # The initial states and straight lines of every stretch are fitted first.
+        return np.vstack([*map(outside, by_stretch(values), taken)])
+
+    by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
     with_effects = np.concatenate([record.residuals[:, None], effects], axis=1)
     firsts = np.cumsum([0, *(row.size for row in present)])
     outputs = [
@@ -135,7 +138,7 @@ def regression_of_record(
         for k in range(len(present[0]))
     ]
     offsets = _offsets(
-        constants, rows(with_effects, starts), rows(by_parameters, starts), outputs, count
+        constants, rows(with_effects, starts), rows(by_parameters, starts), len(present[0]), count
     )
     return Regression(
         rows(np.nan_to_num(data.measured)[:, None], [column_basis(_lines(row)) for row in present]),
@@ -146,8 +149,6 @@ def regression_of_record(
         outputs=outputs,
         causes=tuple(offsets),
         is_unstable=record.growth > UNSTABLE,
-        # From known initial states, terms grow as parameters do, and differ by what does not grow.
-        remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
         lost=sum(basis.shape[1] for basis in drifts),
         signals=partial(signals_of_record, record),
     )
@@ -169,7 +170,7 @@ def _between_gaps(measured: BoolArray) -> list[IntArray]:
 
 
 def _offsets(
-    terms: Sequence[Term], columns: Array, fitted: Array, outputs: Outputs, count: int
+    terms: Sequence[Term], columns: Array, fitted: Array, outputs: int, count: int
 ) -> Iterator[Cause]:
     """Yield the constants that residuals follow, judged by their slow errors.
 
@@ -182,22 +183,26 @@ def _offsets(
     """
     tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
     columns = beside(columns, fitted)
-    pieces = np.zeros(len(columns), dtype=int)
-    for rows in map(np.concatenate, outputs):
-        pieces[rows] = np.arange(len(rows)) * 10 // len(rows)  # whose means show an offset
+    pieces = np.arange(len(columns)) * 10 // len(columns)  # whose means show an offset
+    # The numbers of a sample, one for each of the outputs, follow one another.
+    firsts = outputs * (np.arange(1, 10) * len(columns) // (10 * outputs))
     for term, (decrease, p_one, value, _), column in zip(terms, tests, columns.T[1:], strict=True):
         if np.isnan(p_one):
             continue
         squares = np.bincount(pieces, column**2)
-        spread = np.linalg.norm(np.bincount(pieces, column * (columns[:, 0] - value * column)))
-        determined = float(squares.sum() ** 2 / (squares @ squares))
+        if term.kind == "initial":
+            # An autoregression expects a transient after a few large samples, and would see none.
+            # But errors follow it as much where another piece begins.
+            later = [columns[k:, 0] @ column[: len(column) - k] for k in firsts]
+            determined, spread = 10.0, np.linalg.norm(later) / 10
+        else:
+            spread = np.linalg.norm(np.bincount(pieces, column * (columns[:, 0] - value * column)))
+            determined = float(squares.sum() ** 2 / (squares @ squares))
         error = determined**0.5 * float(spread / squares.sum()) + TINY
         left = 1 / (1 + (value / error) ** 2 / determined)
-        p_value = chance(left, determined - 1)
-        numbers = np.minimum(
-            [decrease / len(columns), *2 * [count * len(terms) * p_value]], 1.0
-        ).tolist()
-        yield Cause(*term.described(value, error), value, error, *numbers)
+        p_value = min(float(count * len(terms) * chance(left, determined - 1)), 1.0)
+        share = decrease / len(columns)
+        yield Cause(*term.described(value, error), value, error, share, p_value, p_value)
 
 
 def _lines(measured: BoolArray) -> Array:
@@ -224,7 +229,7 @@ def on_excerpts(
 
 
 def regression_of_response(
-    part: ResponsePart, values: Array, names: Labels, moves: BoolArray
+    part: ResponsePart, part_name: str, values: Array, names: Labels, moves: BoolArray
 ) -> Regression:
     """Return the regression of a response at all `values`; of the free ones some are fitted."""
     free, places = moves.size, np.flatnonzero(moves)
@@ -258,7 +263,7 @@ def regression_of_response(
 
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = part.problem.model.state_names, part.problem.amplitude
-    orders = [("own", part.name, 1.0)]
+    orders = [("own", part_name, 1.0)]
     orders += [
         ("trim" if signal in states else "schedule", signal, value)
         for signal, value in part.problem.at.items()

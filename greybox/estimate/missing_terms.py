@@ -6,11 +6,10 @@ delays, modes and steps of the gain.
 """
 
 import itertools
-import math
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -131,6 +130,11 @@ TEXTS = {
         "an offset of {b} by {size} from {level} s on",
         "an offset of {b} by -{size} from {level} s on",
         "two records, {b} with an offset in the second",
+    ),
+    "input offset": (
+        "a constant {size} added to {b}",
+        "a constant -{size} added to {b}",
+        "a record whose input {b} has this constant added",
     ),
     "input load": (
         "a constant {size} added to {b} from {level} s on, such as a load",
@@ -257,14 +261,16 @@ NEAR_HALF = 0.6
 # Shares of the samples below stops and overflows, which act seldom.
 STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
-ONSETS = (20, 5)  # of loads: parts of the record, and of each part, from which the best is tried
+PARTS = 20  # of a record, in each of which the best beginning of a load is tried
+LATER = {"offset": "jump", "constant": "load", "input offset": "input load"}  # kinds of these
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 KNOTS, FINE = 11, 41  # of functions, and of those of inputs, which an actuator may quantize
 DAMPING = 0.05  # of modes in records
 # And in responses: with the first alone, a notch of damping 0.3 is seen in half of the cases, and
 # with both in nine of ten.
 DAMPINGS = 0.05, 0.2
-MODES = 12  # frequencies of the modes that are tried in records
+MODES = 16  # frequencies of the modes that are tried in records
+FASTEST = 1.2  # rad, phase from sample to sample of the fastest one
 # Fewest periods of such a mode in the record: a slower one looks like a drift of the errors.
 PERIODS = 5
 LARGE = 10  # states and inputs beyond which an equation is tried with its own alone
@@ -373,20 +379,13 @@ def terms_of_record(
     not decide whether the model is wrong.
     """
     part = record.part
-    inputs = [*zip(record.inputs, part.system.inputs, strict=True)]
-    for j, (u, a) in enumerate(inputs):
+    inputs = [*zip(record.inputs, part.system.inputs, part.model.between, strict=True)]
+    for j, (u, a, _) in enumerate(inputs):
         if np.ptp(u) > 0:
             yield from _of_input(record, j, u, a)
 
     for k in range(len(part.outputs)):
         yield from _of_output(record, k, inputs)
-
-    # As an impulse that lasts half of the first step.
-    impulse = record.by_stretch(
-        lambda row, step: 2 / step * (np.arange(len(row)) == 0), np.zeros(part.samples)
-    )
-    for i in np.flatnonzero(part.known_states.any(axis=0)).tolist():
-        yield Term("initial", impulse, partial(record.by_state, i), b=part.system.states[i])
 
     if isinstance(part.problem.model, StateSpace):
         yield from _of_equations(record, candidates)
@@ -397,12 +396,23 @@ def terms_of_record(
 
 
 def constants_of_record(record: DisturbedRecord) -> Iterator[Term]:
-    """Yield offsets of the outputs, and constants in the equations of the states."""
+    """Yield what acts from the beginning.
+
+    That are errors of known initial states, offsets of the outputs, and constants in the equations,
+    or at the input of a model without named states.
+    """
     part, ones = record.part, np.ones(record.part.samples)
+    # As an impulse that lasts half of the first step.
+    impulse = record.by_stretch(lambda row, step: 2 / step * (np.arange(len(row)) == 0), ones)
+    for i in np.flatnonzero(part.known_states.any(axis=0)).tolist():
+        yield Term("initial", impulse, partial(record.by_state, i), b=part.system.states[i])
     for k, b in enumerate(part.outputs):
         yield Term("offset", ones, partial(record.by_output, k), b=b)
-    for i in dynamic_equations(part):
-        yield Term("constant", ones, partial(record.by_state, i), b=part.system.states[i])
+    if isinstance(part.problem.model, StateSpace):
+        for i in dynamic_equations(part):
+            yield Term("constant", ones, partial(record.by_state, i), b=part.system.states[i])
+    else:
+        yield Term("input offset", ones, partial(record.by_input, 0), b=part.system.inputs[0])
 
 
 def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
@@ -415,18 +425,15 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
 
 
 def _of_loads(record: DisturbedRecord) -> Iterator[Term]:
-    """Yield constants in the equations, or else at the input, from some sample on."""
-    part, time = record.part, _time(record)
-    places = [
-        ("load", part.system.states[i], partial(record.by_state, i))
-        for i in dynamic_equations(part)
-    ]
-    if not isinstance(part.problem.model, StateSpace):
-        places = [("input load", part.system.inputs[0], partial(record.by_input, 0))]
-    for kind, b, place in places:
-        effect = record.followed_by([(place, np.ones(part.samples))])[:, 0]
-        for level in time[_onsets(record, effect)].tolist():
-            yield Term(kind, 1.0 * (time >= level), place, b=b, level=level, tries=ONSETS[1])
+    """Yield constants and offsets from some sample on."""
+    time = _time(record)
+    tries = 1 + len(time) // PARTS
+    for constant in constants_of_record(record):
+        if kind := LATER.get(constant.kind):
+            effect = record.followed_by([(constant.place, constant.values)])[:, 0]
+            for level in time[_onsets(record, effect)].tolist():
+                later = 1.0 * (time >= level)
+                yield replace(constant, kind=kind, values=later, level=level, tries=tries)
 
 
 def _time(record: DisturbedRecord) -> Array:
@@ -440,16 +447,13 @@ def _onsets(record: DisturbedRecord, effect: Array) -> list[int]:
     From a later sample on, the effect is that from the first one, shifted.
     """
     # Slow errors, an offset and a trend hardly change from sample to sample.
-    e, effect = np.diff([record.residuals * record.present, effect])
+    e, effect = np.diff([record.residuals * record.present, effect], prepend=0)
     n, weight = e.shape[1], 1 / positive_or_one(np.var(e, axis=1, keepdims=True))
-
-    def decrease(onset: int) -> float:
-        following = effect[:, : n - onset]
-        along = np.sum(weight * e[:, onset:] * following)
-        return float(along**2 / (np.sum(weight * following**2) + 1e-300))
-
-    onsets = np.linspace(0, n, math.prod(ONSETS), endpoint=False, dtype=int)
-    return [max(part, key=decrease) for part in onsets.reshape(ONSETS).tolist()]
+    pairs = zip(weight * e, effect, strict=True)
+    along = sum(np.correlate(*pair, "full")[n - 1 :] for pair in pairs)
+    following = np.cumsum(np.sum(weight * effect**2, axis=0))[::-1]
+    parts = np.array_split(np.arange(n), min(PARTS, n))
+    return [part[np.argmax((along**2 / (following + 1e-300))[part])] for part in parts]
 
 
 def _along(samples: int) -> list[Array]:
@@ -462,7 +466,7 @@ def _of_parameters(record: DisturbedRecord, at_bound: Labels) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
     ones = np.ones(part.samples)
     # Among several records, one may need different values.
-    changes = [("own", ones, part.name), *(("change", row, "") for row in _along(part.samples))]
+    changes = [("own", ones, record.name), *(("change", row, "") for row in _along(part.samples))]
     # A signal that the model does not use, such as an airspeed, may order the flights, or act.
     motion = np.vstack([record.states, record.inputs, ones]).T
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
@@ -516,13 +520,17 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
             decay = np.exp(-step / T)  # of a lag; the input itself is taken off
             lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])
             yield term("lag", lagged, scale=T)
-    # From a few periods in the record to three samples in a radian.
-    for w in np.geomspace(2 * np.pi * PERIODS / len(u), 0.3, MODES).tolist():
-        # The poles of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, where ω times the step is w.
+    # From a few periods in the record to what the input moves, by the power of its differences:
+    # faster modes look like a delay.
+    moved = np.cumsum(np.abs(np.fft.rfft(np.diff(u))) ** 2)
+    fastest = np.clip(np.pi * np.mean(moved < 0.95 * moved[-1]), 0.3, FASTEST)
+    for angle in np.geomspace(2 * np.pi * PERIODS / len(u), fastest, MODES).tolist():
+        # The poles of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, with ω where it is in the samples.
+        w = 2 * float(np.tan(angle / 2))
         poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
         # Filters s² and ω s over these: a mode is the sum of both.
         for zeros in ([4.0, -8.0, 4.0], [2 * w, 0.0, -2 * w]):
-            yield term("flexible", record.by_stretch(_filtered, u, zeros, poles), w / step)
+            yield term("flexible", record.by_stretch(_filtered, u, zeros, poles), angle / step)
     if not model.between[j].held:
         # Lines through the samples of a sine are smaller by (ωh)²/12, for steps h.
         yield term("between", record.by_stretch(_filtered, u, np.array([-1.0, 2, -1]) / 12, [1.0]))
@@ -538,17 +546,13 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 
 
 def _of_output(
-    record: DisturbedRecord, k: int, inputs: Sequence[tuple[Array, str]]
+    record: DisturbedRecord, k: int, inputs: Sequence[tuple[Array, str, Any]]
 ) -> Iterator[Term]:
     outputs = [*zip(record.outputs, record.part.outputs, strict=True)]
     (y, b), by_output = outputs[k], partial(record.by_output, k)
     yield Term("sensor curve", y, by_output, b=b, knots=KNOTS)
     for power in (2, 3):
         yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
-    # Where the errors jump most.
-    time = _time(record)
-    level = float(time[np.argmax(np.abs(np.diff(record.residuals[k]))) + 1])
-    yield Term("jump", 1.0 * (time >= level), by_output, b=b, level=level, tries=len(y))
     # From each sample on, the errors along the output and its squares: a jump of its scale is
     # where the errors show it best.
     along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
@@ -557,10 +561,12 @@ def _of_output(
     for row, T in _delays(record, y) if len(outputs) > 1 else ():
         yield Term("sensor", row, by_output, b=b, scale=T)
     yield from (Term("cross", row, by_output, a, b) for row, a in outputs if a != b)
-    for u, a in inputs:
+    for u, a, between in inputs:
         # A controller responds at once: the noise of a sample is in the input at the same time.
-        past = record.by_stretch(_delayed, u, record.step)
-        yield Term("direct", past, by_output, a, b)
+        yield Term("direct", record.by_stretch(_delayed, u, record.step), by_output, a, b)
+        # But steps, which begin at a sample, are no response.
+        if between.held and not np.median(np.abs(np.diff(u))):
+            yield Term("direct", u, by_output, a, b)
 
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:

@@ -97,6 +97,12 @@ def listed(names: Labels) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+def numbered_where_alike(names: Labels) -> list[str]:
+    """Return the names, with their place as a number if two of them are alike."""
+    alike = len(set(names)) < len(names)
+    return [f"{name} {k}" if alike else name for k, name in enumerate(names, 1)]
+
+
 def as_names(names: str | Iterable[str]) -> Strings:
     """Return one name or several as a tuple."""
     return (names,) if isinstance(names, str) else tuple(names)

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from greybox.data.record import Record
 from greybox.files.arrays import Labels
-from greybox.files.text_table import in_greek
+from greybox.files.text_table import in_greek, numbered_where_alike
 
 Item = TypeVar("Item")
 
@@ -44,7 +44,7 @@ def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
     return items[number]
 
 
-def distinct_labels(defaults: Labels, labels: Labels) -> list[str]:
+def distinct_labels(defaults: Labels, labels: Labels) -> Labels:
     """Return one label for each item, by default numbered where two are alike.
 
     Raises
@@ -58,6 +58,4 @@ def distinct_labels(defaults: Labels, labels: Labels) -> list[str]:
         raise ValueError(
             f"there are {len(labels)} labels for {len(defaults)} items: give one for each."
         )
-    if labels or len(set(defaults)) == len(defaults):
-        return list(labels or defaults)
-    return [f"{name} {k}" for k, name in enumerate(defaults, 1)]
+    return labels or numbered_where_alike(defaults)

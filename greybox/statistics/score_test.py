@@ -49,7 +49,7 @@ POWERS = np.array([0, 1, 2, 4, 6, -2, -4])[:, None, None]
 Fits = ArrayTriple  # see `correlated_fits`
 
 
-def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = REMAINS) -> Array:
+def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
     """Test c terms one by one.
 
     Returns
@@ -67,14 +67,12 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
         What the fit can absorb of them.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
-    remains : float
-        Share of the length of a term that must remain beside the parameters.
     """
     basis = column_basis(fitted)
     residuals = outside(residuals, basis)
     before, terms = np.linalg.norm(terms, axis=0), outside(terms, basis)
     length = np.linalg.norm(terms, axis=0)
-    length[length <= remains * before] = np.inf
+    length[length <= REMAINS * before] = np.inf
 
     count = len(residuals)
     remaining = count - basis.shape[1]
@@ -87,9 +85,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     return np.array([count * share, p_value, along / length, error])
 
 
-def joint_test(
-    residuals: Array, basis: Array, terms: Array, remains: float = REMAINS
-) -> tuple[float, Array]:
+def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Array]:
     """Test c terms together, as the values of a function at c knots.
 
     Directions in which the parameters, or neighboring knots, take most of the effect only add
@@ -104,7 +100,7 @@ def joint_test(
 
     Parameters
     ----------
-    residuals, terms, remains : see `score_tests`
+    residuals, terms : see `score_tests`
     basis : (N, r) array
         Orthonormal, of what the fit can absorb.
     """
@@ -114,7 +110,7 @@ def joint_test(
     squares, axes = np.linalg.eigh(effects.T @ effects)
     lengths = np.sqrt(np.maximum(squares, 0.0))
     longest = max(np.linalg.norm(terms, axis=0), default=0.0)
-    kept = lengths > max(PRINCIPAL * max(lengths, default=0.0), remains * longest)
+    kept = lengths > max(PRINCIPAL * max(lengths, default=0.0), REMAINS * longest)
     directions = axes[:, kept] / lengths[kept]
     share = np.sum((residuals @ effects @ directions) ** 2) / (residuals @ residuals + TINY)
     remaining = len(residuals) - basis.shape[1] - np.sum(kept)

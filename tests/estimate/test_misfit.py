@@ -142,6 +142,15 @@ def test_a_record_that_needs_a_value_of_its_own_is_named(k):
         assert "a value of k that is" in misfit.likely[0].text
 
 
+def test_flights_that_are_named_alike_are_told_apart():
+    flights = [problem(seed=seed, k=25 + 3 * (seed == 2)).with_(name="") for seed in range(3)]
+    assert len({flight.name for flight in flights}) == 1
+    misfit = gb.fit(sum(flights), starts=1, progress=False).misfit
+    assert not misfit.explains
+    assert "a value of k that is larger" in misfit.likely[0].text
+    assert f"in '{flights[0].name} 3'" in misfit.likely[0].text
+
+
 def test_a_record_that_decides_the_values_does_not_hide_what_another_one_needs():
     """The variance of each record is estimated, and one that the model leaves counts for little."""
     fit = gb.fit(problem(seed=0) + problem(seed=1, k=8), starts=2, progress=False)
@@ -696,6 +705,60 @@ def test_a_stop_is_named():
     assert any("a stop or an overflow of x" in cause.text for cause in fit.misfit.likely[:2])
 
 
+class Motor(gb.StateSpace):
+    """The speed of a motor."""
+
+    states, inputs, outputs = ("w",), ("u",), ("w",)
+    T = gb.Parameter(0.5, bounds=(0.01, 10))
+    K = gb.Parameter(2.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return ((p.K * u.u - x.w) / p.T,)
+
+    def output(self, x, u, p):
+        return (x.w,)
+
+
+@pytest.mark.parametrize("initial", [0.0, 1.0])
+def test_a_wrong_initial_state_is_named_in_slow_errors(initial):
+    """It decays soon, and errors of a few large samples would decay like it."""
+    random, time = np.random.default_rng(1), STEP * np.arange(800)
+    steps = np.repeat(random.choice([-1.0, 0.5, 1.0], size=40), 20)
+    record = gb.Record(time, {"u": steps}, hold={"u": np.inf})
+    w = gb.simulate(Motor(), {}, record, initial={"w": initial})["w"]
+    w = w + 0.04 * lfilter([1], [1, -0.9], random.normal(size=steps.size))
+    at_rest = gb.OutputError(initial={"w": 0.0})
+    flown = gb.Problem(Motor(), record.with_signals(w=w), criterion=at_rest)
+    misfit = gb.fit(flown, starts=1, progress=False).misfit
+    assert misfit.explains == (not initial)
+    assert any("an initial w" in cause.text for cause in misfit.likely[:1]) == bool(initial)
+
+
+@pytest.mark.parametrize("frequency", [0.0, 17.0])
+def test_what_follows_steps_at_once_or_rings_fast_is_named(frequency):
+    """A direct effect acts at the sample of a step, and a mode may have nine samples a period."""
+
+    class More(Motor):
+        states = ("w", "z", "v")
+
+        def derivative(self, x, u, p):
+            rate = -(frequency**2) * (x.z - u.u) - 0.06 * frequency * x.v
+            return (*super().derivative(x, u, p), x.v, rate)
+
+        def output(self, x, u, p):
+            return (x.w + 0.1 * (x.z if frequency else u.u),)
+
+    random = np.random.default_rng(0)
+    steps = np.repeat(random.choice([-1.0, 0.5, 1.0], size=40), 20)
+    record = gb.Record(STEP * np.arange(steps.size), {"u": steps}, hold={"u": np.inf})
+    w = gb.simulate(More(), {}, record)["w"] + 0.02 * random.normal(size=steps.size)
+    flown = gb.Problem(Motor(), record.with_signals(w=w))
+    misfit = gb.fit(flown, starts=1, progress=False).misfit
+    assert not misfit.explains
+    name = "a lightly damped mode of u near 1" if frequency else "a direct effect of u"
+    assert any(name in cause.text for cause in misfit.likely[:2])
+
+
 def test_a_flexible_part_is_named():
     class Flexible(Spring):
         """A command through a mass on a spring, 12 rad/s with a damping of 5 %."""
@@ -744,7 +807,9 @@ def test_each_of_several_records_may_have_an_offset():
     p_values = []
     for parts in (one, one + one.with_(name="again")):
         causes = gb.fit(parts, starts=1, progress=False).misfit.causes
-        p_values += [next(c.p_value for c in causes if c.text.startswith("an offset of x"))]
+        p_values += [
+            next(c.p_value for c in causes if re.fullmatch("an offset of x by .*\\d", c.text))
+        ]
     assert p_values[1] == pytest.approx(2 * p_values[0], rel=1e-3)
     assert p_values[1] < 1
 
