@@ -17,6 +17,7 @@ def candidate(misfit=0.1, noise=1.0, free=0, cost=10.0, remarks=(), label="S", c
     part = SimpleNamespace(
         data=SimpleNamespace(response=MEASURED, variance=variance),
         response=MEASURED * (1 + misfit * np.exp(2j * np.arange(N))),
+        relative_residuals=np.full(N, misfit),
         compared_numbers=2 * N,
         nuisances=0,
     )
