@@ -11,6 +11,9 @@ estimated too, linearly: for given parameters it follows by least squares, and w
 errors depends on the parameters alone (variable projection: Golub and Pereyra 2003, Inverse
 Problems 19, R1). The end term: Pintelon and Schoukens, System Identification, 2nd ed., section 6.3.
 
+Where inputs are held, outputs are transformed from their samples, which show more than X and Y: see
+`folded_back`.
+
 Output error compares the outputs. Equation error compares T Y, where T (jω) makes of the outputs
 what drives the differential equation; then the outputs have the covariance of T⁻¹ times the errors,
 which depends on the parameters.
@@ -41,6 +44,7 @@ from greybox.files.arrays import (
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
+from greybox.modeling.held_inputs import folded_back
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
@@ -66,6 +70,13 @@ class Along:
     to_outputs : (lines, k, n + k) complex array
         Derivatives of the outputs by additions to A X + B U, then to C X + D U.
     transfer : (lines, k, m) complex array
+    seen : (n + m, lines) complex array
+        The signals as samples of outputs show them.
+    ramps : (m, lines) complex array
+        What the samples add to integrals of the delayed inputs.
+    by_delay : (k, m, lines) complex array
+        Derivatives of what the samples add to the outputs by the delays, with these integrals held.
+    output_matrix : (k, n) array
     modeled : (k, lines) complex array
         Outputs with the end term.
     transform : (lines, k, k) complex array
@@ -87,6 +98,10 @@ class Along:
     inverse: ComplexArray
     to_outputs: ComplexArray
     transfer: ComplexArray
+    seen: ComplexArray
+    ramps: ComplexArray
+    by_delay: ComplexArray
+    output_matrix: Array
     modeled: ComplexArray
     transform: ComplexArray
     errors: Array
@@ -127,6 +142,11 @@ class TransientPart(Part):
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
         self._matrices = _matrices(problem, system, self.outputs, gusts)
+        # A Padé approximation reaches the output at once, which a delay does not.
+        is_exact = problem.delay == "exact"
+        self._held = np.array([[is_exact and name in self.data.held] for name in self.inputs])
+        late = ca.vertsplit(system.delay(system.symbols[2]))
+        self._undelayed = np.array([[delay.is_zero()] for delay in late])
         self._is_equation_error = isinstance(problem.criterion, EquationError)
         # White noise with a deviation of one in every sample gives each component of an integral
         # this deviation.
@@ -168,7 +188,12 @@ class TransientPart(Part):
             # A pole lies on the imaginary axis, at one of the frequencies.
             return None
 
-        transfer = by_ends @ B + D
+        # How late a step is seen jumps with the delay: on average it is seen in time.
+        added = folded_back(1j * self.data.omega * self.data.step, delays / self.data.step)
+        step, ramp, slope = self._held * added
+        seen_step, ramps = 1 + self._undelayed * step, self.data.step * ramp
+        first = (C @ B)[..., None]
+        transfer = by_ends @ B + (first * ramps + D[..., None] * seen_step).transpose(2, 0, 1)
         modeled = np.einsum("lkm,ml->kl", transfer, inputs)
         errors = self._transformed(transform, self._measured - modeled)
         basis = self._real((transform @ by_ends).swapaxes(0, 1))
@@ -179,6 +204,7 @@ class TransientPart(Part):
         covariance = self._covariance.along(self._transformed(transform, self._measured))
         errors, ends = _without_ends(errors, basis, covariance)
         states = np.einsum("lij,jl->il", inverse, B @ inputs + ends[:, None])
+        seen = np.vstack([states + B @ (ramps * inputs), seen_step * inputs])
         return Along(
             # CasADi stacks the entries of a matrix column by column.
             slopes=slopes.reshape(*matrix.T.shape, len(q)).swapaxes(0, 1),
@@ -189,7 +215,11 @@ class TransientPart(Part):
                 [by_ends, np.broadcast_to(np.eye(k, dtype=complex), transform.shape)], 2
             ),
             transfer=transfer,
-            modeled=C @ states + D @ inputs,
+            seen=seen,
+            ramps=ramps * inputs,
+            by_delay=first * (slope * inputs),
+            output_matrix=C,
+            modeled=np.hstack([C, D]) @ seen,
             transform=transform,
             errors=errors,
             basis=basis,
@@ -225,8 +255,11 @@ class TransientPart(Part):
         changes = np.array([[self.data.change(name)] for name in self.inputs])
         # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
         later = -1j * omega * at.signals[n:] - changes
-        modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
-        modeled += np.einsum("lkm,ml,mx->klx", at.transfer, later, at.delay_slopes @ by)
+        by_delay = at.transfer.transpose(1, 2, 0) * later + at.by_delay
+        modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs[:, :, :n], slopes[:n], at.signals)
+        modeled += np.einsum("kcx,cl->klx", slopes[n:], at.seen)
+        modeled += np.einsum("kr,rcx,cl->klx", at.output_matrix, slopes[:n, n:], at.ramps)
+        modeled += np.einsum("kml,mx->klx", by_delay, at.delay_slopes @ by)
         mean = -self._real(np.einsum("lab,blx->alx", at.transform, modeled))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
