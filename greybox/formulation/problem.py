@@ -447,13 +447,13 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     @cached_property
     def sampled_hold(self) -> float:
-        """The divided hold of a response, s; zero without one, and for a loop around a delay.
+        """The divided hold of a response, s; zero without one.
 
-        It is also zero for the rate that is s times the response of an angle: what sampling folds
-        back is that of the angle.
+        It is also zero for a loop around a delay, for a sine of finite amplitude, and for the rate
+        that is s times the response of an angle: what sampling folds back is that of the angle.
         """
         hold = self.response.divided_hold
-        if not hold or MULTIPLIED in self.response.about:
+        if not hold or self.amplitude or MULTIPLIED in self.response.about:
             return 0.0
         try:
             dynamics(self.model)
