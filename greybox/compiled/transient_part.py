@@ -69,14 +69,12 @@ class Along:
         Inverse of jωI - A.
     to_outputs : (lines, k, n + k) complex array
         Derivatives of the outputs by additions to A X + B U, then to C X + D U.
-    transfer : (lines, k, m) complex array
-    seen : (n + m, lines) complex array
-        The signals as samples of outputs show them.
-    ramps : (m, lines) complex array
-        What the samples add to integrals of the delayed inputs.
-    by_delay : (k, m, lines) complex array
-        Derivatives of what the samples add to the outputs by the delays, with these integrals held.
-    output_matrix : (k, n) array
+    first_slopes : (k, 2 m, q) array
+        Derivatives of [C B, D] with respect to the parameters.
+    beside : (2 m, lines) complex array
+        What the samples of outputs show of inputs beside their integrals, by [C B, D].
+    by_delays : (k, m, lines) complex array
+        Derivatives of the outputs by the delays.
     modeled : (k, lines) complex array
         Outputs with the end term.
     transform : (lines, k, k) complex array
@@ -97,11 +95,9 @@ class Along:
     signals: ComplexArray
     inverse: ComplexArray
     to_outputs: ComplexArray
-    transfer: ComplexArray
-    seen: ComplexArray
-    ramps: ComplexArray
-    by_delay: ComplexArray
-    output_matrix: Array
+    first_slopes: Array
+    beside: ComplexArray
+    by_delays: ComplexArray
     modeled: ComplexArray
     transform: ComplexArray
     errors: Array
@@ -143,10 +139,8 @@ class TransientPart(Part):
         self.unknown_initial_states = len(self.states)  # those of the end term
         self._matrices = _matrices(problem, system, self.outputs, gusts)
         # A Padé approximation reaches the output at once, which a delay does not.
-        is_exact = problem.delay == "exact"
-        self._held = np.array([[is_exact and name in self.data.held] for name in self.inputs])
-        late = ca.vertsplit(system.delay(system.symbols[2]))
-        self._undelayed = np.array([[delay.is_zero()] for delay in late])
+        held = self.data.held if problem.delay == "exact" else ()
+        self._held = np.array([[name in held] for name in self.inputs])
         self._is_equation_error = isinstance(problem.criterion, EquationError)
         # White noise with a deviation of one in every sample gives each component of an integral
         # this deviation.
@@ -167,7 +161,9 @@ class TransientPart(Part):
 
     def along(self, q: Array) -> Along | None:
         """Return what follows from the parameters q of the model; None where it is not finite."""
-        matrix, delays, slopes, delay_slopes = (value.full() for value in self._matrices(q))
+        matrix, delays, first, slopes, delay_slopes, first_slopes = (
+            value.full() for value in self._matrices(q)
+        )
         n, k = len(self.states), len(self.outputs)
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
         late = map(self.data.delayed_input, self.inputs, delays.ravel().tolist())
@@ -188,13 +184,13 @@ class TransientPart(Part):
             # A pole lies on the imaginary axis, at one of the frequencies.
             return None
 
-        # How late a step is seen jumps with the delay: on average it is seen in time.
-        added = folded_back(1j * self.data.omega * self.data.step, delays / self.data.step)
-        step, ramp, slope = self._held * added
-        seen_step, ramps = 1 + self._undelayed * step, self.data.step * ramp
-        first = (C @ B)[..., None]
-        transfer = by_ends @ B + (first * ramps + D[..., None] * seen_step).transpose(2, 0, 1)
-        modeled = np.einsum("lkm,ml->kl", transfer, inputs)
+        step = self.data.step
+        at_once, ramps, turned = self._held * folded_back(
+            1j * self.data.omega * step, delays / step
+        )
+        beside = np.vstack([step * ramps, at_once]) * np.tile(inputs, (2, 1))
+        transfer = by_ends @ B + D
+        modeled = np.einsum("lkm,ml->kl", transfer, inputs) + first @ beside
         errors = self._transformed(transform, self._measured - modeled)
         basis = self._real((transform @ by_ends).swapaxes(0, 1))
         logarithms = float(np.linalg.slogdet(transform)[1].sum())
@@ -204,7 +200,11 @@ class TransientPart(Part):
         covariance = self._covariance.along(self._transformed(transform, self._measured))
         errors, ends = _without_ends(errors, basis, covariance)
         states = np.einsum("lij,jl->il", inverse, B @ inputs + ends[:, None])
-        seen = np.vstack([states + B @ (ramps * inputs), seen_step * inputs])
+        # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
+        changes = np.array([[self.data.change(name)] for name in self.inputs])
+        later = -1j * self.data.omega * inputs - changes
+        by_delays = transfer.transpose(1, 2, 0) * later
+        by_delays += (C @ B)[..., None] * (step * ramps * later + turned * inputs)
         return Along(
             # CasADi stacks the entries of a matrix column by column.
             slopes=slopes.reshape(*matrix.T.shape, len(q)).swapaxes(0, 1),
@@ -214,12 +214,10 @@ class TransientPart(Part):
             to_outputs=np.concatenate(
                 [by_ends, np.broadcast_to(np.eye(k, dtype=complex), transform.shape)], 2
             ),
-            transfer=transfer,
-            seen=seen,
-            ramps=ramps * inputs,
-            by_delay=first * (slope * inputs),
-            output_matrix=C,
-            modeled=np.hstack([C, D]) @ seen,
+            first_slopes=first_slopes.reshape(*first.T.shape, len(q)).swapaxes(0, 1),
+            beside=beside,
+            by_delays=by_delays,
+            modeled=C @ states + D @ inputs + first @ beside,
             transform=transform,
             errors=errors,
             basis=basis,
@@ -251,15 +249,10 @@ class TransientPart(Part):
         transform : (lines, k, k, x) complex array
             dT T⁻¹; zeros for output error.
         """
-        slopes, n, omega = at.slopes @ by, len(self.states), self.data.omega
-        changes = np.array([[self.data.change(name)] for name in self.inputs])
-        # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
-        later = -1j * omega * at.signals[n:] - changes
-        by_delay = at.transfer.transpose(1, 2, 0) * later + at.by_delay
-        modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs[:, :, :n], slopes[:n], at.signals)
-        modeled += np.einsum("kcx,cl->klx", slopes[n:], at.seen)
-        modeled += np.einsum("kr,rcx,cl->klx", at.output_matrix, slopes[:n, n:], at.ramps)
-        modeled += np.einsum("kml,mx->klx", by_delay, at.delay_slopes @ by)
+        slopes, n = at.slopes @ by, len(self.states)
+        modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
+        modeled += np.einsum("kcx,cl->klx", at.first_slopes @ by, at.beside)
+        modeled += np.einsum("kml,mx->klx", at.by_delays, at.delay_slopes @ by)
         mean = -self._real(np.einsum("lab,blx->alx", at.transform, modeled))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
@@ -439,7 +432,11 @@ def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
 
 
 def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strings) -> ca.Function:
-    """Return (all parameters) -> [A, B; C, D], the delays, and the derivatives of the entries."""
+    """Return (all parameters) -> [A, B; C, D], delays, [C B, D], and derivatives of all entries.
+
+    In [C B, D], D is zero for inputs with delays: how late a step is seen jumps with the delay, and
+    on average it is seen in time.
+    """
     model = problem.model
     declared = ca.MX.sym("p", len(problem.declared))
     p, times = ca.vertsplit(declared, [0, len(model.parameters), declared.numel()])
@@ -455,7 +452,11 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
         # the same.
         rates += g
     matrix = dense_jacobian(ca.vertcat(rates, -g / time, h), ca.vertcat(x, g, u))
-    linear = ca.Function("linear", [q, time, x, u], [matrix, ca.densify(system.delay(q))])
+    n, delays = x.numel() + len(gusts), system.delay(q)
+    B, C, D = matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
+    undelayed = ca.diag([float(delay.is_zero()) for delay in ca.vertsplit(delays)])
+    entries = [matrix, ca.densify(delays), ca.densify(ca.horzcat(C @ B, D @ undelayed))]
+    linear = ca.Function("linear", [q, time, x, u], entries)
     states, inputs = trim_of(model, problem.at).closed()(p)
     # The states of a Padé delay, or of a realized transfer function, follow those of the model.
     # They are linear and have no operating point.

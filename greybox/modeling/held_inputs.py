@@ -62,7 +62,7 @@ def folded_back(x: Any, late: Any = 0.0) -> tuple[Any, Any, Any]:
 
     # The corner is x/2 times this distance.
     side = where(fraction < 0.5, 1.0, -1.0)
-    corner = side * (fraction - (1 - side) / 2) / ROUNDED
-    bend = tanh(corner)
-    bent = bend + corner * (1 - bend**2)
-    return step - 1, ramp + x / 2 * ROUNDED * corner * (bend - 1), slope + x / 2 * side * (bent - 1)
+    near = fraction - (1 - side) / 2
+    bend = tanh(near / ROUNDED)
+    bent = bend + near / ROUNDED * (1 - bend**2)
+    return step - 1, ramp + x / 2 * near * (bend - side), slope + x / 2 * (bent - side)
