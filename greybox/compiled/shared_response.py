@@ -99,7 +99,7 @@ class SharedSystem:
         points = np.hstack([own for _, own in self.pairs])
         S, delays, slopes, delay_slopes = self.matrices(z)
 
-        def undelayed(omega: Array) -> ComplexArray:
+        def undelayed(omega: Any) -> ComplexArray:
             return self._undelayed(S, slopes, points, omega)
 
         _, inputs, at = points
@@ -117,9 +117,7 @@ class SharedSystem:
         result *= np.exp(-s * late)
         return result[..., 0], result[..., 1:]
 
-    def _undelayed(
-        self, S: Array, slopes: Array, points: IntArray, omega: ComplexArray
-    ) -> ComplexArray:
+    def _undelayed(self, S: Array, slopes: Array, points: IntArray, omega: Any) -> ComplexArray:
         """Return responses and derivatives at points (3, N) for inputs without delays."""
         n = self.states
         inverse = resolvents(S[:, :n, :n], omega)

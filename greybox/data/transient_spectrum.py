@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.checked_array import finite_array, require_size
 from greybox.data.frequency_response import Stretch
-from greybox.files.arrays import Array, ComplexArray, Labels, NamedStrings, Values, frozen
+from greybox.files.arrays import Array, ComplexArray, NamedStrings, Strings, Values, frozen
 from greybox.files.text_table import as_names, one_line, printable, write_out
 
 
@@ -59,7 +59,7 @@ class TransientSpectrum:
     name: str = ""
     source: str = ""
     stretch: Stretch | None = None
-    held: Labels = ()
+    held: Strings = ()
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
