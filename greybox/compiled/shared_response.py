@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
-from greybox.data.intersample import sampled_response
 from greybox.files.arrays import (
     Array,
     ArrayTriple,
@@ -36,6 +35,7 @@ from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
+from greybox.modeling.held_inputs import first_terms, folded_back
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
 from greybox.modeling.symbolic_reading import dense_jacobian
@@ -59,8 +59,10 @@ class SharedSystem:
         (e + m, p), column by column.
     pairs : tuple of (part, points)
         The points (3, n) of a part: outputs, inputs, and places in `omega`.
+    delayed : (m,) bool array
+        Which inputs have delays.
     hold : float, s
-        See `sampled_response`.
+        See `folded_back`.
     """
 
     states: int
@@ -70,6 +72,7 @@ class SharedSystem:
     rows: IntArray
     entries: Columns
     pairs: tuple[tuple[int, IntArray], ...]
+    delayed: BoolArray
     hold: float
 
     def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
@@ -94,33 +97,44 @@ class SharedSystem:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
-        s = 1j * self.omega[points[2], None]
-        result = sampled_response(lambda line: self._responses(z, points, line), s, self.hold)
+        S, delays, slopes, delay_slopes = self.matrices(z)
+
+        def undelayed(omega: Any) -> ComplexArray:
+            return self._undelayed(S, slopes, points, omega)
+
+        _, inputs, at = points
+        s, late = 1j * self.omega[at, None], delays[:, inputs, None]
+        result = undelayed(self.omega)
+        by_delay = np.zeros_like(result[..., :1])
+        if self.hold:
+            size = self.omega.shape
+            at_once, rate = first_terms(lambda q: undelayed(np.full(size, q / 1j)), self.hold)
+            step, ramp, slope = folded_back(s * self.hold, late / self.hold)
+            result += ramp * rate + np.where(self.delayed[inputs, None], 0, step) * at_once
+            by_delay = slope * rate[..., :1] / self.hold
+        by_delay = by_delay - s * result[..., :1]
+        result[..., 1:] += by_delay * delay_slopes[:, inputs]
+        result *= np.exp(-s * late)
         return result[..., 0], result[..., 1:]
 
-    def _responses(self, z: Array, points: IntArray, s: Any) -> ComplexArray:
-        """Return responses and derivatives at points (3, N), or in place of these at one real s."""
-        omega = self.omega if np.ndim(s) else np.full(self.omega.shape, s / 1j)
+    def _undelayed(self, S: Array, slopes: Array, points: IntArray, omega: Any) -> ComplexArray:
+        """Return responses and derivatives at points (3, N) for inputs without delays."""
         n = self.states
-        S, delays, slopes, delay_slopes = self.matrices(z)
         inverse = resolvents(S[:, :n, :n], omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
         shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
         E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-        right *= np.exp(-1j * omega[:, None] * delays[:, None])[:, :, None]
 
         outputs, inputs, at = points
         response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
-        by_delay = (1j * omega[at] * response)[..., None] * delay_slopes[:, inputs]
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
         outputs, inputs, at = points[..., None]
         by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
-        by_z = by_entry @ slopes[:, moving] - by_delay
-        return np.concatenate([response[..., None], by_z], axis=-1)
+        return np.concatenate([response[..., None], by_entry @ slopes[:, moving]], axis=-1)
 
 
 class SineTest(Rebuilt):
@@ -330,5 +344,6 @@ def _system(
         rows=np.array(system.sparsity().get_triplet(), dtype=int).T,
         entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
+        delayed=np.array([name in model.delays for name in model.inputs]),
         hold=parts[members[0]].sampled_hold,
     )

@@ -11,6 +11,9 @@ estimated too, linearly: for given parameters it follows by least squares, and w
 errors depends on the parameters alone (variable projection: Golub and Pereyra 2003, Inverse
 Problems 19, R1). The end term: Pintelon and Schoukens, System Identification, 2nd ed., section 6.3.
 
+Where inputs are held, outputs are transformed from their samples, which show more than X and Y: see
+`folded_back`.
+
 Output error compares the outputs. Equation error compares T Y, where T (jω) makes of the outputs
 what drives the differential equation; then the outputs have the covariance of T⁻¹ times the errors,
 which depends on the parameters.
@@ -41,6 +44,7 @@ from greybox.files.arrays import (
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
+from greybox.modeling.held_inputs import folded_back
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
@@ -65,7 +69,12 @@ class Along:
         Inverse of jωI - A.
     to_outputs : (lines, k, n + k) complex array
         Derivatives of the outputs by additions to A X + B U, then to C X + D U.
-    transfer : (lines, k, m) complex array
+    first_slopes : (k, 2 m, q) array
+        Derivatives of [C B, D] with respect to the parameters.
+    beside : (2 m, lines) complex array
+        What the samples of outputs show of inputs beside their integrals, by [C B, D].
+    by_delays : (k, m, lines) complex array
+        Derivatives of the outputs by the delays.
     modeled : (k, lines) complex array
         Outputs with the end term.
     transform : (lines, k, k) complex array
@@ -86,7 +95,9 @@ class Along:
     signals: ComplexArray
     inverse: ComplexArray
     to_outputs: ComplexArray
-    transfer: ComplexArray
+    first_slopes: Array
+    beside: ComplexArray
+    by_delays: ComplexArray
     modeled: ComplexArray
     transform: ComplexArray
     errors: Array
@@ -127,6 +138,9 @@ class TransientPart(Part):
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
         self._matrices = _matrices(problem, system, self.outputs, gusts)
+        # A Padé approximation reaches the output at once, which a delay does not.
+        held = self.data.held if problem.delay == "exact" else ()
+        self._held = np.array([[name in held] for name in self.inputs])
         self._is_equation_error = isinstance(problem.criterion, EquationError)
         # White noise with a deviation of one in every sample gives each component of an integral
         # this deviation.
@@ -147,7 +161,9 @@ class TransientPart(Part):
 
     def along(self, q: Array) -> Along | None:
         """Return what follows from the parameters q of the model; None where it is not finite."""
-        matrix, delays, slopes, delay_slopes = (value.full() for value in self._matrices(q))
+        matrix, delays, first, slopes, delay_slopes, first_slopes = (
+            value.full() for value in self._matrices(q)
+        )
         n, k = len(self.states), len(self.outputs)
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
         late = map(self.data.delayed_input, self.inputs, delays.ravel().tolist())
@@ -168,8 +184,13 @@ class TransientPart(Part):
             # A pole lies on the imaginary axis, at one of the frequencies.
             return None
 
+        step = self.data.step
+        at_once, ramps, turned = self._held * folded_back(
+            1j * self.data.omega * step, delays / step
+        )
+        beside = np.vstack([step * ramps, at_once]) * np.tile(inputs, (2, 1))
         transfer = by_ends @ B + D
-        modeled = np.einsum("lkm,ml->kl", transfer, inputs)
+        modeled = np.einsum("lkm,ml->kl", transfer, inputs) + first @ beside
         errors = self._transformed(transform, self._measured - modeled)
         basis = self._real((transform @ by_ends).swapaxes(0, 1))
         logarithms = float(np.linalg.slogdet(transform)[1].sum())
@@ -179,6 +200,11 @@ class TransientPart(Part):
         covariance = self._covariance.along(self._transformed(transform, self._measured))
         errors, ends = _without_ends(errors, basis, covariance)
         states = np.einsum("lij,jl->il", inverse, B @ inputs + ends[:, None])
+        # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
+        changes = np.array([[self.data.change(name)] for name in self.inputs])
+        later = -1j * self.data.omega * inputs - changes
+        by_delays = transfer.transpose(1, 2, 0) * later
+        by_delays += (C @ B)[..., None] * (step * ramps * later + turned * inputs)
         return Along(
             # CasADi stacks the entries of a matrix column by column.
             slopes=slopes.reshape(*matrix.T.shape, len(q)).swapaxes(0, 1),
@@ -188,8 +214,10 @@ class TransientPart(Part):
             to_outputs=np.concatenate(
                 [by_ends, np.broadcast_to(np.eye(k, dtype=complex), transform.shape)], 2
             ),
-            transfer=transfer,
-            modeled=C @ states + D @ inputs,
+            first_slopes=first_slopes.reshape(*first.T.shape, len(q)).swapaxes(0, 1),
+            beside=beside,
+            by_delays=by_delays,
+            modeled=C @ states + D @ inputs + first @ beside,
             transform=transform,
             errors=errors,
             basis=basis,
@@ -221,12 +249,10 @@ class TransientPart(Part):
         transform : (lines, k, k, x) complex array
             dT T⁻¹; zeros for output error.
         """
-        slopes, n, omega = at.slopes @ by, len(self.states), self.data.omega
-        changes = np.array([[self.data.change(name)] for name in self.inputs])
-        # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
-        later = -1j * omega * at.signals[n:] - changes
+        slopes, n = at.slopes @ by, len(self.states)
         modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
-        modeled += np.einsum("lkm,ml,mx->klx", at.transfer, later, at.delay_slopes @ by)
+        modeled += np.einsum("kcx,cl->klx", at.first_slopes @ by, at.beside)
+        modeled += np.einsum("kml,mx->klx", at.by_delays, at.delay_slopes @ by)
         mean = -self._real(np.einsum("lab,blx->alx", at.transform, modeled))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
@@ -406,7 +432,11 @@ def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
 
 
 def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strings) -> ca.Function:
-    """Return (all parameters) -> [A, B; C, D], the delays, and the derivatives of the entries."""
+    """Return (all parameters) -> [A, B; C, D], delays, [C B, D], and derivatives of all entries.
+
+    In [C B, D], D is zero for inputs with delays: how late a step is seen jumps with the delay, and
+    on average it is seen in time.
+    """
     model = problem.model
     declared = ca.MX.sym("p", len(problem.declared))
     p, times = ca.vertsplit(declared, [0, len(model.parameters), declared.numel()])
@@ -422,7 +452,11 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
         # the same.
         rates += g
     matrix = dense_jacobian(ca.vertcat(rates, -g / time, h), ca.vertcat(x, g, u))
-    linear = ca.Function("linear", [q, time, x, u], [matrix, ca.densify(system.delay(q))])
+    n, delays = x.numel() + len(gusts), system.delay(q)
+    B, C, D = matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
+    undelayed = ca.diag([float(delay.is_zero()) for delay in ca.vertsplit(delays)])
+    entries = [matrix, ca.densify(delays), ca.densify(ca.horzcat(C @ B, D @ undelayed))]
+    linear = ca.Function("linear", [q, time, x, u], entries)
     states, inputs = trim_of(model, problem.at).closed()(p)
     # The states of a Padé delay, or of a realized transfer function, follow those of the model.
     # They are linear and have no operating point.

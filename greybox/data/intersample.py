@@ -12,7 +12,7 @@ with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (in
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,25 +73,6 @@ def response_of_hold(omega: Array, seconds: float) -> ComplexArray:
     half = omega * seconds / 2
     response: Any = np.exp(-1j * half) * np.sinc(half / np.pi)
     return response
-
-
-def sampled_response(response: Callable[[Any], Any], s: Any, hold: float) -> Any:
-    """Return a model's response at s = jω, after a `hold` (s) of the input as samples show it.
-
-    The response of the hold is divided out, but sampling folds back what lies beside the multiples
-    of its rate. That follows from the first terms D + M / s of the response there, by Euler and
-    Maclaurin's series in x = s hold: D x / (1 - exp(-x)), since an output that the input reaches at
-    once is sampled after a step of the input, and M / s (x / 2)² / sinh² (x / 2). The responses at
-    two real s give both terms. A model with a delay has no `hold` here: the fraction of a sample by
-    which it is late decides how much is folded back, on average nothing.
-    """
-    own = response(s)
-    if not hold:
-        return own
-    # Poles up to the sampling rate are slow there.
-    x, near, far = s * hold, response(1e2 / hold), response(2e2 / hold)
-    at_once, rate = 2 * far - near, (near - far) * (1e2 / 6)
-    return own + x * ((x / 12 + 0.5) * at_once + (x * x / 20 - 1) * rate)
 
 
 def checked_hold(name: str, seconds: Any) -> float:

@@ -9,8 +9,8 @@ import numpy as np
 
 from greybox.data.checked_array import finite_array, require_size
 from greybox.data.frequency_response import Stretch
-from greybox.files.arrays import Array, ComplexArray, NamedStrings, Values, frozen
-from greybox.files.text_table import one_line, printable, write_out
+from greybox.files.arrays import Array, ComplexArray, NamedStrings, Strings, Values, frozen
+from greybox.files.text_table import as_names, one_line, printable, write_out
 
 
 @frozen
@@ -34,6 +34,9 @@ class TransientSpectrum:
     input_change : mapping of name to float
         Last less first value of each input, from which the integral of a delayed input follows; 0
         for inputs that are not listed.
+    held : sequence of str
+        Inputs whose values were held from sample to sample: samples of outputs then show more than
+        their integrals, which the model takes into account.
     units : mapping of name to str
     name, source : str
     stretch : Stretch, optional
@@ -56,10 +59,12 @@ class TransientSpectrum:
     name: str = ""
     source: str = ""
     stretch: Stretch | None = None
+    held: Strings = ()
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
         write_out(self, "name", "source", "units", "input_change")
+        vars(self)["held"] = as_names(self.held)
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
                 f"duration is {self.duration!r} s and step {self.step!r} s: give finite numbers, "

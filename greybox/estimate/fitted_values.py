@@ -14,6 +14,7 @@ from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.discretization import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.response_band import response_and_slope
 from greybox.files.arrays import Array, Fields, Values, all_finite, by_name
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import response_of_test
@@ -52,7 +53,7 @@ def _fitted_response(part: ResponsePart, x: Array, values: Values) -> FittedResp
         **_of_problem(problem),
         data=problem.response,
         response=response,
-        curve=partial(_curve, problem.model, values),  # type: ignore[arg-type]
+        curve=partial(_curve, problem.model, values, problem.sampled_hold),  # type: ignore[arg-type]
         at={name: float(value) for name, value in problem.at.items()},
         pade_error=pade_error(problem, values) if all_finite(response) else None,
         sine=problem.amplitude,
@@ -66,10 +67,14 @@ def _fitted_response(part: ResponsePart, x: Array, values: Values) -> FittedResp
 
 
 @traced_once()
-def _curve(model: Model, values: Values, part: FittedResponse) -> FrequencyResponse | None:
+def _curve(
+    model: Model, values: Values, hold: float, part: FittedResponse
+) -> FrequencyResponse | None:
     """Return the fitted model for figures; None if an undamped resonance is on the grid."""
 
     def at(omega: Array) -> FrequencyResponse:
+        if hold:  # samples were compared with those of the model
+            return response_and_slope(model, values, omega, None, omega, hold, **part.signals)[0]
         return response_of_test(model, values, omega, part.sine, part.data.omega, **part.signals)
 
     with contextlib.suppress(ValueError):

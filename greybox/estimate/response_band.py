@@ -171,11 +171,13 @@ def response_and_slope(
     omega: Array,
     sine: Sine | None,
     measured: Array,
+    hold: float = 0.0,
     **signals: Any,
 ) -> tuple[FrequencyResponse, ComplexArray]:
     """Return the response at `omega` (n,) rad/s and its derivatives (n, k) in the parameters.
 
-    The arguments are those of `greybox.modeling.harmonic_balance.response_of_test`.
+    The arguments are those of `greybox.modeling.harmonic_balance.response_of_test`, and the `hold`
+    of `greybox.modeling.linear_response.response_formulas`.
     """
     input, output = pick_signals(model, signals["input"], signals["output"])
     options = {"at": signals["at"], "pade": delay_order(signals["delay"])}
@@ -184,7 +186,8 @@ def response_and_slope(
         # One small function mapped over the frequencies compiles several times faster than one
         # expression of all of them, or than the derivative of the mapped function.
         frequency = ca.SX.sym("omega")
-        [formula] = response_formulas(model, omega, [(input, output)], frequency, **options)
+        pairs = [(input, output)]
+        [formula] = response_formulas(model, omega, pairs, frequency, hold=hold, **options)
         q, w, _ = formula.function.sx_in()
         parts = ca.vertcat(*formula.function(q, w, frequency))
         rows = ca.densify(ca.horzcat(parts, ca.jacobian(parts, q)))

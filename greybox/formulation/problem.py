@@ -447,18 +447,19 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     @cached_property
     def sampled_hold(self) -> float:
-        """The divided hold of a response, s; zero without one, and for a model with delays.
+        """The divided hold of a response, s; zero without one.
 
-        It is also zero for the rate that is s times the response of an angle: what sampling folds
-        back is that of the angle.
+        It is also zero for a loop around a delay, for a sine of finite amplitude, and for the rate
+        that is s times the response of an angle: what sampling folds back is that of the angle.
         """
         hold = self.response.divided_hold
-        if not hold or MULTIPLIED in self.response.about:
+        if not hold or self.amplitude or MULTIPLIED in self.response.about:
             return 0.0
         try:
-            return 0.0 if dynamics(self.model).delayed else hold
+            dynamics(self.model)
         except ValueError:  # a loop around a delay
             return 0.0
+        return hold
 
     @property
     def record(self) -> Record:

@@ -45,6 +45,7 @@ arcsin = _function("arcsin", ca.asin, np.arcsin, "Inverse sine")
 arccos = _function("arccos", ca.acos, np.arccos, "Inverse cosine")
 arctan = _function("arctan", ca.atan, np.arctan, "Inverse tangent")
 tanh = _function("tanh", ca.tanh, np.tanh, "Hyperbolic tangent")
+ceil = _function("ceil", ca.ceil, np.ceil, "Whole number from above")
 sign = _function("sign", ca.sign, np.sign, "Sign, 0 at 0")
 
 

@@ -1,6 +1,6 @@
 """The frequency response of a model, in numbers and compiled; an ODE is linearized."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
@@ -10,17 +10,18 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.intersample import sampled_response
 from greybox.files.arrays import Array, StringPair, Values, all_finite
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
 from greybox.modeling.functions import exp
+from greybox.modeling.held_inputs import first_terms, folded_back
 from greybox.modeling.linearization import jacobians, linearize
 from greybox.modeling.model import Model, pick_signals, require_operating_point
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import start_values
+from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, symbols, traced
 from greybox.modeling.transfer_function import TransferFunction
@@ -100,7 +101,7 @@ def response_formulas(
 ) -> list[Trimmed]:
     """Compile frequency responses at `omega` (n,): real and imaginary parts.
 
-    After a `hold` (s) of the input they are those of samples, see `sampled_response`.
+    After a `hold` (s) of the input they are those of samples, see `folded_back`.
     `pairs` are inputs and outputs; the responses of a state space share one elimination. With a
     `symbol`, the functions take one frequency as their last input; `omega` are the values that will
     occur.
@@ -113,7 +114,11 @@ def response_formulas(
         _, p = symbols(model)
         require_operating_point(model, at)
         owner, names = f"{model.label}.response", parameter_names(model, p)
-        result = sampled_response(lambda q: traced(owner, model.response, q, names), s, hold)
+        result = traced(owner, model.response, s, names)
+        if hold:
+            read = as_rational(traced(owner, model.response, Rational([1.0, 0.0]), names))
+            undelayed = Rational(read.numerator, read.denominator)
+            result += _beside(undelayed, s, hold, read.delay) * exp(-s * read.delay)
         parts = _columns(result, s, model.label)
         require_no_nan(owner, ca.vertcat(*parts))
         response = ca.Function("response", [p, ca.SX(0, 1), *frequency], parts)
@@ -141,13 +146,28 @@ def response_formulas(
 
     def formula(input: str, output: str) -> Trimmed:
         row, column = outputs.index(output), inputs.index(input)
-        result = sampled_response(lambda q: solved(q)[row][column], s, hold)
-        if input in model.delays:
-            result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
+        delay = p[list(model.parameters).index(model.delays[input])] if input in model.delays else 0
+        result = solved(s)[row][column]
+        if hold:
+            result += _beside(lambda q: solved(q)[row][column], s, hold, delay)
+        result = result * exp(-s * delay)
         parts = _columns(result, s, model.label)
         return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
 
     return [formula(*pair) for pair in pairs]
+
+
+def _beside(undelayed: Callable[[Any], Any], s: Complex, hold: float, delay: Any) -> Any:
+    """Return what samples show beside a response without its delay, see `folded_back`.
+
+    How late an output that the input reaches at once is seen jumps with the delay: nothing is added
+    to it then, which is right on average.
+    """
+    # Exact, whatever the approximation of the delay.
+    at_line = Complex(s.re, s.im) * hold
+    at_once, rate = first_terms(undelayed, hold)
+    step, ramp, _ = folded_back(at_line, delay / hold)
+    return ramp * rate + (step * at_once if ca.SX(delay).is_zero() else 0)
 
 
 def _elimination_order(

@@ -81,6 +81,7 @@ def transient_spectrum(
         name=record.name,
         source=record.source,
         stretch=stretch.origin,
+        held=tuple(name for name in inputs if readings[name].held),
     )
     # A value that lasts for part of a step acts half of that time later than a continuous signal.
     delayed = {name: spectrum.delayed_input(name, readings[name].late) for name in inputs}

@@ -230,6 +230,85 @@ def test_samples_of_outputs_without_a_lag_give_the_parameters(model, hold):
         assert_allclose([*fit.estimate.values()], [*truth.values()], rtol=1e-3)
 
 
+class LateRoll(gb.StateSpace):
+    """Roll and roll rate from an aileron whose servo is a delay."""
+
+    states, inputs, outputs = ("p", "phi"), ("aileron",), ("p", "phi")
+    delays = {"aileron": "T"}
+    L = gb.Parameter(20.0, bounds=(1, 200))
+    Lp = gb.Parameter(2.5, bounds=(0.1, 30))
+    T = gb.Parameter(0.05, bounds=(0, 0.5))
+
+    def derivative(self, x, u, p):
+        return p.L * u.aileron - p.Lp * x.p, x.p
+
+    def output(self, x, u, p):
+        return x.p, x.phi
+
+
+class LateRate(gb.TransferFunction):
+    input, output = "aileron", "p"
+    L, Lp, T = LateRoll.L, LateRoll.Lp, LateRoll.T
+
+    def response(self, s, p):
+        return p.L * gb.exp(-s * p.T) / (s + p.Lp)
+
+
+def late_responses(late, hold=0.05):
+    """Exact samples of `LateRoll`, whose aileron moves `late` holds after its values are written."""
+    omega = np.geomspace(0.5, 16, 30)
+    z, whole = np.exp(1j * omega * hold), math.ceil(late)
+    after = hold * (late - whole + 1)  # the value before acts until then
+    A, B = np.array([[-2.5, 0], [1, 0]]), np.array([[20.0], [0]])
+    augmented = np.block([[A, B], [np.zeros((1, 3))]])
+    first, second = expm(after * augmented), expm((hold - after) * augmented)
+    early, drive = second[:2, :2] @ first[:2, 2:], second[:2, 2:]
+    pencil = z[:, None, None] * np.eye(2) - second[:2, :2] @ first[:2, :2]
+    # In the step after a sample, the value before the last one acts first.
+    by_value = early + drive * z[:, None, None]
+    samples = np.linalg.solve(pencil, by_value)[..., 0] * z[:, None] ** -whole
+    about = {"hold of the input, s": f"{hold}"}
+    return [
+        gb.FrequencyResponse(omega, values, "aileron", output, about=about)
+        for output, values in zip(LateRoll.outputs, samples.T, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2, 0.5, 1.0, 2.8])
+def test_the_fraction_of_a_sample_decides_what_is_folded_back(late):
+    measured = late_responses(late)
+    start = {"L": 18.0, "Lp": 3.0, "T": 0.05 * late + 0.004}
+    for model, data in ((LateRoll(), measured), (LateRate(), measured[0])):
+        fit = gb.fit(gb.Problem(model, data), starts=[start], progress=False)
+        values = [fit.estimate[name] for name in ("L", "Lp", "T")]
+        # Of a hold, a thousandth.
+        assert_allclose(values, [20, 2.5, 0.05 * late], rtol=1e-3, atol=5e-5)
+
+
+def test_a_figure_shows_the_samples_that_were_fitted():
+    [rate, _] = late_responses(1.0)
+    fit = gb.fit(gb.Problem(LateRate(), rate), starts=1, progress=False)
+    curve, omega = fit.parts[0].curve, rate.omega
+    drawn = np.interp(omega, curve.omega, np.abs(curve.response))
+    assert_allclose(drawn, np.abs(fit.parts[0].response), rtol=2e-3)
+    # Samples enlarge the gain of a rate by (ωh)²/12, 5 % at the end.
+    assert abs(fit.response(omega[-1:]).response[0]) < 0.97 * drawn[-1]
+
+
+def test_manoeuvres_of_held_inputs_give_the_parameters():
+    """A rate and a specific force, which the elevator reaches at once, from their Fourier integrals."""
+    step = 0.05
+    u = np.repeat([0, 1, -1, 0.5, 0, 0, 0, 0], 20).astype(float)
+    record = gb.Record(step * np.arange(u.size), {"elevator": u}, hold={"elevator": np.inf})
+    model = ShortPeriod()
+    truth = {name: parameter.start for name, parameter in model.parameters.items()}
+    flown = record.with_signals(**gb.simulate(model, truth, record).signals)
+    spectrum = gb.spectral.transient_spectrum(flown, "elevator", ("q", "az"), (0.5, 16))
+    start = {name: 1.1 * value for name, value in truth.items()}
+    fit = gb.fit(gb.Problem(model, spectrum), starts=[start], progress=False)
+    assert_allclose([*fit.estimate.values()], [*truth.values()], rtol=2e-3)
+
+
 def test_the_rate_of_a_sampled_angle_is_not_that_of_a_sampled_rate():
     hold, s = 0.05, 1j * np.geomspace(0.5, 16, 30)
     # Exact samples of 20 / (s (s + 2.5)) behind a hold.

@@ -117,15 +117,11 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
 def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
     """Name parameters at bounds and active constraints: the standard errors treat both as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
+    # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`
+    # compares likelihoods.
     sizes = _sizes_of_noise(nlp)
-    absent = sizes & set(accuracy.at_bound)
-    # Where all are zero, `gusts` compares likelihoods.
-    if absent and absent < sizes:
-        names = listed(sorted(absent))
-        yield f"{names} ended at zero, where the likelihood is stationary: give a start above zero."
-
     for name in accuracy.at_bound:
-        if name in without_effect or name in absent:
+        if name in without_effect or name in sizes:
             continue
         k = nlp.free.index(name)
         at_lower = best.estimate[k] - nlp.lower[k] < nlp.upper[k] - best.estimate[k]
