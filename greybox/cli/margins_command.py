@@ -77,9 +77,13 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     first = next(iter(fits.values()))
-    is_fit = isinstance(first, Fit)
-    if not is_fit and (options.log or options.report or options.plot):
-        raise UsageError("--log, --report and --plot are for fits, and a table is a measured loop.")
+    tables = [name for name, item in fits.items() if not isinstance(item, Fit)]
+    is_fit = not tables
+    others = len(fits) > len(tables)
+    if tables and (others or options.log or options.report or options.plot):
+        raise UsageError(
+            f"{tables[0]} is a measured loop: fits, --log, --report and --plot do not go with it."
+        )
     settings = {
         "tracking": tuple(options.tracking) if options.tracking else None,
         **attributes(options, "at", "level", "boundary"),
