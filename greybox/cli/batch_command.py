@@ -76,7 +76,8 @@ def run(options: argparse.Namespace) -> Answer:
     if folder is None:
         raise UsageError("the following arguments are required: --out; see greybox batch --help.")
     copy_inputs(path, folder, starts)
-    write(str(_listed(members)[-1]), sys.stderr)
+    _, _, *notes = _listed(members)
+    write("\n".join(notes), sys.stderr)
     try:
         with stated_executor(options) as executor:
             study = batch(members, folder, executor=executor, seconds=options.seconds)
@@ -121,7 +122,8 @@ def _listed(members: Sequence[Member]) -> Answer:
     # By default a search runs only the promising starts, as long as these agree.
     total = f"{counted(len(starts), 'member')}, at most {counted(sum(starts.values()), 'start')}"
     rows = [[name, str(count)] for name, count in starts.items()]
-    return {"starts": starts}, text_table(["member", "starts"], rows), total
+    errors = [f"{m.name} fails: {m.problem}" for m in members if not m.problem.parts]
+    return {"starts": starts}, text_table(["member", "starts"], rows), *errors, total
 
 
 def as_json(study: Study) -> dict[str, Any]:

@@ -76,10 +76,13 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError("--log is of one flight: give a single RESULT with it.")
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
-    first, *_ = fits.values()
-    is_fit = isinstance(first, Fit)
-    if not is_fit and (options.log or options.report or options.plot):
-        raise UsageError("--log, --report and --plot are for fits, and a table is a measured loop.")
+    tables = [name for name, item in fits.items() if not isinstance(item, Fit)]
+    is_fit = not tables
+    others = len(fits) > len(tables)
+    if tables and (others or options.log or options.report or options.plot):
+        raise UsageError(
+            f"{tables[0]} is a measured loop: fits, --log, --report and --plot do not go with it."
+        )
     settings = attributes(options, "tracking", "at", "level", "boundary")
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.

@@ -172,8 +172,12 @@ def table(header: Labels, rows: Sequence[Sequence[Cell]]) -> Element:
 
 def parameter_table(fit: Fit) -> Element:
     """Return the table of all quantities; for a failed fit, the last values of its best run."""
-    header, rows, _ = printed.parameter_table(fit)
-    cells = [[Cell(x, float(x)) if is_number(x) else Cell(x) for x in row] for row in rows]
+    header, rows, left = printed.parameter_table(fit)
+    # A unit of 1 is a text, too.
+    cells = [
+        [Cell(x, float(x) if is_number(x) and k not in left else None) for k, x in enumerate(row)]
+        for row in rows
+    ]
     for row, (*_, about) in zip(cells, rows, strict=True):
         row[-1] = Cell(with_formulas(about) if "$" in about else about)
     if fit.converged:

@@ -3,6 +3,8 @@
 import re
 from typing import Any, Literal
 
+import numpy as np
+
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
@@ -29,9 +31,10 @@ def to_control(
 
     Parameters
     ----------
-    thing : FrequencyResponse, Fit, Model or Margins
-        A response becomes a `control.FrequencyResponseData`, and so does the broken loop of
-        `greybox.margins` at its estimate, of negative feedback.
+    thing : FrequencyResponse, tuple of them, Fit, Model or Margins
+        A response, or a tuple with those of all pairs at the same frequencies, becomes a
+        `control.FrequencyResponseData`, and so does the broken loop of `greybox.margins` at its
+        estimate, of negative feedback.
     values : mapping of name to float, optional
         Values of a model's parameters, by default the declared starts.
     kind : "transfer-function" or "state-space"
@@ -63,15 +66,21 @@ def to_control(
     """
     control = required("control", "control", "to_control()")
     if isinstance(thing, FrequencyResponse):
+        thing = (thing,)
+    if isinstance(thing, tuple):
         # python-control interpolates between frequencies, which must increase for that.
-        thing = thing.by_frequency
-        return control.FrequencyResponseData(
-            thing.response.reshape(1, 1, -1),
-            thing.omega,
-            inputs=[thing.input or "u"],
-            outputs=[thing.output or "y"],
-            **_named(thing.name),
-        )
+        pairs = {(r.output or "y", r.input or "u"): r.by_frequency for r in thing}
+        outputs, inputs = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True))
+        omega = pairs[outputs[0], inputs[0]].omega
+        is_matrix = len(pairs) == len(outputs) * len(inputs)
+        if not is_matrix or any(not np.array_equal(r.omega, omega) for r in pairs.values()):
+            raise ValueError(
+                "the responses are not a matrix at common frequencies: convert them one by one, or "
+                "estimate all pairs at the same omega=... of gb.spectral.spectral_response."
+            )
+        matrix = np.array([[pairs[y, u].response for u in inputs] for y in outputs])
+        name = _named(thing[0].name if len(thing) == 1 else "")
+        return control.FrequencyResponseData(matrix, omega, inputs=inputs, outputs=outputs, **name)
 
     if isinstance(thing, Margins):
         loop = thing.require_loop()

@@ -82,6 +82,14 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
         # So Python begins when it calls a function with too many or too few arguments.
         cure = ARGUMENTS if reason.startswith(f"{formula.__qualname__}() ") else CURE
         raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {cure}") from error
+    except AttributeError as error:
+        name, model = error.name or "", getattr(formula, "__self__", None)
+        if isinstance(error.obj, Names) and hasattr(model, name):
+            raise AttributeError(
+                f"{error} {name} is an attribute of the class: write self.{name}, or declare it as "
+                "a gb.Parameter."
+            ) from error
+        raise
 
 
 def called(what: str, function: ParameterFormula, p: Any) -> Any:

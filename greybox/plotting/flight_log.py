@@ -62,7 +62,7 @@ def traces(
     panels = []
     for unit in dict.fromkeys(record.units.get(name, "") for name in record.signals):
         names = [name for name in record.signals if record.units.get(name, "") == unit]
-        factor, degrees = shown_unit(unit)
+        factor, degrees = shown_unit(record.units, names[0])
         series = [
             signal_line(name, record.time, factor * record[name], colors[name]) for name in names
         ]

@@ -100,7 +100,10 @@ def shape_figures(fit: Fit) -> list[Figure]:
     shape = fit.misfit and fit.misfit.shape
     if not shape:
         return []
+    # States of which nothing is measured have no unit.
+    factor, unit = shown_unit(fit.records[0].data.units, shape.signal)
     x, values, errors = np.array([shape.at, shape.values, shape.errors])
+    x *= factor
     points = Series(
         "of any form", "points", x, values, low=values - 2 * errors, high=values + 2 * errors
     )
@@ -110,7 +113,7 @@ def shape_figures(fit: Fit) -> list[Figure]:
     return [
         Figure(
             f"What the model lacks over {name}",
-            name,
+            with_unit(name, unit),
             [panel],
             caption=f"Line: {shape.text}. Points: an effect of any form, with two standard errors. "
             "Both leave out what the parameters explain.",
@@ -120,7 +123,7 @@ def shape_figures(fit: Fit) -> list[Figure]:
 
 def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
     """Return the means of the residuals in parts of the range of a signal."""
-    factor, unit = shown_unit(part.data.units.get(output, ""))
+    factor, unit = shown_unit(part.data.units, output)
     e = factor * part.residual(output)
     present = np.flatnonzero(np.isfinite(e + values))
     # The same number of samples in every part.
@@ -130,10 +133,12 @@ def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
         [(values[r].mean(), e[r].mean(), 2 * e[r].std() / math.sqrt(r.size)) for r in parts]
     ).T
     label = with_unit(f"Residual of {in_greek(output)}", unit)
-    series = [rule(), Series("", "points", x, mean, low=mean - error, high=mean + error)]
+    # A fitted output has the unit of the measured one.
+    factor, unit = shown_unit(part.data.units, name.removeprefix("fitted "))
+    series = [rule(), Series("", "points", factor * x, mean, low=mean - error, high=mean + error)]
     return Figure(
         f"{label} over {in_greek(name)}",
-        in_greek(name),
+        with_unit(in_greek(name), unit),
         [Panel(label, series)],
         caption="Means, with two standard errors of white residuals.",
     )

@@ -5,22 +5,23 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 from greybox.data.record import Record
-from greybox.files.arrays import Labels
+from greybox.files.arrays import Labels, NamedStrings
 from greybox.files.text_table import in_greek, numbered_where_alike
 
 Item = TypeVar("Item")
 
 
-def shown_unit(unit: str) -> tuple[float, str]:
-    """Return the factor to the unit that a person reads, degrees for radians, and that unit."""
+def shown_unit(units: NamedStrings, name: str) -> tuple[float, str]:
+    """Return the factor of a signal to the unit that a person reads, and that unit."""
     # Pilots and logs speak of degrees; models compute in radians.
+    unit = units.get(name, "")
     degrees = {"rad": "°", "rad/s": "°/s"}.get(unit)
     return (1.0, unit) if degrees is None else (180 / math.pi, degrees)
 
 
 def signal_label(record: Record, name: str) -> str:
     """Return the symbol of a signal and the unit that a person reads."""
-    return with_unit(in_greek(name), shown_unit(record.units.get(name, ""))[1])
+    return with_unit(in_greek(name), shown_unit(record.units, name)[1])
 
 
 def with_unit(label: str, unit: str) -> str:

@@ -123,5 +123,5 @@ def _size(values: ComplexArray) -> Array:
 
 def _unit(data: TransientSpectrum, name: str) -> tuple[float, str]:
     """Return the factor to the unit in the figure, and the unit of the integral."""
-    factor, unit = shown_unit(data.units.get(name, ""))
+    factor, unit = shown_unit(data.units, name)
     return factor, "s" if unit in ("", "1") else f"({unit}) s"

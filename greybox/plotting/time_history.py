@@ -108,7 +108,7 @@ def history_figure(
         panels += _output_panels(by_name(names, drawn), output, columns)
     for name in inputs:
         data = next(history.data for history in drawn if name in history.data.signals)
-        values = shown_unit(data.units.get(name, ""))[0] * data[name]
+        values = shown_unit(data.units, name)[0] * data[name]
         series = _drawn("", data, values, data.independent_pieces, columns, INK)
         panels.append(Panel(signal_label(data, name), series, height=0.5))
 
@@ -128,7 +128,7 @@ def history_figure(
 def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> list[Panel]:
     """Return the panels of an output and of its residuals; `drawn` has histories by label."""
     data = next(history.data for history in drawn.values() if name in history.outputs)
-    factor, unit = shown_unit(data.units.get(name, ""))
+    factor, unit = shown_unit(data.units, name)
     measured = factor * data[name]
     is_finite = np.isfinite(measured)
     outputs = _drawn("measured", data, measured, data.independent_pieces, columns, GRAY)

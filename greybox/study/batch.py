@@ -49,6 +49,7 @@ from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome, RunStorageError
+from greybox.study.data_file import UnreadableError
 from greybox.study.ranking import held_out_error
 from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, locked
 from greybox.study.study import Study, read_study
@@ -64,6 +65,8 @@ class Member:
     Parameters
     ----------
     problem : Problem or a sum of problems
+        In a grid, an UnreadableError in place of a problem whose data cannot be read: such a member
+        fails alone.
     starts, seed, method, search, solver_options
         As in `greybox.fit`.
     held : sequence of Record or FrequencyResponse
@@ -72,7 +75,7 @@ class Member:
         By default the name of the problem. Members of a batch have different names.
     """
 
-    problem: AnyProblem
+    problem: AnyProblem | UnreadableError
     starts: AnyStarts | None = None
     seed: int | None = None
     method: Transcription | None = None
@@ -83,7 +86,7 @@ class Member:
 
     def __post_init__(self) -> None:
         """Use the name of the problem by default."""
-        if not isinstance(self.problem, Problem | Sum):
+        if not isinstance(self.problem, Problem | Sum | UnreadableError):
             raise TypeError(
                 f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them."
             )
@@ -104,7 +107,7 @@ class Member:
     @property
     def start_count(self) -> int:
         """Number of starts, by default that of the solver; a rule without a number counts one."""
-        alone = len(self.problem.parts_with(FrequencyResponse)) == len(self.problem.parts)
+        alone = all(isinstance(part.data, FrequencyResponse) for part in self.problem.parts)
         default = ResponseSolver.starts if alone else LocalSolver.starts
         rule = as_starts(default if self.starts is None else self.starts, self.seed)
         return getattr(rule, "number", 1)
@@ -214,9 +217,11 @@ def batch(
 
 
 def require_distinct(members: Sequence[Member]) -> None:
-    """Raise ValueError if there are no members, or if two have the same name."""
+    """Raise ValueError if no member can be fitted, or if two have the same name."""
     if not members:
         raise ValueError("members is empty: give at least one problem.")
+    if not any(member.problem.parts for member in members):
+        raise ValueError(str(members[0].problem))
     [(name, count)] = Counter(member.name for member in members).most_common(1)
     if count > 1:
         raise ValueError(
@@ -291,6 +296,8 @@ def _fit_member(
     # next call would take it for the answer from all starts.
     result, error = None, ""
     try:
+        if isinstance(member.problem, UnreadableError):
+            raise member.problem
         result = fit_with_storage(
             runs,
             member.problem,
@@ -327,7 +334,7 @@ def _fit_member(
         runs.finish({**answer, "error": error} if error else answer, fit)
 
 
-def _stated(problem: AnyProblem) -> Fields:
+def _stated(problem: AnyProblem | UnreadableError) -> Fields:
     """Return the fields that distinguish a failed member, as the summary of a fit has them."""
     parts = problem.parts
     return {
@@ -364,8 +371,8 @@ def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
         If it is the answer to another problem.
     """
     # A failed member is tried again: the cause, such as a missing file, may be gone.
-    if stored.status != "done":
-        return False
+    if stored.status != "done" or isinstance(member.problem, UnreadableError):
+        return stored.status == "done"
     formulas, stated = _key(member, formulas_alone=True), _key(member)
     is_same = stated and formulas in compiled and stored.answer.get("stated") == stated
     if not is_same and stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):

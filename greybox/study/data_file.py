@@ -20,6 +20,16 @@ from greybox.logs.readers import read
 from greybox.modeling.model import Model, require_known
 
 
+class UnreadableError(ValueError):
+    """A data file cannot be read, or lacks the signals of the model.
+
+    In a member of a study it takes the place of the problem, which has no parts then.
+    """
+
+    parts = ()
+    name = ""
+
+
 def read_data(
     path: str | Path,
     model: Model,
@@ -134,14 +144,20 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
 
 
 def reading_once() -> Callable[..., Any]:
-    """Return a function like `read_data` that reads a file once for all models of its signals."""
+    """Return a function like `read_data` that reads a file once for all models of its signals.
+
+    It raises UnreadableError, with the reason and the cure.
+    """
     # A study of twelve models has each file in memory once.
     data: Fields = {}
 
     def read(path: str, model: Model, **choices: Any) -> Any:
         key = repr((path, model.input_names, model.output_names, choices))
-        if key not in data:
-            data[key] = read_data(path, model, **choices)
+        try:
+            if key not in data:
+                data[key] = read_data(path, model, **choices)
+        except (ValueError, LookupError, OSError) as error:
+            raise UnreadableError(error.args[-1]) from error
         return data[key]
 
     return read

@@ -14,7 +14,7 @@ from typing import Any
 from greybox.files.arrays import Fields, Named, by_name
 from greybox.modeling.model import require_known
 from greybox.study.batch import Member
-from greybox.study.data_file import reading_once
+from greybox.study.data_file import UnreadableError, reading_once
 from greybox.study.stated_problem import OF_DATA, OF_PARAMETERS, stated_problem
 
 # Keys whose single value is a list: only a list of lists multiplies.
@@ -59,6 +59,8 @@ def grid(models: Any = None, data: Any = None, **settings: Any) -> list[Member]:
 def members_of(choices: Named, folder: Path) -> list[Member]:
     """Return the members of a grid, whose files are in a folder.
 
+    A member whose data cannot be read has the reason as its error, and fails alone.
+
     Raises
     ------
     ValueError
@@ -75,6 +77,8 @@ def members_of(choices: Named, folder: Path) -> list[Member]:
                 held, _ = stated_problem({**values, "data": values["held"]}, read)
                 own["held"] = [part.data for part in held.parts]
             members.append(Member(problem, **{**settings, **own}))
+        except UnreadableError as error:
+            members.append(Member(error, **own))
         except (ValueError, TypeError, LookupError, OSError) as error:
             raise ValueError(f"member {own['name']!r}: {error.args[-1]}") from error
     return members

@@ -95,7 +95,7 @@ def test_a_study_without_a_finished_member_has_no_margins(capsys, tmp_path):
     assert "no finished member" in refused(capsys, "margins", tmp_path / "study", *words)
 
 
-def test_a_table_is_a_measured_loop(capsys, tmp_path):
+def test_a_table_is_a_measured_loop(capsys, pitch, tmp_path):
     omega = np.geomspace(0.3, 30, 40)
     bode = tmp_path / "loop.csv"
     loop = 2 / (1j * omega) * np.exp(-0.2j * omega)
@@ -110,6 +110,8 @@ def test_a_table_is_a_measured_loop(capsys, tmp_path):
     assert answer["margins"]["phase margin"]["value"] == expected["phase margin"].value
     assert expected["phase margin"].value == pytest.approx(90 - np.degrees(0.4), abs=0.1)
     assert "broken loop itself" in refused(capsys, "margins", bode, *LOOP)
+    for both in ((bode, pitch), (pitch, bode)):
+        assert f"{bode} is a measured loop: fits" in refused(capsys, "margins", *both)
     assert "--plot" in refused(capsys, "margins", bode, "--plot", tmp_path / "loop.png")
 
 

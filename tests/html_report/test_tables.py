@@ -82,6 +82,9 @@ def test_parameters_stand_with_errors_intervals_and_shares(fit):
         )
         assert row[6:] == [q.unit, f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "", q.about]
     assert texts(parameter_table(bound))[1][8] == "AT BOUND"
+    plain = replace(fit, quantities=(replace(fit.quantities[0], unit="1"),))
+    sides = {head.text: head.get("class") for head in parameter_table(plain).iter("th")}
+    assert (sides["estimate"], sides["unit"]) == ("number", None)
     symbol = replace(fit.quantities[0], about=r"lag $\tau$")
     meaning = next(parameter_table(replace(fit, quantities=(symbol,))).iter("tbody"))[0][-1]
     assert (meaning.text, meaning[0].tag, meaning[0].get("alt")) == ("lag ", "img", r"\tau")

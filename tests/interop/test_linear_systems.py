@@ -234,3 +234,20 @@ def test_a_fitted_manoeuvre_is_converted_about_the_point_of_its_fit():
     problem = gb.Problem(Drag(), spectrum, at=cruise)
     fit = gb.fit(problem, [{}], profiles=False, progress=False)
     assert given_model(fit, None, None).matrices(None).A.item() == pytest.approx(-3.0, rel=0.02)
+
+
+def test_a_matrix_of_responses_returns_as_it_was(control):
+    omega = np.geomspace(0.5, 20, 9)
+    responses = tuple(
+        gb.FrequencyResponse(omega, (k + 1j) / (1 + 1j * omega), input=u, output=y)
+        for k, (y, u) in enumerate([("p", "lat"), ("p", "lon"), ("q", "lat"), ("q", "lon")])
+    )
+    there = gb.interop.to_control(responses)
+    assert (there.ninputs, there.noutputs) == (2, 2)
+    for own, again in zip(responses, gb.interop.from_control(there), strict=True):
+        assert (again.output, again.input) == (own.output, own.input)
+        np.testing.assert_array_equal(again.response, own.response)
+    other = gb.FrequencyResponse(omega + 1, np.ones(9), input="lon", output="q")
+    for wrong in (responses[:3], (*responses[:3], other)):
+        with pytest.raises(ValueError, match="common frequencies"):
+            gb.interop.to_control(wrong)

@@ -55,6 +55,25 @@ def test_wrong_formulas_of_an_ode_are_said_in_a_sentence(functions, sentence):
         gb.modeling.linearize(state_space(**functions))
 
 
+def test_an_attribute_of_the_class_is_not_a_parameter():
+    class Cart(gb.StateSpace):
+        """A cart whose drag is a plain number."""
+
+        states = outputs = ("v",)
+        inputs = ("F",)
+        m = gb.Parameter(1.0, bounds=(0.1, 10))
+        drag = 0.5
+
+        def derivative(self, x, u, p):
+            return ((u.F - p.drag * x.v) / p.m,)
+
+        def output(self, x, u, p):
+            return (x.v,)
+
+    with pytest.raises(AttributeError, match=r"write self\.drag"):
+        gb.modeling.linearize(Cart())
+
+
 def transfer_function(formula):
     body = {"c": gb.Parameter(1.0), "response": lambda self, s, p: formula(s, p)}
     return type("Mine", (gb.TransferFunction,), body)()

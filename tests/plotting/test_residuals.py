@@ -25,7 +25,7 @@ def spring(record):
 
 def test_residuals_have_means_over_signals_and_correlations(spring, record):
     figures = residual_figures(spring.records[0])
-    labels = ["time, s", "force", "fitted position", "Frequency, rad/s", "Lag, samples"]
+    labels = ["time, s", "force", "fitted position, m", "Frequency, rad/s", "Lag, samples"]
     assert [figure.label for figure in figures] == labels
     (e,) = spring.residuals[0]
     means = named(figures[1].panels[0], "", "points")
@@ -62,9 +62,37 @@ def test_what_the_model_lacks_shows():
     )
     panels = gb.plotting.residuals(stiff)
     assert "p < 0.0001" in panels[-2].get_title()
-    assert panels[-1].get_xlabel() == "position"
+    assert panels[-1].get_xlabel() == "position, m"
     line, chance = coherences(stiff)
     assert line.y[line.x < 4].max() > 2 * chance
+
+
+class Bank(gb.StateSpace):
+    """The bank angle that an aileron holds."""
+
+    states = outputs = ("phi",)
+    inputs = ("da",)
+    tau = gb.Parameter(0.5, bounds=(0.1, 5), unit="s")
+
+    def derivative(self, x, u, p):
+        return ((u.da - x.phi) / p.tau,)
+
+    def output(self, x, u, p):
+        return (x.phi,)
+
+
+def test_angles_are_in_degrees_on_both_axes():
+    time = np.arange(0, 10, 0.05)
+    random = np.random.default_rng(0)
+    drive = gb.Record(time, {"da": 0.2 * np.sign(np.sin(time))}, hold={"da": np.inf})
+    phi = gb.simulate(Bank(), {"tau": 0.4}, drive)["phi"] + 0.01 * random.normal(size=time.size)
+    record = drive.with_signals(units={"da": "rad", "phi": "rad"}, phi=phi)
+    fit = gb.fit(gb.Problem(Bank(), record), starts=1, progress=False)
+    over = {figure.label: figure for figure in residual_figures(fit.records[0])}
+    means = named(over["da, °"].panels[0], "", "points")
+    assert means.x.min() == pytest.approx(np.degrees(-0.2))
+    x = named(over["fitted phi, °"].panels[0], "", "points").x
+    assert np.ptp(x) > 10
 
 
 def test_constant_inputs_and_rows_without_a_time_have_no_correlations(spring, record):

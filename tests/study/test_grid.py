@@ -67,3 +67,24 @@ def test_the_default_number_of_starts():
         (1e3, 1000),
     ):
         assert gb.study.Member(pitch_hover.problem(), starts).start_count == count
+
+
+def test_a_file_that_cannot_be_read_fails_alone_and_is_tried_again(tmp_path):
+    good, bad = tmp_path / "good.csv", tmp_path / "lost.csv"
+    gb.data.write_response(FIRST, good)
+    bad.write_bytes(bytes(range(256)))
+
+    def batch(folder):
+        members = gb.study.grid(Tilt(), [str(good), str(bad)], starts=2)
+        return gb.batch(members, tmp_path / folder, progress=False)
+
+    study = batch("study")
+    assert [member.status for member in study.members] == ["done", "failed"]
+    assert "lost.csv" in study["lost"].error
+    gb.data.write_response(SECOND, bad)
+    assert batch("study").count("done") == 2
+    bad.write_bytes(b"")  # the answer of the file that could be read remains
+    assert batch("study").count("done") == 2
+    good.write_bytes(b"")
+    with pytest.raises(ValueError, match=r"good\.csv"):
+        batch("none")

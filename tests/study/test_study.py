@@ -136,7 +136,8 @@ def test_an_answer_with_other_kinds_of_values_is_damaged(tmp_path, change):
 
 
 def test_members_are_named_apart():
-    names = [SimpleNamespace(name=name) for name in ("a", "b", "a")]
+    problem = SimpleNamespace(parts=("data",))
+    names = [SimpleNamespace(name=name, problem=problem) for name in ("a", "b", "a")]
     require_distinct(names[:2])
     with pytest.raises(ValueError, match="2 members have the name 'a'"):
         require_distinct(names)
