@@ -17,7 +17,7 @@ from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed
 from greybox.solve.gauss_newton.iteration import SINGULAR, descend
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
-from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
+from greybox.solve.gauss_newton.screening import can_move, can_screen, distinct, improved
 from greybox.solve.gauss_newton.settings import USUAL, Settings
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
@@ -73,7 +73,7 @@ class GaussNewton(LocalSolver):
         begin = parts.at(self._nearest(start))
         # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
-        if can_screen(self.nlp) and (left := parts.unexplained(begin)) > 1:
+        if can_move(self.nlp) and (left := parts.unexplained(begin)) > 1:
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             z = moved.z
             is_inside = np.all((z > self.limits.low) & (z < self.limits.high))

@@ -64,6 +64,17 @@ def can_screen(nlp: CompiledProblem) -> bool:
     return not (nlp.limits or others) and len(sizes) == 1 and 0 not in sizes
 
 
+def can_move(nlp: CompiledProblem) -> bool:
+    """Return whether short segments can lead a start to better parameters."""
+    # With fewer outputs in a segment than twice its states, these explain nearly all by themselves:
+    # no start of chains of masses arrives because of the steps, which for a rod of 20 states take
+    # a third of the fit.
+    return can_screen(nlp) and all(
+        2 * part.states <= part.data.segment_length * len(part.outputs)
+        for part in nlp.parts_of(RecordPart)
+    )
+
+
 def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     """Return where a few steps lead from the points z (r, p), judged over whole segments."""
     parts = nlp.parts_of(RecordPart)
