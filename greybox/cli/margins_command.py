@@ -84,6 +84,7 @@ def run(options: argparse.Namespace) -> Answer:
             f"{tables[0]} is a measured loop: fits, --log, --report and --plot do not go with it."
         )
     settings = attributes(options, "tracking", "at", "level", "boundary")
+    first = next(iter(fits.values()))
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
     is_single = is_fit and len(fits) == 1
