@@ -49,7 +49,8 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError("--held-out is for fits; for a study, write `held` in its file.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
     study = read_study(options.results[0], options.model)
-    answer, lines = as_json(study), [str(study)]
+    answer = as_json(study)
+    lines = [str(study)]
     if options.by:
         comparison = study.ranking(*options.by.split(","))
         answer |= attributes(comparison, *SUMMARY)

@@ -26,7 +26,9 @@ def execute(options: argparse.Namespace) -> int:
         try:
             result, text, status = _answer(options)
         except KeyboardInterrupt:
-            result, text, status = {"error": "interrupted."}, "", INTERRUPTED
+            result = {"error": "interrupted."}
+            text = ""
+            status = INTERRUPTED
         with responding(Response.FINISH):
             status = write_answer(result, text, options.json, status)
         return ended_status() if take_interrupt() or status == INTERRUPTED else status

@@ -78,7 +78,8 @@ def run(options: argparse.Namespace) -> Answer:
         **attributes(options, "all_points", "starts", "seed"),
         **stated_choices(options),
     )
-    answer, text = _json(identification), [str(identification)]
+    answer = _json(identification)
+    text = [str(identification)]
     selection, fit = identification.selection, identification.fit
     # Nothing is written for data that cannot be trusted: the next command would take the files.
     if identification.refusals or selection is None:

@@ -83,8 +83,8 @@ class _Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"there is no {value!r}; there are {choices}")
 
     def error(self, message: str) -> NoReturn:
-        see = "See" if message.endswith("?") else "; see"
-        raise UsageError(f"{message.rstrip('.')}{' ' * (see == 'See')}{see} {self.prog} --help.")
+        see = " See" if message.endswith("?") else "; see"
+        raise UsageError(f"{message.rstrip('.')}{see} {self.prog} --help.")
 
 
 def main(arguments: Labels | None = None) -> int:

@@ -96,7 +96,8 @@ def run(options: argparse.Namespace) -> Answer:
             **settings,
         )
         loops = [flown.model, *flown.others]
-        answer, text = flown.to_dict(), [str(flown)]
+        answer = flown.to_dict()
+        text = [str(flown)]
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
     else:

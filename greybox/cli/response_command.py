@@ -78,7 +78,8 @@ Kind = tuple[Any, Fields, Callable[[Path], None] | None, Sequence[Any]]
 def _response(options: argparse.Namespace, recording: Recording) -> Kind:
     names = {"input": options.input[0], "output": options.output[0]}
     measured = measure(recording, Settings(**(stated_choices(options) | names)))
-    answer, response = response_json(recording, measured), measured.response
+    answer = response_json(recording, measured)
+    response = measured.response
     if not measured.quality.usable or response is None:
         answer["error"] = " ".join(measured.quality.refusals)
         return measured, answer, None, ()

@@ -53,7 +53,8 @@ def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
         If they cannot be written.
     """
     study, folder = study.resolve(), folder.resolve()
-    base, sources = folder / INPUTS, set[Path]()
+    base = folder / INPUTS
+    sources = set[Path]()
     if not study.is_relative_to(base):  # otherwise the study resumes with its copies
         modules = {getattr(module, "__file__", None) or "/" for module in [*sys.modules.values()]}
         opened = map(Path.resolve, {*_opened, *map(Path, modules)})

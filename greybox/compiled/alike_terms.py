@@ -92,7 +92,9 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
     for factor, term in summands(cost):
         function = ca.Function("term", [*inputs], [term])
         # Terms of one form differ only in their constants, and in the places of their data.
-        form, constants, places = [], [factor], []
+        form = []
+        constants = [factor]
+        places = []
         for k in range(function.n_instructions()):
             operation, source = function.instruction_id(k), function.instruction_input(k)
             if operation == ca.OP_CONST:
@@ -102,7 +104,8 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
             form.append((operation, *source, *function.instruction_output(k)))
         by_form[tuple(form)].append((factor, term, function, constants, places))
 
-    groups, remainder = [], ca.SX(0)
+    groups = []
+    remainder = ca.SX(0)
     for members in by_form.values():
         if len(members) < 4:  # not worth a function
             remainder += sum(factor * term for factor, term, *_ in members)
@@ -128,7 +131,8 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
 
 def summands(cost: ca.SX) -> list[tuple[float, ca.SX]]:
     """Return the terms of a sum with their factors."""
-    terms, waiting = [], [(1.0, cost)]
+    terms = []
+    waiting = [(1.0, cost)]
     while waiting:
         factor, term = waiting.pop()
         parts = [term.dep(k) for k in range(term.n_dep())]

@@ -59,7 +59,8 @@ def colored_errors(
     mixing = np.eye(len(weight))
     is_whole = all(np.all(np.all(e, axis=0) | ~np.any(e, axis=0)) for e in residuals)
     if is_whole and np.any(weight != np.diag(np.diag(weight))):
-        whitening, mixing = weight, np.linalg.inv(weight)
+        whitening = weight
+        mixing = np.linalg.inv(weight)
         weighted = [np.tensordot(mixing.T, J, 1) for J in weighted]
         residuals = [whitening @ e for e in residuals]
         initial = [np.tensordot(mixing.T, X, 1) for X in initial]

@@ -189,7 +189,8 @@ class CompiledProblem(Portable):
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
         values = np.empty((*np.shape(x)[:-1], len(self.names)))
-        values[..., : len(self.free)], values[..., len(self.free) :] = x, self.constant_values
+        values[..., : len(self.free)] = x
+        values[..., len(self.free) :] = self.constant_values
         return values
 
     def estimate_at(self, z: Array) -> Array:
@@ -301,8 +302,10 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
         local = part.local_values(entries_by_name(names, x))
         for k, constraint in enumerate(part.constraints):
             # Formulas are compared as compiled: equal lambdas are different objects in Python.
-            label, value = f"constraints[{k}] of {part.name!r}", ca.SX(constraint(local))
-            limits.setdefault(ca.Function("formula", [x], [value]).serialize(), (label, value))
+            label = f"constraints[{k}] of {part.name!r}"
+            value = ca.SX(constraint(local))
+            formula = ca.Function("formula", [x], [value])
+            limits.setdefault(formula.serialize(), (label, value))
         for name in part.tied:
             sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
             for side, bound, sign in sides:

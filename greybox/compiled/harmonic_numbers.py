@@ -16,7 +16,8 @@ def with_enough_harmonics(problem: Problem | Sum[Problem]) -> Problem | Sum[Prob
             continue
         # The start values, not the estimate: the number of harmonics must not change during a fit.
         starts = {name: parameter.start for name, parameter in part.parameters.items()}
-        values, omega = dict(part.local_values(starts)), part.response.omega
+        values = dict(part.local_values(starts))
+        omega = part.response.omega
         sine = enough_harmonics(part.model, omega, part.amplitude, values, **part.signals)
         parts[k] = part.with_(amplitude=sine)
 

@@ -90,7 +90,8 @@ class InitialStates:
             finite, missed = self._judged(trial, measured, inputs, p)
             return int((~finite).sum()), float(missed[finite].sum())
 
-        best, least = states, score(states)
+        best = states
+        least = score(states)
         # All states together first: one alone may leave the model undefined because of another.
         # Then each by itself, in two sweeps.
         for group in [hidden, *([[k] for k in hidden] * 2)]:

@@ -114,7 +114,8 @@ class KalmanGain:
 
     def simulated_cost(self, z: Array, nodes: Array) -> float:
         """Return the cost of a simulation from the first nodes, for the covariance it shows."""
-        return self.part.covariance.cost(self.part.trajectory(z, nodes, simulated=True).products)
+        products = self.part.trajectory(z, nodes, simulated=True).products
+        return self.part.covariance.cost(products)
 
     def filtered(self, trajectory: Trajectory, z: Array, variance: Array) -> Array:
         """Return z (p,) with the unknowns of a steady Kalman filter; NaN for an unstable one.

@@ -77,7 +77,8 @@ class RecordGroup(SegmentedPart):
         """Return the parameters and data at z (p,), by record where records differ."""
         function, index = self._located
         q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
-        n, active = self.states, len(self.model.active)
+        n = self.states
+        active = len(self.model.active)
         # One placement is used for all records: nothing needs an axis of records.
         if not index.any():
             data = self.data_at(delay.ravel())
@@ -150,7 +151,8 @@ def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
     Source: Neyman and Scott (1948), Consistent estimates based on partially consistent
     observations, Econometrica 16.
     """
-    result, short = [*products], dict[int, SegmentedPart]()
+    result = [*products]
+    short = dict[int, SegmentedPart]()
     for k, part in enumerate(parts):
         if isinstance(part, SegmentedPart) and part.few.any():
             short[k] = part

@@ -132,7 +132,8 @@ def record_model(
     assert isinstance(criterion, TimeCriterion)
     outputs = criterion.compared(model, record)
     between = between_samples(criterion.inputs, model.input_names, record)
-    gains, driven = criterion.gains(model, outputs), criterion.driven()
+    gains = criterion.gains(model, outputs)
+    driven = criterion.driven()
     parameters = tuple(problem.declared)
     if driven:
         parameters += tuple(f"K_{state}_{output}" for state, output in gains)

@@ -116,7 +116,8 @@ class RecordPart(SegmentedPart):
     @one_thread_at_a_time
     def discontinuous_delays(self) -> Mapping[str, StringPair]:
         """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
-        system, result = self.system, dict[str, StringPair]()
+        system = self.system
+        result = dict[str, StringPair]()
         x, u, p = system.symbols
         compared = zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)
         outputs = [(name, output) for name, output in compared if name in self.outputs]
@@ -136,7 +137,8 @@ class RecordPart(SegmentedPart):
         """Return the parameters and the data at z (p,)."""
         located = (value.full() for value in self.model.locate(z))
         q, slope, delay, initial, initial_slope = located
-        q, steady = q.ravel(), None
+        q = q.ravel()
+        steady = None
         if self.noise_model is not None:
             steady = self.noise_model.at(q)
             # The filter gives the gains and their slopes, which fill the last places of q.
@@ -167,7 +169,8 @@ class RecordPart(SegmentedPart):
 
         # A steady filter belongs to one linear model: the one about the mean state.
         outputs, inputs = self.at_nodes
-        nodes = model.initial_states.at(outputs, inputs, model.begin, np.full(self.states, np.nan))
+        unknown = np.full(self.states, np.nan)
+        nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
         rows = data.rows(np.zeros(len(self.system.inputs)))
         reference = nodes.mean(axis=1), rows.mean(axis=1)
         step = max(data.stretches, key=len).step
@@ -232,7 +235,8 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     model, data = part.model, part.data
     weight = part.residual_weight(trajectory)
     slopes = sensitivity(part, trajectory, weight)
-    weighted, score = slopes.weighted, slopes.triangle.T @ slopes.triangle
+    weighted = slopes.weighted
+    score = slopes.triangle.T @ slopes.triangle
     unseen, known = slopes.by_covariance, part.covariance.known
     if known is not None and not model.is_prior:
         # The residuals show whether the given noise is right, unless there are so few that the
@@ -289,7 +293,8 @@ def compile_records(
     Records of one model have one compiled sample, and one choice of substeps and segments where
     they are sampled alike. If one of them is stiff, all have implicit steps.
     """
-    models, shared = list[RecordModel](), list[Any]()
+    models = list[RecordModel]()
+    shared = list[Any]()
     for problem in problems:
         model = record_model(problem, expressions, z, method, shared)
         if model.criterion.corrects_states and model.record.is_irregular:
@@ -322,7 +327,8 @@ def compile_records(
 
     parts: dict[int, RecordPart] = {}
     for lot in grouped(range(len(models)), kind):
-        first, every = lot[0], joined([data[k] for k in lot])
+        first = lot[0]
+        every = joined([data[k] for k in lot])
         substeps, segment_length = substeps_and_segment(
             models[first], drawn[first], every, longest[first]
         )

@@ -61,8 +61,11 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     known = part.known_states
     by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)
 
-    s, length, k = data.segments, data.segment_length, len(part.outputs)
-    m, p = initial_directions.shape[2], trajectory.z.size
+    s = data.segments
+    length = data.segment_length
+    k = len(part.outputs)
+    m = initial_directions.shape[2]
+    p = trajectory.z.size
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle, squares = np.zeros((0, p)), np.zeros(p)
     for batch in segments.batches():

@@ -102,7 +102,9 @@ class ResponsePart(Part):
         self.criterion = problem.criterion
         self.data = problem.response
         self.numbers = 2 * len(self.data)
-        self.functions, self.inputs, self.is_open = functions, inputs, is_open
+        self.functions = functions
+        self.inputs = inputs
+        self.is_open = is_open
         self._results: dict[str, tuple[Array, Any]] = {}
         size = np.abs(self.data.response)
         # Points that are nearly zero must not dominate the signature of a run.
@@ -258,7 +260,8 @@ class ResponsePart(Part):
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
 
-        errors = criterion.jacobian(response, (data.response - response)[:, None], data)[:, 0]
+        residuals = (data.response - response)[:, None]
+        errors = criterion.jacobian(response, residuals, data)[:, 0]
         reach = np.linalg.norm(jacobian, axis=0)
         return Information(
             self,

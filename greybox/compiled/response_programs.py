@@ -124,8 +124,11 @@ class ResponseCompiler:
         values_at: Callable[[Any, Any], Named],
         constraint: ca.Function,
     ) -> None:
-        self.problem, self.names, self.constants = problem, names, constants
-        self.values_at, self.constraint = values_at, constraint
+        self.problem = problem
+        self.names = names
+        self.constants = constants
+        self.values_at = values_at
+        self.constraint = constraint
         self.parts: list[Problem] = problem.parts_with(FrequencyResponse)
         self.weights = solver_weights(self.parts)
         self.source = DataInput(constants, self.parts)
@@ -146,7 +149,8 @@ class ResponseCompiler:
 
     def stated(self) -> StringPair | None:
         """Return a key of all that `traced` depends on; None if nobody knows that it suffices."""
-        parts, study = self.parts, unchanged_in.get()
+        parts = self.parts
+        study = unchanged_in.get()
         # A few large programs would fill the memory.
         is_small = len(self.names) * len(self.source.numbers) < 10_000
         is_included = all(type(part.criterion) in INCLUDED for part in parts)
@@ -336,7 +340,8 @@ class ResponseCompiler:
         """Return the cost in numpy, if the responses share their solves."""
         if len(self.parts) < len(self.problem.parts):
             return None
-        systems = shared_systems(self.parts, self.point, self.values_at(self.point, self.constants))
+        named = self.values_at(self.point, self.constants)
+        systems = shared_systems(self.parts, self.point, named)
         if systems is None:
             return None
         data, _, measured = self.at_point()
@@ -361,12 +366,14 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
     """
 
     def place(part: Problem) -> tuple[Any, ...]:
-        omega, hold = part.response.omega.tobytes(), part.sampled_hold
+        omega = part.response.omega.tobytes()
+        hold = part.sampled_hold
         return id(part.model), part.at, part.delay, part.amplitude is None, omega, hold
 
     for _, alike in groupby(parts, place):
         members = [*alike]
-        first, omega = members[0], members[0].response.omega
+        first = members[0]
+        omega = members[0].response.omega
         if first.amplitude is not None:
             for part in members:
                 yield compiled_balance(part.model, omega, part.amplitude, **part.signals).function()

@@ -161,7 +161,8 @@ class NoiseModel:
         # Noise does not reach the other states, which may be integrators without a steady filter.
         r = np.flatnonzero(reached(F[0].real, self.driven))
         F, C, Q = F[:, r[:, None], r], C[:, :, r], Q[:, r[:, None], r]
-        P = steady_covariance(F, C / np.sqrt(of_diagonal(V))[:, :, None], Q)
+        deviation = np.sqrt(of_diagonal(V))[:, :, None]
+        P = steady_covariance(F, C / deviation, Q)
         S = C @ P @ transposed(C) + V
         if not all_finite(S):
             K[:, r] = np.nan

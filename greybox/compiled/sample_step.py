@@ -129,7 +129,7 @@ def sample_step(
     """
     measurement = _measurement(system, held, criterion, outputs, names)
     substep = substep_function(system, integrator)
-    step = step_function(system, integrator, substeps, substep)
+    step = step_function(system, substep, substeps)
     symbols: Any = measurement.sx_in() if step.is_a("SXFunction") else measurement.mx_in()
     x, q, d = symbols
     corrected, mean, change, residual, simulated = measurement(x, q, d)

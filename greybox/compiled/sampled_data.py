@@ -154,7 +154,8 @@ class SampledData:
 
     def rows(self, delays: Array) -> Array:
         """Return the data of all samples (width, samples), as `SampleStep` takes them."""
-        inputs, measured = self.delayed_inputs(delays), self.measured
+        inputs = self.delayed_inputs(delays)
+        measured = self.measured
         return np.vstack([*inputs, np.nan_to_num(measured), np.isfinite(measured), self.steps])
 
     def whole_samples(self, delays: Array) -> Array:

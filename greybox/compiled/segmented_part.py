@@ -80,7 +80,8 @@ class SegmentedPart(Part):
         covariance: ResidualCovariance,
     ) -> None:
         """Store the arguments; name and weight are those of the model."""
-        self.name, self.weight = model.name, model.weight
+        self.name = model.name
+        self.weight = model.weight
         self.model = model
         self.data = data
         self.segments = segments
@@ -95,7 +96,8 @@ class SegmentedPart(Part):
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
         # The variances of a filter or of a prior are not estimated.
-        self.few = covariance.few * (not (model.driven or model.is_prior))
+        is_estimated = not (model.driven or model.is_prior)
+        self.few = covariance.few if is_estimated else np.zeros_like(covariance.few)
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
         self._placed_data: ArrayPair | None = None
 
@@ -157,7 +159,8 @@ class SegmentedPart(Part):
         """
         placed = self.place(z)
         nodes = self.initial_nodes(placed.q, placed.initial) if nodes is None else nodes
-        segments, at = self.segments, (placed.q, placed.data)
+        segments = self.segments
+        at = (placed.q, placed.data)
         initial = placed.initial if placed.initial.ndim == 1 else placed.initial[segments.records]
         nodes = np.where(self.known_states, initial + self.delays_at_rest, nodes)
         gaps = np.zeros_like(nodes)
@@ -270,7 +273,9 @@ class SegmentedPart(Part):
 
     def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
-        b, gaps, exact = linearization, trajectory.gaps[:, :, None], np.zeros(self.states)
+        b = linearization
+        gaps = trajectory.gaps[:, :, None]
+        exact = np.zeros(self.states)
         x, _ = solve_continuity(
             b.node_hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
         )

@@ -173,7 +173,8 @@ class Segments:
 
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
-        return values.reshape(-1, self.count, self.length).swapaxes(1, 2).reshape(values.shape)
+        by_segment = values.reshape(-1, self.count, self.length)
+        return by_segment.swapaxes(1, 2).reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
@@ -429,7 +430,8 @@ class SubstepDerivatives:
         rows = np.tile(np.arange(self._substeps)[:, None, None] / self._substeps - 0.5, columns)
         most = CHUNK // (columns + 1) + 1
         for group in np.split(rows, range(most, len(rows), most)):
-            begins, count = [x[:, -columns:]], len(group)
+            begins = [x[:, -columns:]]
+            count = len(group)
             for place in group[:-1]:
                 begins += self._advance(begins[-1], q, data, place)
             x, *parts = self._substep(

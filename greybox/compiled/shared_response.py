@@ -119,8 +119,8 @@ class SharedSystem:
         i, j = self.rows[moving].T
         outputs, inputs, at = points[..., None]
         by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
-        slopes = by_entry @ slopes[:, moving] - by_delay
-        return np.concatenate([response[..., None], slopes], axis=-1)
+        by_z = by_entry @ slopes[:, moving] - by_delay
+        return np.concatenate([response[..., None], by_z], axis=-1)
 
 
 class SineTest(Rebuilt):

@@ -98,7 +98,8 @@ def within_range(values: Array) -> Array:
     outside = out_of_range(values)
     if not outside.any():
         return values
-    inside = np.where(outside, np.where(np.abs(values) > 1, np.nan, 0.0), values)
+    limit = np.where(np.abs(values) > 1, np.nan, 0.0)
+    inside = np.where(outside, limit, values)
     inside.setflags(write=False)
     return inside
 

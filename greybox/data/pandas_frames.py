@@ -81,9 +81,12 @@ def times_of(frame: Frame, time: str | None) -> tuple[Array, str, Strings]:
     is_time = index.dtype.kind in "mMf" or seconds(*heading(str(index.name)))
     column = time or next((name for name in names if seconds(*heading(name))), "")
     if time is None and is_time:
-        values, name, column = index, str(index.name), ""
+        values = index
+        name = str(index.name)
+        column = ""
     elif column:
-        values, name = frame.iloc[:, names.index(column)], column
+        values = frame.iloc[:, names.index(column)]
+        name = column
         # The array of a column knows its time zone, the column itself does not.
         values = values.array if values.dtype.kind == "M" else values
     else:

@@ -20,6 +20,7 @@ from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 from greybox.files.arrays import (
     Array,
+    BoolArray,
     IntArray,
     Interval,
     Named,
@@ -220,10 +221,14 @@ class Record:
             np.array_equal(self[name], other[name], equal_nan=True) for name in shared
         )
 
+    def during(self, start: float, end: float) -> BoolArray:
+        """Return which samples, (n,), have a time from `start` to `end`, s."""
+        return (self.time >= start) & (self.time <= end)
+
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with start <= time <= end, s on the record's clock."""
         require_time(self, "between")
-        rows = np.flatnonzero((self.time >= start) & (self.time <= end))
+        rows = np.flatnonzero(self.during(start, end))
         if not rows.size:
             raise ValueError(
                 f"the record has no sample from {start:g} to {end:g} s; it runs from "
@@ -270,7 +275,9 @@ class Record:
             For anything but a data frame of numbers that makes a record.
         """
         require_frame(frame)
-        moments, column, findings = None, "", ()
+        moments = None
+        column = ""
+        findings = ()
         if others.pop("has_time", True):
             moments, column, findings = times_of(frame, time)
         columns = columns_of(frame, without=column)

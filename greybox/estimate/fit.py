@@ -330,7 +330,8 @@ def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
     """Return how many of `count` starts were run before Ctrl-C or the time limit."""
-    done, total = len(search.brought), counted(count, "start")
+    done = len(search.brought)
+    total = counted(count, "start")
     is_over = bool(np.any(search.runs.status == SEARCH_OVER))
     if (interrupted and done < count) or is_over:
         cause = "the time limit ended the search" if is_search_over() else "interrupted"

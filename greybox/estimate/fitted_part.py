@@ -207,6 +207,12 @@ class FittedResponse(FittedPart):
         return self.data.response - self.response
 
     @property
+    def relative_residuals(self) -> Array:
+        """Magnitudes of the residuals over those of the data, (n,); not finite at a zero."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.abs(self.residuals) / np.abs(self.data.response)
+
+    @property
     def compared_numbers(self) -> int:
         """Number of real numbers in the data that are compared with the model."""
         return 2 * len(self.data)

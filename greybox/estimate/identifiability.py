@@ -65,7 +65,8 @@ class KnownDirections:
     @property
     def matrix(self) -> Array:
         """The inverse covariance in multiples of size; zero along unseen directions."""
-        values, vectors = np.linalg.eigh(self.covariance / np.outer(self.size, self.size))
+        scaled = self.covariance / np.outer(self.size, self.size)
+        values, vectors = np.linalg.eigh(scaled)
         lost = np.linalg.matrix_rank(self.unseen) if self.unseen.size else 0
         # Directions without information have the smallest eigenvalues: zero except for rounding.
         seen = vectors[:, lost:]

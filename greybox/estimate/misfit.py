@@ -64,7 +64,8 @@ class Cause:
     def remedy(self) -> str:
         """The term, how the model gets it, and what it cannot be told apart from."""
         also = f"; hardly distinct from {'; or '.join(self.alike)}" if self.alike else ""
-        return f"to add: {self.explained}{': ' * bool(self.code)}{self.code}{also}"
+        how = f": {self.code}" if self.code else ""
+        return f"to add: {self.explained}{how}{also}"
 
 
 @dataclass(frozen=True)
@@ -161,10 +162,11 @@ class Misfit(Printed):
     @property
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
+        if self.is_exact:
+            return ()
         # Where drift alone, or correlated errors of a response, would excuse the model.
         excused = 0.05 if self.is_drifting else 0.001
         limit = excused if self.explains else self.level
-        limit *= not self.is_exact
         return tuple([cause for cause in self.causes if cause.p_value < limit][:3])
 
     @property
@@ -181,8 +183,9 @@ class Misfit(Printed):
                 "simulation without noise, so standard errors mean little"
             )
         left = f"{percent(self.left)} % of their variance is left and follows"
-        noise = f"; noise alone would leave about {percent(self.noise)} %"
-        noise *= self.noise < 0.9 * self.left  # closer shares look alike with two digits
+        noise = ""
+        if self.noise < 0.9 * self.left:  # closer shares look alike with two digits
+            noise = f"; noise alone would leave about {percent(self.noise)} %"
         if self.is_drifting:
             return (
                 f"explains the data only if errors drift: {left} from earlier samples, but for "
@@ -199,12 +202,14 @@ class Misfit(Printed):
             # those that their past predicts may also be a motion that the model lacks.
             if self.left * self.drift > 0.25:
                 return f"may explain the data: {left} {terms}"
-            size = f" ({percent(self.left)} % of the variance)" * (self.left > 0.25)
+            size = f" ({percent(self.left)} % of the variance)" if self.left > 0.25 else ""
             return f"explains the data: the residuals{size} follow {terms}"
-        common = self.p_common < self.level
+        common = ""
+        if self.p_common < self.level:
+            common = "; one set of values does not serve all parts"
         return (
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"
-            f"{noise}{'; one set of values does not serve all parts' * common}"
+            f"{noise}{common}"
         )
 
     def __str__(self) -> str:

@@ -251,25 +251,15 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     white = group.white(columns)
     shares, left, noise = _shares(group, tested, columns, white)
     texts = [terms[test.key].described(test.factor, test.error) for test in tested]
-    causes = [
-        Cause(
-            *texts[k],
-            test.factor,
-            test.error,
-            *row,
-            alike=alike,
-            added=(term := terms[test.key]).added and (term.b, term.added),
-        )
-        # Errors that are correlated may hide a term, or look like one.
-        for k, (test, alike, *row) in enumerate(
-            zip(
-                tested,
-                _alike(outside(white, group.basis), texts),
-                *np.minimum([shares, np.minimum(p_values, p_correlated), p_correlated], 1).tolist(),
-                strict=True,
-            )
-        )
-    ]
+    alike = _alike(outside(white, group.basis), texts)
+    # Errors that are correlated may hide a term, or look like one.
+    p_least = np.minimum(p_values, p_correlated)
+    numbers = np.minimum([shares, p_least, p_correlated], 1).T.tolist()
+    causes = []
+    for test, text, others, row in zip(tested, texts, alike, numbers, strict=True):
+        term = terms[test.key]
+        added = term.added and (term.b, term.added)
+        causes.append(Cause(*text, test.factor, test.error, *row, alike=others, added=added))
 
     # What earlier samples do not predict.
     count = len(group.residuals)

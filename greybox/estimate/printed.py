@@ -154,7 +154,8 @@ def parameter_table(fit: Any) -> Table:
 
 def data_text(fit: Any) -> str:
     """Return how many points, lines, samples and rows the data have, and how many were compared."""
-    texts, parts = [], [part for part in fit.parts if not part.is_prior]
+    texts = []
+    parts = [part for part in fit.parts if not part.is_prior]
     for nouns in dict.fromkeys(part.nouns for part in parts):
         alike = [part for part in parts if part.nouns == nouns]
         count, compared = sum(len(p.data) for p in alike), sum(p.compared for p in alike)
@@ -170,10 +171,10 @@ def error_statement(fit: Any) -> str:
     # With every parameter at a bound, there is no interval to compare.
     if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
         width = t_quantile(0.95, fit.independent[1]) / t_quantile(0.95, fit.dof)
+        between = " or between responses" if len(fit.responses) > 1 else ""
         conditions += (
-            f"; correlated along frequency{' or between responses' * (len(fit.responses) > 1)} "
-            "like the residuals (intervals for independent errors would be "
-            f"{width / math.sqrt(fit.inflation):.2g} times as wide)"
+            f"; correlated along frequency{between} like the residuals (intervals for independent "
+            f"errors would be {width / math.sqrt(fit.inflation):.2g} times as wide)"
         )
     elif any(
         len(part.data) < FEW and not part.data.has_independent_errors for part in fit.responses
@@ -188,7 +189,7 @@ def error_statement(fit: Any) -> str:
         )
 
     is_wrong = fit.misfit is not None and not fit.misfit.explains
-    valid = ", valid only if the model explains the data" * is_wrong
+    valid = ", valid only if the model explains the data" if is_wrong else ""
     return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
 
 
@@ -276,9 +277,8 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     """Say how far the points are from the model, of many responses for the worst three."""
     lines = []
     for part in responses:
+        error = part.relative_residuals
         # A response that contains a zero has no relative residual: it has no line.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.abs(part.data.response - part.response) / np.abs(part.data.response)
         if all_finite(error):
             worst = int(np.argmax(error))
             place = f" ({part.name})" if part.name and len(responses) > 1 else ""
@@ -328,7 +328,8 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     """Return the numbers of a `Fit`; None for one that is unknown or not finite."""
     parameters = [q for q in result.quantities if q.kind != "derived"]
     free = [q for q in parameters if q.kind == "free"]
-    runs, misfit = Runs.of(result.runs), result.misfit
+    runs = Runs.of(result.runs)
+    misfit = result.misfit
     named = ("criterion", "rule", "delay", "seed", "agreeing", "cost", "costs", "status")
     named += ("estimate", "best_effort", "standard_error", "derived", "dof")
     named += ("warnings", "notes", "checksum", "seconds", "versions")

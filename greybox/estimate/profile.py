@@ -17,9 +17,8 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
-from greybox.compiled.part import Trajectory
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import Accuracy, assess, informations
+from greybox.estimate.covariance import informations
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
@@ -220,7 +219,6 @@ class HeldMinima:
         fit.
     x : (p,) array
         The parameters there.
-    accuracy : Accuracy
 
     Raises
     ------
@@ -230,15 +228,13 @@ class HeldMinima:
 
     def __init__(self, nlp: CompiledProblem, x: Array) -> None:
         self.nlp = nlp
-        self.best, trajectories = self._minimum(x)
+        self.best = self._minimum(x)
         self.x = nlp.scaling.to_parameters(self.best.z)
-        self.accuracy = assess(nlp, self.x, trajectories)
 
-    def _minimum(self, x: Array) -> tuple[Point, tuple[Trajectory, ...]]:
+    def _minimum(self, x: Array) -> Point:
         nlp = self.nlp
         if not nlp.has_states:
-            z = nlp.scaling.to_solver(x)
-            return self._response_minimum(z), tuple(part.trajectory(z) for part in nlp.parts)
+            return self._response_minimum(nlp.scaling.to_solver(x))
 
         # A fit does not store the states at the nodes: they are solved again, then everything
         # together.
@@ -248,8 +244,7 @@ class HeldMinima:
                 f"the minimum of {nlp.problem.name!r} was not reached again from the estimate: "
                 f"{outcome.status}."
             )
-        profile = self._solver.profile(outcome.estimate, outcome.nodes)
-        return self._point(outcome), profile.trajectories
+        return self._point(outcome)
 
     @cached_property
     def numbers(self) -> float:
@@ -341,7 +336,7 @@ def slope_of(quantity: ca.Function, z: Array) -> Array:
 # --- the cost as a likelihood
 
 
-def _refusals(minima: HeldMinima) -> Iterator[str]:
+def _refusals(minima: HeldMinima, fit: Fit) -> Iterator[str]:
     """Yield why the costs at the minimum admit no likelihood ratio."""
     # The costs of records are log-likelihoods. The cost of a response is one, up to a factor, if
     # every point has the same weight in units of its error: then the curvature gives the factor.
@@ -354,28 +349,27 @@ def _refusals(minima: HeldMinima) -> Iterator[str]:
                 f"{part.problem.name!r} by their errors, so its cost is not a log-likelihood: use "
                 "RelativeError, SquaredRelativeError or MaximumLikelihood, or a bootstrap"
             )
-    errors = np.sqrt(np.diag(minima.accuracy.covariance))
-    if not np.any(errors > 1e-12 * np.abs(values)):
+    known = fit.directions
+    if known is None or not np.any(np.sqrt(np.diag(known.covariance)) > 1e-12 * np.abs(known.at)):
         yield "its errors are not known, or they are rounding"
 
 
-def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
+def likelihood_factor(fit: Fit, gradient: Array) -> float:
     """Return c along a gradient (p,): the variance by the curvature over that of the estimate."""
     # The factor c turns a difference of costs into one of log-likelihoods (Chandler and Bate). It
     # is 1 for errors of known size. For sums of relative errors it contains their estimated size.
     # With it, profile and standard error agree where the cost is quadratic.
-    assert accuracy.white is not None
-    p = len(accuracy.white)
-    covariance = accuracy.covariance[:p, :p]
-    by_curvature = gradient @ accuracy.white @ gradient
-    variance = gradient @ covariance @ gradient
+    assert fit.white is not None
+    known = fit.known_directions(fit.free)
+    by_curvature = gradient @ fit.white @ gradient
+    variance = gradient @ known.covariance @ gradient
 
     # If the data have no information along the gradient: the average over the directions that they
     # determine.
     if not (variance > 0 and by_curvature > 0):
-        scale = np.outer(accuracy.size[:p], accuracy.size[:p])
-        by_curvature = np.trace(accuracy.white / scale)
-        variance = np.trace(covariance / scale)
+        scale = np.outer(known.size, known.size)
+        by_curvature = np.trace(fit.white / scale)
+        variance = np.trace(known.covariance / scale)
     return float(by_curvature / variance)
 
 
@@ -495,7 +489,7 @@ def _profiles(
     nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
     minima = HeldMinima(nlp, np.array([fit.estimate[name] for name in nlp.free]))
-    for refusal in _refusals(minima):
+    for refusal in _refusals(minima, fit):
         raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
     starts = []
     if fresh:
@@ -506,9 +500,9 @@ def _profiles(
     profiles = []
     limits = {}
     for line in bar(lines, desc="profiles", unit="profile"):
-        dof = line.dof if math.isfinite(line.dof) else minima.accuracy.dof
+        dof = line.dof if math.isfinite(line.dof) else fit.dof
         limits[line.name] = limit = t_quantile(level, dof)
-        profiles.append(_profile_of(_search(minima, line, limit, starts), line, limit))
+        profiles.append(_profile_of(_search(minima, fit, line, limit, starts), line, limit))
 
     lowest = min((profile.costs.min() for profile in profiles), default=math.inf)
     warnings = ()
@@ -523,7 +517,9 @@ def _profiles(
     return Profiles(fit.name, level, limits, nlp.free, tuple(profiles), warnings)
 
 
-def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[Point]) -> _Search:
+def _search(
+    minima: HeldMinima, fit: Fit, line: Quantity, limit: float, starts: Sequence[Point]
+) -> _Search:
     """Return the search along one parameter or derived quantity."""
     nlp, x = minima.nlp, minima.x
     slope_of_x = nlp.scaling.slope(x)
@@ -547,7 +543,7 @@ def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[P
         minima=minima,
         held=held,
         best=replace(minima.best, value=value),
-        factor=likelihood_factor(minima.accuracy, slope),
+        factor=likelihood_factor(fit, slope),
         bounds=line.bounds,
         size=size,
         first=min([first, *(STEP * abs(bound - line.value) or math.inf for bound in bounds)]),

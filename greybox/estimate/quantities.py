@@ -38,11 +38,13 @@ def quantities(
     quantity.
     """
     follow = formulas(nlp.problem)
-    values, slopes = x[:, None], np.eye(len(x))
+    values = x[:, None]
+    slopes = np.eye(len(x))
     if follow:
         # Exact derivatives: finite differences would limit the errors of ratios of close values.
         function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])
-        values, slopes = function(x).full(), function.jacobian()(x, 0).full()
+        values = function(x).full()
+        slopes = function.jacobian()(x, 0).full()
 
     # Errors are propagated once for all lines.
     errors = propagate(accuracy, slopes)
@@ -91,7 +93,9 @@ def formulas(problem: AnyProblem) -> list[Formula]:
     for part in problem.parts:
         for name in part.tied:
             declared = part.model.parameters[name]
-            label, unit, about = part.outside(name), declared.unit, declared.about
+            label = part.outside(name)
+            unit = declared.unit
+            about = declared.about
             formula = Formula(label, "tied", unit, about, part, itemgetter(name))
             formulas_by_name.setdefault(label, formula)
 

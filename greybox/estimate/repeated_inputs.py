@@ -31,7 +31,9 @@ def repeated_residuals(
     """
     earlier: list[tuple[Strings, Array, Array]] = []
     for record in records:
-        data, outputs, rows = record.part.data, record.part.outputs, []
+        data = record.part.data
+        outputs = record.part.outputs
+        rows = []
         stretches = zip(*map(data.unpadded, (record.inputs, record.residuals)), strict=True)
         for u, e in stretches:
             n = _period(u)
@@ -56,7 +58,8 @@ def repeated_residuals(
 
 def _period(inputs: Array) -> int:
     """Return the samples after which inputs (m, n) repeat to the end, and n if they do not."""
-    n, near = inputs.shape[1], ROUNDING * np.ptp(inputs, axis=1, keepdims=True)
+    n = inputs.shape[1]
+    near = ROUNDING * np.ptp(inputs, axis=1, keepdims=True)
     # Errors may be correlated over as many samples as they are predicted from.
     lags = np.arange(ORDER + 1, n // 2 + 1)
     # The first sample excludes most lags.

@@ -76,7 +76,8 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     passes = controller.rate * record.step
     # A minute of the loop at 400 Hz: more would not change the answer.
     record = record.rows(slice(max(int(24000 / max(passes, 1)), 2)))
-    time, name = record.time, controller.outputs[0]
+    time = record.time
+    name = controller.outputs[0]
     logged = record[name]
     rows = [record[n] for n in controller.inputs]
     rows += [record.signals.get(n, np.zeros(len(time))) for n in controller.setpoints]
@@ -94,7 +95,8 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
         raise ValueError(f"the logged control {name} does not change: the loop was open.")
     delayed = [n for n in controller.setpoints if n in record.signals]
     names = (*controller.inputs, *controller.setpoints)
-    best, late = math.inf, {}
+    best = math.inf
+    late = {}
     # A logged setpoint may precede the control that it belongs to by up to three samples.
     for samples in itertools.product(range(4), repeat=len(delayed)):
         trial = by_name(delayed, samples)

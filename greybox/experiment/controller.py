@@ -189,7 +189,8 @@ def connected(
     controllers: list[Controller] = []
     if controller is not None:
         controllers += controller if isinstance(controller, Sequence) else [controller]
-    inputs, driven_by_plant = system.inputs, {*system.outputs, *system.states}
+    inputs = system.inputs
+    driven_by_plant = {*system.outputs, *system.states}
     driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):

@@ -80,10 +80,11 @@ class DelimitedText:
                 while len(row) > width and not row[-1].strip():
                     row.pop()  # separators at the end of a line
                 if len(row) > width:
+                    commas = WIDER if self.separator == "," else ""
                     raise ValueError(
                         f"{self.path}, line {number}, has {len(row)} cells where the header, "
                         f"{self.separator.join(self.header):.40}, has {width}: name all columns, "
-                        f"begin lines above them with #{WIDER * (self.separator == ',')}."
+                        f"begin lines above them with #{commas}."
                     )
                 yield number, [cell.strip() for cell in row]
         except csv.Error as problem:

@@ -55,7 +55,8 @@ def read_sealed(path: Path) -> bytes:
         If it is another file, or was changed after it was sealed.
     """
     require_file(path)
-    raw, title = path.read_bytes(), TITLE.encode()
+    raw = path.read_bytes()
+    title = TITLE.encode()
     if not raw.startswith(title):
         raise ValueError(
             f"{path} is not a greybox fit: give a file that greybox 0.3 or later saved."

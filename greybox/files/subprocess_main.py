@@ -2,7 +2,8 @@
 
 Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a
 line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes":
-[...]}``, then the numbers of all arrays, 8 bytes each. It imports nothing of greybox.
+[...]}``, then the numbers of all arrays, 8 bytes each. It imports nothing of greybox, which its
+path may not have.
 
 `hdf5` is the one place where an HDF5 file is opened: it reaches nothing outside that file.
 """
@@ -19,8 +20,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-
-from greybox.files.arrays import Fields, Named
 
 # Bytes of arrays that are accepted from a log of any size, 16 MB.
 SMALL = 2**24
@@ -49,10 +48,10 @@ class Collector:
     def __init__(self, room: int) -> None:
         self.room = room
         self.links = LINKS
-        self.items: list[Fields] = []
+        self.items: list[dict[str, Any]] = []
         self.arrays: list[np.ndarray] = []
         self.findings: list[str] = []
-        self.about: Fields = {}
+        self.about: dict[str, Any] = {}
 
     def reserve(self, numbers: int) -> None:
         """Reserve the memory of this many numbers; ValueError if they do not fit."""
@@ -183,7 +182,7 @@ def matlab(path: str, collector: Collector, _: list[str]) -> None:
     keep_struct("", contents, collector)
 
 
-def keep_struct(group: str, contents: Named, collector: Collector) -> None:
+def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -> None:
     """Collect the numeric vectors and matrices of a struct, and of the structs in it."""
     simulink = _simulink(contents)
     for key, value in {**contents, **simulink}.items():
@@ -208,7 +207,7 @@ def keep_struct(group: str, contents: Named, collector: Collector) -> None:
             collector.add(f"{group}{key}", value, unit="")
 
 
-def _simulink(contents: Named) -> Fields:
+def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
     """Return the signals of a "structure with time" by their labels."""
     signals = contents.get("signals") if "time" in contents else None
     columns = {}

@@ -344,7 +344,8 @@ class MagnitudePhase(Criterion):
         self, model: ComplexArray, data: FrequencyResponse, correction: float
     ) -> tuple[float, Array]:
         """Noise size of one component relative to the magnitude, times the weights."""
-        shape, weights = self._relative_variance(data), self._weights(data)
+        shape = self._relative_variance(data)
+        weights = self._weights(data)
         s2 = shape / 2
         if data.variance is None:
             # The size comes from the mean of the cost, in which a coherence that was rounded to 1

@@ -64,7 +64,9 @@ def relative_score(
     error = size * radius[:, None] * np.exp(1j * angles)
     factor = 1 / (1 + error) if normalized == "measured" else 1 + error
 
-    gain, real, square = 1.0, factor.real, np.abs(factor) ** 2
+    gain = 1.0
+    real = factor.real
+    square = np.abs(factor) ** 2
     # Reweighted least squares: each iteration halves the remaining error.
     for _ in range(30):
         weight = share * np.abs(gain * factor - 1) ** (power - 2)

@@ -45,7 +45,8 @@ def check_response_units(model: Model, response: FrequencyResponse) -> None:
     pair = pick_signals(model, response.input, response.output)
     names = {"input": response.input, "output": response.output}
     for name, (noun, in_response) in zip(pair, names.items(), strict=True):
-        unit, label = response.units.get(in_response, ""), f"the {noun} {name}"
+        unit = response.units.get(in_response, "")
+        label = f"the {noun} {name}"
         _require_same_unit(model, name, unit, label, "the response", MEASURE)
 
 

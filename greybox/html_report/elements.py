@@ -178,7 +178,9 @@ def parameter_table(fit: Fit) -> Element:
         row[-1] = Cell(with_formulas(about) if "$" in about else about)
     if fit.converged:
         header = [*header[:3], "95 % interval", "CR, %", "insensitivity, %", *header[3:]]
-        intervals, errors, insensitivities = fit.interval(0.95), {}, {}
+        intervals = fit.interval(0.95)
+        errors = {}
+        insensitivities = {}
         with suppress(ValueError):  # the fit has no standard errors
             judged = fit.identifiability
             errors = by_name(judged.names, judged.error.tolist())

@@ -139,7 +139,7 @@ def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float
     turn = 2 * np.pi if record.units.get(field) == "rad" else 360
     spreads = [0.0]
     for test in tests:
-        values = record[field][(record.time >= test.start) & (record.time <= test.end)]
+        values = record[field][record.during(test.start, test.end)]
         values = np.unwrap(values[np.isfinite(values)], period=turn)
         spreads += [float(np.std(values))] if values.size else []
     return max(spreads)

@@ -268,7 +268,10 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         quality = check(record, response, judged, input=u, output=y)
         return Quality((*quality.findings, *jitter(during)))
 
-    quality, response, detail, linear = quality_of(None), None, "", {}
+    quality = quality_of(None)
+    response = None
+    detail = ""
+    linear = {}
     # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
     spans = spans or [record.span]
     pieces = [record.between(*span) for span in spans]

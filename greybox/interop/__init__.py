@@ -7,7 +7,6 @@ Begin with `python_control`.
 | `python_control` | responses and linear systems of python-control |
 | `linear_systems` | a model and its values as polynomials, matrices or an ODE |
 | `casadi_function` | a model at its estimate as a CasADi function |
-| `source_names` | names that C accepts |
 
 Records and responses have `to_pandas()`, fits `Fit.to_json`.
 """

@@ -6,7 +6,6 @@ import casadi as ca
 
 from greybox.files.arrays import Values
 from greybox.interop.linear_systems import given_model
-from greybox.interop.source_names import identifier
 
 
 def to_casadi(
@@ -48,7 +47,6 @@ def to_casadi(
     system, p = source.ode(pade)
     x, u, _ = system.symbols
     outputs = [system.derivative(x, u, p), system.output(x, u, p)]
-    # CasADi accepts only names that C accepts.
-    return ca.Function(
-        identifier(source.model.label), [x, u], outputs, ["x", "u"], ["derivative", "y"]
-    )
+    # CasADi accepts only names of letters, digits and single underscores.
+    name = ca.Function.fix_name(source.model.label)
+    return ca.Function(name, [x, u], outputs, ["x", "u"], ["derivative", "y"])

@@ -78,7 +78,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     is_px4 = parameters.get(PX4_LOOP, 0) > 0
     loop = parameters.get(PX4_LOOP if is_px4 else "SCHED_LOOP_RATE", 0)
     record, _ = recording.locate(signal)
-    time = record.time[(record.time >= start) & (record.time <= end)]
+    time = record.time[record.during(start, end)]
     if loop <= 0 or time.size < 3 or not (is_px4 or "INS_GYRO_FILTER" in parameters):
         return None
     logged = 1 / median_step(time)
@@ -173,7 +173,8 @@ def _cure(parameters: Values, mode: str) -> str:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
     mask = int(parameters.get("LOG_BITMASK", 0))
     # The firmware logs at full rate in this mode only if both bits are set.
-    needed, bits = mask | FAST, "fast attitude"
+    needed = mask | FAST
+    bits = "fast attitude"
     if mode == "SYSTEMID":
         needed |= MEDIUM
         bits = "fast and medium attitude: System Identification mode needs both"

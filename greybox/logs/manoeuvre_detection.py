@@ -126,12 +126,14 @@ def _between(
     first, last = sorted((before.last, after.first))
     rows = slice(first, last + 1)
     deviation = values[rows] - before.ends
-    kind, amplitude = "manoeuvre", float(np.abs(deviation).max())
+    kind = "manoeuvre"
+    amplitude = float(np.abs(deviation).max())
     change = after.begins - before.ends
     # A step takes less than a rest: one motion of the hand or of the autopilot.
     is_short = time[after.first] - time[before.last] <= REST
     if abs(change) > 2 * drift and is_short and np.all(np.abs(deviation / change - 0.5) < 1):
-        kind, amplitude = "step", abs(change)
+        kind = "step"
+        amplitude = abs(change)
     elif amplitude <= height or sines_and_sweeps(time[rows], values[rows]):
         return None
 

@@ -69,7 +69,9 @@ def unit_and_hold(text: str) -> StringPair:
 
 def in_si(record: Record, names: Iterable[str]) -> Record:
     """Return a record with these signals in SI; units that are not known become findings."""
-    signals, units, findings = dict(record.signals), dict(record.units), [*record.findings]
+    signals = dict(record.signals)
+    units = dict(record.units)
+    findings = [*record.findings]
     for name in names:
         unit = record.units.get(name, "")
         try:

@@ -248,7 +248,7 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
         record, field = data.locate(stick)
         finite = np.isfinite(record[field])
         # Some logs have the stick at 10 Hz, and two samples do not show whether it moved.
-        during = finite & (record.time >= segment.start) & (record.time <= segment.end)
+        during = finite & record.during(segment.start, segment.end)
         if during.sum() > 2:
             travel = max(
                 float(np.ptp(record[field][finite])),

@@ -320,7 +320,8 @@ def _first_half_wave(time: Array, values: Array, corners: IntArray, crossings: A
     The next half periods limit how long before the first of the `crossings` this may be. Otherwise
     it is this crossing.
     """
-    peak, middle = corners[0], values[corners].mean()
+    peak = corners[0]
+    middle = values[corners].mean()
     periods = np.diff(crossings)
     longest = (1 + OFF_SWEEP) * max(periods[0], periods[0] ** 2 / periods[1])
     from_ = int(np.searchsorted(time, crossings[0] - longest))

@@ -29,7 +29,8 @@ class ExtendedModel(StateSpace):
         self.model, self.derived = model, model.derived  # type: ignore[misc]
         self.states = (*model.states, *states)
         self.inputs, self.outputs = tuple(model.inputs), tuple(model.outputs)
-        self.delays, self.units = model.delays, model.units
+        self.delays = model.delays
+        self.units = model.units
         self.parameters = {**model.parameters, **parameters}
 
     def additions(self, x: Any, u: Any, p: Any) -> Named:
@@ -38,7 +39,8 @@ class ExtendedModel(StateSpace):
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return the derivatives of the model with what adds to them."""
-        more, rates = self.additions(x, u, p), as_list(self.model.derivative(x, u, p))
+        more = self.additions(x, u, p)
+        rates = as_list(self.model.derivative(x, u, p))
         return [
             rate + more.get(state, 0.0)
             for state, rate in zip(self.model.states, rates, strict=True)
@@ -46,7 +48,8 @@ class ExtendedModel(StateSpace):
 
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return the outputs of the model with what adds to the derivatives in them."""
-        more, outputs = self.additions(x, u, p), as_list(self.model.output(x, u, p))
+        more = self.additions(x, u, p)
+        outputs = as_list(self.model.output(x, u, p))
         for state, column in zip(self.model.states, _factors(self.model).T.tolist(), strict=True):
             if state in more:
                 outputs = [y + k * more[state] for y, k in zip(outputs, column, strict=True)]
@@ -79,7 +82,8 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
 
 @once
 def _factors(model: StateSpace) -> Array:
-    random, n = np.random.default_rng(0), len(model.states)
+    random = np.random.default_rng(0)
+    n = len(model.states)
     start = start_values(model.parameters)
     near = random.uniform(0.9, 1.1, (len(start), POINTS)) * start[:, None]
     x, u = np.split(random.normal(size=(n + len(model.inputs), POINTS)), [n])

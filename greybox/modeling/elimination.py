@@ -18,7 +18,8 @@ from greybox.files.arrays import AnyArray, Array
 
 def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> list[list[Any]]:
     """Return the responses of a system [[-A, B], [-C, D]]; None is an entry that is always zero."""
-    n, corner = len(order), range(len(order), len(system))
+    n = len(order)
+    corner = range(len(order), len(system))
     # Entries that are always zero are not stored, which keeps the expressions short.
     rows = [{k: v for k, v in enumerate(row) if v is not None} for row in system]
     for i in range(n):
@@ -50,7 +51,8 @@ def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[i
         Their number l.
     """
     n = samples.shape[1] - outputs
-    natural, s = tuple(range(n)), 1j * omega
+    natural = tuple(range(n))
+    s = 1j * omega
     entries = [
         [samples[:, i, k, None] if samples[:, i, k].any() else None for k in range(len(row))]
         for i, row in enumerate(samples[0])

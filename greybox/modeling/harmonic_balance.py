@@ -388,10 +388,12 @@ def _harmonics(
     samples = [ca.horzsplit(wave.T @ series.T) for wave in waves]
     samples += map(ca.vertsplit, (sizes, p))
     columns = [ca.MX.ones(points) * column for column in walk(program, samples, ca.MX)]
-    values, parts = ca.horzcat(*columns[: formulas.numel()]), columns[formulas.numel() :]
+    values = ca.horzcat(*columns[: formulas.numel()])
+    parts = columns[formulas.numel() :]
 
     # The slopes in the coefficients of the signals come first, because these are few.
-    count, width = z.numel(), series.size2()
+    count = z.numel()
+    width = series.size2()
     widths = [width] * count + [1] * (count + p.numel())
     blocks = [[ca.MX(width, each) for each in widths] for _ in range(formulas.numel())]
     sampled = ca.vertcat(z, slope, size)
@@ -438,7 +440,8 @@ def _mean_conditions(*slopes: Array) -> list[int] | None:
         block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300)
         for block in map(np.nan_to_num, slopes)
     )
-    closed, rank = rows, np.linalg.matrix_rank(rows, 1e-9)
+    closed = rows
+    rank = np.linalg.matrix_rank(rows, 1e-9)
     chosen: list[int] = []
     for k, condition in enumerate(conditions):
         if rank == rows.shape[1]:

@@ -109,19 +109,16 @@ def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
 
 
 @one_thread_at_a_time
-def step_function(
-    system: Dynamics, integrator: Integrator, substeps: int, substep: ca.Function | None = None
-) -> ca.Function:
+def step_function(system: Dynamics, substep: ca.Function, substeps: int) -> ca.Function:
     """Return (x, mean, change, p, step) -> x one sample later.
 
-    `mean` and `change` (m,) are those of the inputs over the step. The `substep` of the integrator
-    is made here if it is not given.
+    `mean` and `change` (m,) are those of the inputs over the step, which takes as many steps of a
+    `substep_function`.
     """
-    substep = substep or substep_function(system, integrator)
     # Copies of many operations take longer to compile than calls of one function to evaluate. A rod
     # of 20 cells has 7000 in nine substeps: half a second to compile and to differentiate.
-    repeated = not integrator.implicit and substep.n_instructions() * substeps > 5000
-    kind: Any = ca.MX if integrator.implicit or repeated else ca.SX
+    is_copied = substep.is_a("SXFunction") and substep.n_instructions() * substeps <= 5000
+    kind: Any = ca.SX if is_copied else ca.MX
     x = kind.sym("x", len(system.states))
     p = kind.sym("p", len(system.parameters))
     h = kind.sym("h")
@@ -201,7 +198,8 @@ class ImplicitIntegrator(Integrator):
             "abstol": 1e-13,
             "max_iter": 30,
         }
-        unknown, arguments = ca.vec(change), ca.vertcat(given, unit)
+        unknown = ca.vec(change)
+        arguments = ca.vertcat(given, unit)
         newton = ca.rootfinder(
             "stages", "newton", {"x": unknown, "p": arguments, "g": equations}, options
         )

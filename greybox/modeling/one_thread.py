@@ -92,7 +92,8 @@ def once(function: Callable[..., Result]) -> Callable[..., Result]:
         with LOCK:
             # By identity, since a model that is a dataclass has no hash. The model is stored too,
             # so that no other one gets its number meanwhile.
-            results, key = _traced.get({}), (function, id(model), repr((args, kwargs)))
+            results = _traced.get({})
+            key = (function, id(model), repr((args, kwargs)))
             if key not in results:
                 results[key] = model, function(model, *args, **kwargs)
             return results[key][1]

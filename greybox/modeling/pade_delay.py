@@ -91,7 +91,8 @@ def pade_step(x: Any, u: Any, slope: Any, delay: Any, h: Any) -> tuple[Any, Any,
     modes = zip(poles.astype(complex), vectors.T, np.linalg.inv(vectors), strict=True)
     for pole, right, left in modes:
         mode: Any = np.outer(right, left)
-        angle, sign = abs(pole.imag) * periods, float(np.sign(pole.imag))
+        angle = abs(pole.imag) * periods
+        sign = float(np.sign(pole.imag))
         wave = ca.cos(angle) * ca.DM(mode.real) - ca.sin(angle) * ca.DM(sign * mode.imag)
         transition += ca.exp(pole.real * periods) * wave
 

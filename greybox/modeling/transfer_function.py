@@ -186,9 +186,7 @@ class FeedbackLoop(Connection):
     Padé approximation.
     """
 
-    def __init__(
-        self, forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1
-    ) -> None:
+    def __init__(self, forward: TransferFunction, back: TransferFunction | None, sign: int) -> None:
         if sign not in (-1, 1):
             raise ValueError(f"sign {sign!r} must be -1 (negative feedback) or 1.")
         super().__init__(forward, *(() if back is None else (back,)))

@@ -80,7 +80,8 @@ def trim_of(model: Model, at: Values) -> Trimmed:
     if not model.state_names:
         return _closed_form(model, p, point)
     # Whether this is an equilibrium for all parameters, by eight random draws.
-    derivative, random = derivative_function(model), np.random.default_rng(0)
+    derivative = derivative_function(model)
+    random = np.random.default_rng(0)
     draws = ([q.draw(random) for q in model.parameters.values()] for _ in range(8))
     if all(np.all(np.abs(derivative(point, draw).full()) < 1e-12) for draw in draws):
         return _closed_form(model, p, point)
@@ -89,7 +90,8 @@ def trim_of(model: Model, at: Values) -> Trimmed:
 
 
 def _closed_form(model: Model, p: ca.SX, point: Sequence[Any]) -> Trimmed:
-    n, owner = len(model.state_names), f"{model.label}.trim"
+    n = len(model.state_names)
+    owner = f"{model.label}.trim"
     return Trimmed(
         None,
         ca.Function("trim", [p, ca.SX(0, 1)], [column(owner, point[:n]), column(owner, point[n:])]),

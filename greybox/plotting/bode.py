@@ -223,7 +223,8 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
 def _unwrapped(response: FrequencyResponse) -> ArrayPair:
     """Return the sorted omega (n,) and the phase (n,), unwrapped from within (-180°, 180°]."""
     response = response.by_frequency
-    return response.omega, response.degrees + 360 * (response.degrees[0] <= -180)
+    turn = 360 if response.degrees[0] <= -180 else 0
+    return response.omega, response.degrees + turn
 
 
 def _moved(phase: ArrayPair, guide: ArrayPair) -> ArrayPair:

@@ -162,19 +162,12 @@ class Figure:
 def in_hertz(figure: Figure) -> Figure:
     """Return a figure of omega in rad/s as one of the frequency in Hz."""
     is_axis = figure.label.endswith(", rad/s")
-    panels = [
-        replace(
-            panel,
-            series=[
-                replace(
-                    series,
-                    x=series.x / (2 * np.pi if is_axis else 1),
-                    labels=[number(float(omega) / (2 * np.pi), 3) for omega in series.labels],
-                )
-                for series in panel.series
-            ],
-        )
-        for panel in figure.panels
-    ]
+
+    def converted(series: Series) -> Series:
+        x = series.x / (2 * np.pi) if is_axis else series.x
+        labels = [number(float(omega) / (2 * np.pi), 3) for omega in series.labels]
+        return replace(series, x=x, labels=labels)
+
+    panels = [replace(panel, series=[*map(converted, panel.series)]) for panel in figure.panels]
     label = "Frequency, Hz" if is_axis else figure.label
     return replace(figure, label=label, panels=panels, unit="Hz")

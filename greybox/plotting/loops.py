@@ -42,7 +42,8 @@ def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -
 
 def loop_figures(margins: Margins) -> list[Figure]:
     """Return the Bode, Nichols and Nyquist diagrams, and the step if there is a setpoint."""
-    loops, signal = margins.require_loop(), margins.signal
+    loops = margins.require_loop()
+    signal = margins.signal
     omega = loop_frequencies(loops)
     size = np.abs(loops.first.broken_at(signal, omega)[0])
     omega = omega[(size > SHOWN[0]) & (size < SHOWN[1])]
@@ -141,11 +142,14 @@ def gains_figure(safe: SafeGains) -> Figure:
         allowed, confidence = allowed[..., nearest], confidence[..., nearest]
 
     if len(names) == 1:
-        label, is_logarithmic, heights = "Confidence", False, (safe.today_confidence, 1.0)
+        label = "Confidence"
+        is_logarithmic = False
+        heights = (safe.today_confidence, 1.0)
         level = rule(safe.requirements["level"])
         series = [Series("confidence", "line", rows[0], confidence), level]
     else:
-        label, is_logarithmic = names[1], bool(rows[1][0] > 0)
+        label = names[1]
+        is_logarithmic = bool(rows[1][0] > 0)
         heights = safe.today[label], chosen[label]
         x, y = np.meshgrid(*rows[:2], indexing="ij")
         series = [

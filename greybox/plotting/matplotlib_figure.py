@@ -307,7 +307,7 @@ def _write_labels(ax: Axes, panel: Panel, unit: str) -> None:
         outward = away / np.abs(away)
         for text, spot, normal in zip(series.labels, spots, outward, strict=True):
             # Points of several tests at one frequency lie near each other: one number is enough.
-            if any(abs(spot - at) < room * (1 + 2 * (text == name)) for name, at in written):
+            if any(abs(spot - at) < (3 if text == name else 1) * room for name, at in written):
                 continue
             label = text if written else f"{text} {unit}"
             ax.annotate(

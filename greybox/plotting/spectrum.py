@@ -53,7 +53,8 @@ def spectrum(
 def spectrum_figure(item: Fit | TransientSpectrum, part: int) -> Figure:
     """Return the spectrum of one manoeuvre."""
     if isinstance(item, TransientSpectrum):
-        data, fitted = item, None
+        data = item
+        fitted = None
         outputs = tuple(data.outputs)
     elif not isinstance(item, Fit):
         raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a TransientSpectrum.")

@@ -169,7 +169,8 @@ def equation_error(
     if not isinstance(record, Record):
         raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
     require_time(record, "equation_error")
-    problem = Problem(model, record, _NoOutputs(inputs=inputs), fixed=fixed or {}, free=free)
+    criterion = _NoOutputs(inputs=inputs)
+    problem = Problem(model, record, criterion, fixed=fixed or {}, free=free)
     parameters = problem.parameters
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}
@@ -198,10 +199,12 @@ def equation_error(
         )
 
     at_bound = tuple(name for name, (value, a, b) in estimates.items() if not a < value < b)
-    errors, used = data.rows.errors(values), list[UsedEquation]()
+    errors = data.rows.errors(values)
+    used = list[UsedEquation]()
     for k, (equation, band) in enumerate(zip(equations.equations, data.bands, strict=True)):
         of = data.rows.equation == k
-        share, count = explained(data.rows.target[of], errors[of]), int(of.sum())
+        share = explained(data.rows.target[of], errors[of])
+        count = int(of.sum())
         band_hz = band / (2 * math.pi)
         left, names = equation.left, equation.parameters
         used.append(UsedEquation(left, names, share, count, band_hz, float(residuals[k])))
@@ -253,7 +256,8 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
 
 def _solved(data: Regressors, low: Array, high: Array) -> ArrayPair:
     """Return the unknowns (k,) within their bounds, and the rms residual of every equation."""
-    rows, count = data.rows, len(data.bands)
+    rows = data.rows
+    count = len(data.bands)
     # The equations are weighted by the sizes of their residuals, known only after a solution.
     # Weights and estimate determine one another; each pass changes the weights less.
     sizes = rows.spread(rows.target, count)

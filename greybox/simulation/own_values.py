@@ -98,7 +98,8 @@ def _note(
 ) -> str:
     texts = []
     for name, pair in values.items():
-        unit, number = parameters[name].unit, " ± ".join(with_error(*pair))
+        unit = parameters[name].unit
+        number = " ± ".join(with_error(*pair))
         texts.append(f"{name} = {number} {'' if unit == '1' else unit}".rstrip())
     return (
         f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
@@ -256,7 +257,8 @@ def _linearized(
     """
     simulated = simulator.at(model.q).windows(windows, places)
     initial, slopes = simulated.initial, simulated.slopes
-    residuals, present = simulated.measured - simulated.outputs, np.isfinite(simulated.measured)
+    residuals = simulated.measured - simulated.outputs
+    present = np.isfinite(simulated.measured)
     finite = ~simulated.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
     used = present & finite[:, None, None]
 

@@ -281,7 +281,8 @@ class Simulator:
             # of a root is infinite.
             model = self._model
             states = np.full((len(model.system.states), 1), 1e-3)
-            poles = self._initial.poles(states, np.zeros((len(model.system.inputs), 1)), model.p)
+            inputs = np.zeros((len(model.system.inputs), 1))
+            poles = self._initial.poles(states, inputs, model.p)
             needed = stable_substeps(poles, step, reach=self._integrator.reach)
             if self._is_automatic and needed > MOST_SUBSTEPS:
                 self._is_automatic, self._integrator = False, Radau()
@@ -297,7 +298,8 @@ class Simulator:
                 # What is stiff far from rest; a jump would stop Newton's iteration, not RK4.
                 # Windows in which a formula has left its domain are left out instead.
                 self._is_automatic, self._integrator = False, Radau()
-                self._substeps, self._steps = MOST_AT_FIRST, {}
+                self._substeps = MOST_AT_FIRST
+                self._steps = {}
                 continue
             if chosen or not states.size or most:
                 return result
@@ -370,7 +372,8 @@ def with_implied_states(
     the measurements, whose errors have the covariance `noise` (j, j). `precision` (n,) is that of
     the states' prior. The variances are NaN where the states are not determined.
     """
-    w, n = len(slopes), precision.size
+    w = len(slopes)
+    n = precision.size
     if not n:
         return slopes, np.zeros(slopes.shape[:-1])
     # Whitened, so that least squares weight every output by its noise.

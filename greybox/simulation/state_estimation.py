@@ -192,7 +192,8 @@ def information_of(e: Array, S: Array, R: Array) -> ArrayPair:
     weight = whitening(R)
     w, samples, k, n = S.shape
     J = (weight @ S).reshape(w, samples * k, n)
-    return J.swapaxes(1, 2) @ J, np.einsum("wmn,wm->wn", J, (e @ weight.T).reshape(w, -1))
+    r = (e @ weight.T).reshape(w, -1)
+    return J.swapaxes(1, 2) @ J, np.einsum("wmn,wm->wn", J, r)
 
 
 def whitening(covariance: Array) -> Array:

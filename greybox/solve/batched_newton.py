@@ -134,7 +134,8 @@ class BatchedNewton:
 
         It also takes the `roots` of z and data, if there are any: its derivatives may contain them.
         """
-        self._function, self._data = function, data[:, None]
+        self._function = function
+        self._data = data[:, None]
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
         self._p = len(lower)
@@ -241,7 +242,8 @@ def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
 
     Three of four, so that few layouts of registers are built; half where none are built.
     """
-    live, width = searches.live, len(searches.live)
+    live = searches.live
+    width = len(searches.live)
     narrower = 4 if width >= FEWEST_COLUMNS else 2
     if count > width // narrower:
         return searches
@@ -331,7 +333,8 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     new = ca.if_else(finite, new, ca.inf)
     decrease = old - new
     invisible = ca.logic_and(finite, ca.fabs(promised) <= 1e-12 * ca.fabs(old))
-    accepted = ca.logic_or(invisible, ca.logic_and(promised > 0, decrease >= 1e-4 * promised))
+    falls = ca.logic_and(promised > 0, decrease >= 1e-4 * promised)
+    accepted = ca.logic_or(invisible, falls)
     next_radius = _next_radius(radius, ca.norm_2(step), promised, modeled, decrease, accepted)
     # The first evaluation at another level is not a step.
     radius = ca.if_else(switched, radius, next_radius)
@@ -384,7 +387,8 @@ def bounded(p: int, last: int) -> ca.Function:
     curvature, directions = ca.SX.sym("curvature", p), ca.SX.sym("directions", p * p)
     lower, upper = numbers[rows.lower], numbers[rows.upper]
     z, gradient, radius = numbers[rows.z], numbers[rows.gradient], numbers[RADIUS]
-    free, eigenvectors = _free(z, gradient, lower, upper), ca.reshape(directions, p, p).T
+    free = _free(z, gradient, lower, upper)
+    eigenvectors = ca.reshape(directions, p, p).T
     positive = ca.fabs(curvature)
     positive = ca.fmax(positive, FLATTEST * ca.fmax(ca.mmax(positive), TINY))
     along = _within(radius, eigenvectors.T @ (free * gradient), positive)

@@ -70,7 +70,8 @@ class Limits:
         if held is not None:
             low, high = np.where(held, 0.0, low), np.where(held, 0.0, high)
         eye = np.eye(len(z))
-        rows, limits = np.vstack([eye, -eye, normal]), np.concatenate([low, high, -value.ravel()])
+        rows = np.vstack([eye, -eye, normal])
+        limits = np.concatenate([low, high, -value.ravel()])
         finite = np.isfinite(limits)
         return rows[finite], limits[finite]
 

@@ -83,13 +83,15 @@ def discretization_error(
         weight = part.residual_weight(trajectory)
         H, g = quadratic_model(part, trajectory, weight)
         # Where the finer steps diverge, the shift is infinite.
-        H_fine, g_fine = H, np.full(p, math.inf)
+        H_fine = H
+        g_fine = np.full(p, math.inf)
         if moved.finite:
             H_fine, g_fine = quadratic_model(finer, moved, weight)
         hessian += part.weight * H
         hessian_fine += part.weight * H_fine
         change += part.weight * (g_fine - g)
-    shift, widened = _in_standard_errors(hessian, change), _widened(hessian, hessian_fine)
+    shift = _in_standard_errors(hessian, change)
+    widened = _widened(hessian, hessian_fine)
     shift = np.where(widened > np.abs(shift), widened, shift)
     return DiscretizationError(shift, order)
 
@@ -119,7 +121,10 @@ def refine_discretization(
         followed = with_finer_steps(finer, search, finer_solver)
         if followed is None:
             break
-        nlp, search, solver, fine = finer, followed, finer_solver, _finer_parts(finer)
+        nlp = finer
+        search = followed
+        solver = finer_solver
+        fine = _finer_parts(finer)
     sound = without_aliases(nlp, search, solver, fine)
     is_same_best = sound.minima[0].runs[0] == search.minima[0].runs[0]
     return nlp, sound, solver, error if is_same_best else None
@@ -183,7 +188,8 @@ def with_finer_steps(
     """
     limit = search.minima[0].cost + RIVAL_COST
     ends: dict[int, Outcome] = {}
-    count, least = 0, math.inf
+    count = 0
+    least = math.inf
     for minimum in search.minima:
         # Three rivals are followed to the finer steps, at least one run each: they may become the
         # best, as may a minimum whose cost lies below all that have moved.
@@ -215,7 +221,8 @@ def with_finer_steps(
 
 def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> ArrayPair:
     """Return Hessian and gradient of the weighted squares with respect to the unknowns."""
-    condensed = part.condense(part.linearize(trajectory, weight), trajectory)
+    linearization = part.linearize(trajectory, weight)
+    condensed = part.condense(linearization, trajectory)
     return condensed.hessian, condensed.gradient
 
 

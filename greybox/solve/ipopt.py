@@ -65,7 +65,8 @@ class StopCheck(ca.Callback):
 
     def begin(self) -> None:
         """Prepare for a run."""
-        self.reason, self._waited = "", 0
+        self.reason = ""
+        self._waited = 0
         self._lowest = self._level = math.inf
         self.best: Array | None = None
 
@@ -84,7 +85,8 @@ class StopCheck(ca.Callback):
     def eval_buffer(self, arg: Any, res: Any) -> int:
         """Write whether to stop, 1 or 0."""
         if res[0] is not None:
-            x, cost = np.frombuffer(arg[0]), float(np.frombuffer(arg[1])[0])
+            x = np.frombuffer(arg[0])
+            cost = float(np.frombuffer(arg[1])[0])
             stagnant = self.is_stagnant(x, cost)
             self.reason = reason_to_end() or (STAGNATED if stagnant else "")
             np.frombuffer(res[0])[0] = float(bool(self.reason))
@@ -100,7 +102,8 @@ class StopCheck(ca.Callback):
         # that converged had more than 39 iterations in a row with a smaller decrease than this;
         # twice that is the limit.
         if not math.isfinite(self._level) or cost < self._level - 1e-6 * abs(self._level):
-            self._level, self._waited = cost, 0
+            self._level = cost
+            self._waited = 0
         self._waited += 1
         return self._waited > 80
 
@@ -125,7 +128,8 @@ class Ipopt:
         options: Named,
         derivatives: dict[str, ca.Function] | None = None,
     ) -> None:
-        self._statement, self._options = dict(statement), options
+        self._statement = dict(statement)
+        self._options = options
         self._derivatives = {} if derivatives is None else derivatives
         self._variants: dict[tuple[Any, ...], Ipopt] = {}
         self._check = StopCheck(statement)  # a reference, since CasADi holds only its address
@@ -186,7 +190,8 @@ class Ipopt:
 
         # At a stop, IPOPT returns its current point, which may be anywhere.
         if status == STOPPED:
-            status, end = self._check.reason, end if self._check.best is None else self._check.best
+            status = self._check.reason
+            end = end if self._check.best is None else self._check.best
         return np.asarray(end).ravel(), status, int(stats["iter_count"])
 
     def variant(self, options: Named) -> "Ipopt":

@@ -16,7 +16,6 @@ from greybox.solve.runs import Outcome, Outcomes, Runs
 class Profile:
     """The best hidden unknowns of every part at given parameters: those of the smallest cost."""
 
-    z: Array
     trajectories: tuple[Trajectory, ...]
     cost: float
     converged: bool

@@ -117,7 +117,8 @@ def agreeing_runs(
     """
     if not minima:
         return ()
-    best, responses = minima[0].cost, nlp.parts_of(ResponsePart)
+    best = minima[0].cost
+    responses = nlp.parts_of(ResponsePart)
     zero = sum(part.weight * cost_of_zero(part.criterion, part.data) for part in responses)
     if len(responses) == len(nlp.parts) and explains_nothing(best, zero):
         return ()
@@ -217,7 +218,8 @@ def distinct_ends(nlp: CompiledProblem, ends: Array) -> list[IntArray]:
     """Group clearly different parameter vectors (r, p) by rows, in their order."""
     z = nlp.scaling.to_solver(ends)
     # Each pass takes the rows that are like the first of those that remain.
-    groups, remaining = [], np.arange(len(z))
+    groups = []
+    remaining = np.arange(len(z))
     while remaining.size:
         apart = _are_apart(z[remaining], z[remaining[0]])
         groups.append(remaining[~apart])

@@ -10,7 +10,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, Named, by_name, frozen
-from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -96,7 +95,7 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     # In 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
     # that of the conversion.
     points = FiniteStarts(nlp, solver, starts) if movable else starts
-    memory = Memory() if storage is None else Memory(storage, value_fingerprint(solver))
+    memory = Memory(storage, solver)
     *counts, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and counts[-1] < len(starts) else None
 

@@ -45,7 +45,8 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     limit = costs[0] + RIVAL * likelihood_unit(alike, costs[0]) + 1e-3
     # A value that fits as it is does not lie beyond a ridge.
     away = costs[1:] > limit
-    held, z = held[:, away], alike.scaling.to_solver(starts[1:][away]).T
+    held = held[:, away]
+    z = alike.scaling.to_solver(starts[1:][away]).T
     low, high = (np.where(held, z, bound[:, None]) for bound in alike.bounds)
     # Approximate ends suffice, since runs begin there: kinks of the cost are rounded off.
     search = partial(
@@ -55,7 +56,9 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
         from_near=True,
         smoothing=1e-2,
     )
-    z = search(search(z, bounds=(low, high)).z).z
+    # First with a value held, then from there with all values free.
+    ends_of_held = search(z, bounds=(low, high))
+    z = search(ends_of_held.z).z
 
     ends = np.vstack([best, alike.estimate_at(z.T)])
     ends = ends[alike.costs(ends) <= limit]
@@ -72,7 +75,8 @@ def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     """
     for part in nlp.parts_of(RecordPart)[:1]:
         problem, symbols = part.problem, part.system.symbols
-        is_linear = ca.is_linear(part.system.derivative(*symbols), ca.vertcat(*symbols[:2]))
+        derivative = part.system.derivative(*symbols)
+        is_linear = ca.is_linear(derivative, ca.vertcat(*symbols[:2]))
         if part.system.inputs and len(part.outputs) < part.states and is_linear:
             values = problem.local_values(by_name(nlp.names, nlp.all_values(x)))
             # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.

@@ -35,7 +35,8 @@ class ProcessNoise:
     def __init__(self, responses: Any, points: Array) -> None:
         """Take `SharedResponses`; the noise is scaled by the states' derivatives at z (p, k)."""
         # System, places, measured responses, weights and sizes of the derivatives.
-        self._terms, self._numbers = [], 0
+        self._terms = []
+        self._numbers = 0
         for system in responses.systems:
             # By frequency, input and output; weights are zero where nothing is measured.
             measured = np.zeros((len(system.omega), system.inputs, system.outputs), complex)
@@ -67,7 +68,8 @@ class ProcessNoise:
             system, (at, inputs), *_, sizes = term
             noise = data[0, :, None, None] * sizes
             S, delays, slopes, delay_slopes = system.matrices(z)
-            s, own = 1j * system.omega[at], np.eye(system.inputs)[inputs]
+            s = 1j * system.omega[at]
+            own = np.eye(system.inputs)[inputs]
             lag = np.exp(-s * delays[:, inputs])
             with np.errstate(all="ignore"):
                 errors, left, x = _whitened(term, S, lag, noise)

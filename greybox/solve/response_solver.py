@@ -71,7 +71,9 @@ class ResponseSolver(LocalSolver):
         batched: bool = True,
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
-        self.problem, self._options, self._batched = problem, options, batched
+        self.problem = problem
+        self._options = options
+        self._batched = batched
         if options:  # those that IPOPT does not take are refused here
             _ = [stage.solver for stage in self._stages]
         lower, upper = problem.bounds
@@ -106,7 +108,9 @@ class ResponseSolver(LocalSolver):
 
     def _solved(self, start: Array, smoothing: float, options: Named = NO_OPTIONS) -> Outcome:
         began = time.perf_counter()
-        problem, stages, p = self.problem, self._stages, np.append(smoothing, self.problem.data)
+        problem = self.problem
+        stages = self._stages
+        p = np.append(smoothing, self.problem.data)
         if options:
             stages = [stage.variant({**options, **self._options}) for stage in stages]
         z = problem.scaling.to_solver(start)
@@ -131,7 +135,7 @@ class ResponseSolver(LocalSolver):
         """Return the point x (p,): there are no hidden unknowns."""
         z = self.problem.scaling.to_solver(x)
         trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
-        return Profile(z, trajectories, self.problem.costs(x[None]).item(), converged=True)
+        return Profile(trajectories, self.problem.costs(x[None]).item(), converged=True)
 
     def judged(self, outcomes: Outcomes) -> Outcomes:
         """Return outcomes with costs, without smoothing, and signatures; blocks are exchanged."""
@@ -164,7 +168,8 @@ class ResponseSolver(LocalSolver):
         """
         # At a few points: at zero, a parameter may seem to couple nothing.
         z = self.problem.scaling.to_solver(ends[-8:]).T
-        ones, data = np.ones_like(z[:1]), self.problem.data[:, None]
+        ones = np.ones_like(z[:1])
+        data = self.problem.data[:, None]
         hessian = self.problem.programs[-1].second_order(z, SMOOTHING * ones, data * ones)[2]
         slopes = ca.DM(self.problem.constraint.jac_sparsity(0, 0), 1).full()[:, : len(z)]
         hessian = np.any(hessian, axis=1).reshape(len(z), -1)
@@ -316,7 +321,8 @@ class ResponseSolver(LocalSolver):
         Exchanged, they have the same responses, so that rounding would choose which of two lags
         gets which value.
         """
-        problem, order = self.problem, np.argsort(first, kind="stable").tolist()
+        problem = self.problem
+        order = np.argsort(first, kind="stable").tolist()
         response = problem.judged(x[None])[1]
         for i, j in combinations(order, 2):
             y = x.copy()
@@ -343,7 +349,8 @@ class ResponseSolver(LocalSolver):
                 estimate, _ = self._refined(best, smoothing, 100)
             else:
                 estimate = self._solved(best.estimate, smoothing, AT_A_KINK).estimate
-            previous, best = best, self._unless_dearer(best, estimate)
+            previous = best
+            best = self._unless_dearer(best, estimate)
             if best is previous:
                 break
         return best

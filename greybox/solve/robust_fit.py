@@ -21,7 +21,8 @@ def with_robust_errors(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver
 ) -> tuple[CompiledProblem, Multistart, LocalSolver]:
     """Return the problem with pseudo-values instead of outliers, and its search and solver."""
-    measured, cost = nlp, math.nan
+    measured = nlp
+    cost = math.nan
     # Each fit of pseudo-values reduces the distance from the robust estimate about ten times.
     for _ in range(30 if search.minima and _is_robust(nlp) else 0):
         best = search.minima[0]

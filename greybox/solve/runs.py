@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from greybox.files.arrays import AnyArray, Array, BoolArray, IntArray, frozen
 from greybox.files.text_table import counted, one_line
+from greybox.modeling.fingerprint import value_fingerprint
 
 # Statuses of a run besides those of its solver: it could not begin, ended where the integration
 # misleads, was cut short, made no progress without being at a minimum, or ended its process every
@@ -243,11 +244,11 @@ class RunStorage:
 
 
 class Memory:
-    """The runs of an earlier search, and storage for new ones; empty without storage."""
+    """The runs of an earlier search by a `solver`, and storage for new ones; empty without one."""
 
-    def __init__(self, storage: RunStorage | None = None, fingerprint: str = "") -> None:
+    def __init__(self, storage: RunStorage | None = None, solver: Any = None) -> None:
         self._storage = storage or RunStorage()
-        self._stored = self._storage.stored(fingerprint)
+        self._stored = storage.stored(value_fingerprint(solver)) if storage else {}
         self._added: set[int] = set()
         self.write_due = self._storage.write_due
 

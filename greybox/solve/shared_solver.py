@@ -64,7 +64,8 @@ class SharedSolver(ResponseSolver):
                 test.last.clear()
             return continued(ends, super().improved(ends.z, max_iterations=FEW, from_near=True))
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
-        near, iterations = z[:, 1:], 0
+        near = z[:, 1:]
+        iterations = 0
         ratios = np.array(FIRST)[np.arange(near.shape[1]) // 2 % 2]
         search = BatchedNewton(ProcessNoise(self._shared, z), *self.problem.bounds)
         for stage in STAGES:
@@ -78,7 +79,8 @@ class SharedSolver(ResponseSolver):
                 from_near=stage < 1,
                 given=stage * ratios[None],
             )
-            near, iterations = ends.z, iterations + ends.iterations
+            near = ends.z
+            iterations = iterations + ends.iterations
         # Some starts take 250 iterations, and their time would be that of the whole fit.
         limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
         # Without a barrier: the first start may be a minimum of a similar problem.

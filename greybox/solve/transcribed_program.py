@@ -93,13 +93,17 @@ class TranscribedProgram(LocalSolver):
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
-        scaling, p = self._nlp.scaling, len(start)
+        scaling = self._nlp.scaling
+        p = len(start)
         z = np.clip(scaling.to_solver(start), self._bounds["lbx"][:p], self._bounds["ubx"][:p])
         first = self._gauss_newton.smoothed(z)
         if first is None:
             return Outcome(start, NOT_FINITE, 0, time.perf_counter() - began, False, math.inf)
 
-        status, iterations, last, cost = "", 0, math.inf, math.inf
+        status = ""
+        iterations = 0
+        last = math.inf
+        cost = math.inf
         pairs = zip(self._programs, first, strict=True)
         solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in pairs]])
         w = np.concatenate([program.initial_parameters(z) for program in self._programs])
@@ -125,7 +129,8 @@ class TranscribedProgram(LocalSolver):
             pairs = zip(self._nlp.parts, profile.trajectories, strict=True)
             signature = np.concatenate([part.signature(trajectory) for part, trajectory in pairs])
             if not profile.converged:
-                status, converged = reason_to_end() or "no continuous states at the estimate", False
+                status = reason_to_end() or "no continuous states at the estimate"
+                converged = False
         return Outcome(
             estimate, status, iterations, time.perf_counter() - began, converged, cost, signature
         )

@@ -471,7 +471,8 @@ def _with_pole(
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
     T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
     """
-    center, half = fitted.center, DOUBLED * fitted.half
+    center = fitted.center
+    half = DOUBLED * fitted.half
     rows, x, y, inputs, signals, transients = _in_band(lines, center, half, TRANSIENT_ORDER)
     # Divided by the frequency, the numerator allows for an integrator beside the pole.
     powers = np.vander(x, ORDER + 2, increasing=True) * (center / lines.omega[rows])[:, None]
@@ -579,11 +580,13 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
     complete = np.hstack([fitted.transients, fitted.basis])
 
     def unexplained(signal: ComplexArray, basis: AnyArray) -> float:
-        return float(np.sum(np.abs(_without(basis, signal)) ** 2)) / (n - basis.shape[1])
+        residual = _without(basis, signal)
+        return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
     if lines.direct:
         return 1 - noise / output, 0.0
     input = max(unexplained(u, nuisance), np.finfo(float).tiny)
     input_noise = unexplained(u, complete)
-    return 1 - max((unexplained(y, complete) / output, input_noise / input)), input_noise
+    shares = unexplained(y, complete) / output, input_noise / input
+    return 1 - max(shares), input_noise

@@ -146,7 +146,8 @@ def _estimates(omega: Array, u: ComplexArray, y: ComplexArray, r: ComplexArray) 
         # Noise that adds to a weak line makes it look strong, its response too large and its
         # variance too small: its own coherence would select it. Its neighbors have other noise of
         # about the same size, and the power of the instrument says what to expect beside them.
-        drive, sure = power(r), np.clip(coherences, EPS, 1 - EPS)
+        drive = power(r)
+        sure = np.clip(coherences, EPS, 1 - EPS)
         odds = correlate1d(np.log(sure / (1 - sure) / drive), BESIDE, mode="mirror")
         coherences = 1 / (1 + np.exp(-odds) / drive)
         # Likewise, noise that feedback adds to the input makes a line strong, and its response

@@ -201,7 +201,7 @@ def jitter(record: Record) -> Findings:
 
 
 def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Findings:
-    within = [(record.time >= s.start) & (record.time <= s.end) for s in segments]
+    within = [record.during(s.start, s.end) for s in segments]
     rows = np.flatnonzero(np.any(within, axis=0))
     # Without segments, the whole record is judged.
     values = record[name][rows] if rows.size else record[name]

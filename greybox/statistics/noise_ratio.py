@@ -56,6 +56,5 @@ def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
 
     if samples < 4 or not squares > 0:
         return NoiseRatio(math.nan, samples)
-    return NoiseRatio(
-        sum(float(np.sum(np.diff(s) ** 2)) for s in series) / squares, samples - len(series) + 1
-    )
+    changes = sum(float(np.sum(np.diff(s) ** 2)) for s in series)
+    return NoiseRatio(changes / squares, samples - len(series) + 1)

@@ -239,7 +239,8 @@ class _WholeMembers(Runner):
 
     def run(self, start: Any) -> Outcome:
         """Fit a member."""
-        began, runs = time.perf_counter(), _Unwritten(Path())
+        began = time.perf_counter()
+        runs = _Unwritten(Path())
         changes: Any = []
         # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
         with suppress(Exception), limited(end_after(UNWRITTEN)):

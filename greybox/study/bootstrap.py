@@ -34,7 +34,6 @@ from greybox.files.text_table import (
     some,
     text_table,
 )
-from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property
 from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
@@ -440,7 +439,7 @@ def _made(
     progress_bar = bar(is_shown=progress is True, total=replicates, unit="replicate")
     with lock, listening(), progress_bar:
         try:
-            memory = Memory() if runs is None else Memory(runs, value_fingerprint(runner))
+            memory = Memory(runs, runner)
             with responding(Response.STOP):
                 for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
                     outcomes.append(outcome)

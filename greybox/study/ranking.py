@@ -70,14 +70,15 @@ def ranking(results: Iterable[Result]) -> Comparison:
     # Held-out data assume nothing, and have the last word.
     ranked = {measure: table for measure, table in tables.items() if _best(table)}
     verdicts = [_verdict(*pair, sizes) for pair in ranked.items()]
+    rows = (
+        Row("study", measure, name, "", tuple(map(values.get, sizes)))
+        for measure, table in tables.items()
+        for name, values in table.items()
+    )
     return Comparison(
         tuple(sizes),
         f"{counted(len(tables[EVIDENCE]), 'data set')}: {some([*tables[EVIDENCE]])}",
-        tuple(
-            Row("study", measure, name, "", tuple(map(values.get, sizes)))
-            for measure, table in tables.items()
-            for name, values in table.items()
-        ),
+        tuple(rows),
         tuple(dict.fromkeys([*(_wins(*pair) for pair in ranked.items()), *notes])),
         supported=verdicts[-1][0] if verdicts else "",
         verdict=" ".join(text for _, text in verdicts),
@@ -124,7 +125,8 @@ def _rows_of_shared_samples(fits: Fits) -> list[Row]:
     A free delay leaves out the first samples. The errors of each output are normal, with a variance
     that is estimated.
     """
-    costs, count = np.zeros(len(fits)), 0
+    costs = np.zeros(len(fits))
+    count = 0
     for parts in zip(*(fit.records for fit in fits), strict=True):
         for output in parts[0].outputs:
             residuals = np.array([part.residual(output) for part in parts])

@@ -435,7 +435,8 @@ def _require_whole(folder: Path, checksum: int, *values: Any) -> None:
 
 def _checksum(*values: bytes | str | float | None) -> int:
     """Return the checksum of values of SQLite."""
-    return zlib.crc32(b"\n".join(v if isinstance(v, bytes) else str(v).encode() for v in values))
+    texts = (v if isinstance(v, bytes) else str(v).encode() for v in values)
+    return zlib.crc32(b"\n".join(texts))
 
 
 @contextmanager

@@ -111,7 +111,8 @@ class Study(Printed):
 
     def to_csv(self) -> str:
         """Return the rows of `to_pandas` as comma-separated values."""
-        text, rows = io.StringIO(), self.table
+        text = io.StringIO()
+        rows = self.table
         writer = csv.DictWriter(text, dict.fromkeys(name for row in rows for name in row))
         writer.writeheader()
         writer.writerows(rows)
@@ -252,7 +253,8 @@ def _overview(members: Sequence[StudyMember]) -> str:
 
 
 def _rows(member: StudyMember) -> list[Fields]:
-    answer, is_done = member.answer, member.status == "done"
+    answer = member.answer
+    is_done = member.status == "done"
     numbers = ("cost", "converged", "agreeing", "minima", "held_out")
     common = {
         "member": member.name,

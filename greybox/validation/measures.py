@@ -153,9 +153,7 @@ def information_rows(
 
 def relative_rms(fit: Fit) -> float:
     """Return the size (rms) of the residuals of all responses over that of the data."""
-    with np.errstate(divide="ignore", invalid="ignore"):  # zeros among the data have none
-        shares = [np.abs(part.response / part.data.response - 1) for part in fit.responses]
-    return rms(np.concatenate(shares))
+    return rms(np.concatenate([part.relative_residuals for part in fit.responses]))
 
 
 def _row(measure: str, values: Sequence[float], unit: str = "") -> Row:

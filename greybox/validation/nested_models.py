@@ -173,7 +173,8 @@ def nested_test_at(
         )
     # A term that ended at the bound where the smaller model has it adds nothing, and has no error.
     rows = [k for k, name in enumerate(large.free) if name in values and name not in stuck]
-    covariance, dof = large.covariance_of(large.free)[np.ix_(rows, rows)], large.dof
+    covariance = large.covariance_of(large.free)[np.ix_(rows, rows)]
+    dof = large.dof
     if independent and large.independent is not None:
         alone, dof = large.independent
         covariance = np.where(np.isnan(covariance), np.nan, alone[np.ix_(rows, rows)])

@@ -149,7 +149,8 @@ def prediction_verdict(
         # of the level, the second test adds little to the share of false verdicts.
         of_signs = _sign_test(independent, error)
         if share > 50 and of_signs < SIGNIFICANT / 10:
-            p, test = of_signs, f"sign test, {p_text(of_signs)}"
+            p = of_signs
+            test = f"sign test, {p_text(of_signs)}"
     if not p < SIGNIFICANT:
         # Absence of evidence is not evidence of absence: models are called equal only if their
         # difference is small even at the end of its interval.

@@ -259,7 +259,8 @@ class _Fits:
         """Test a term that is added to these terms, or removed from them."""
         fit = self.cache[terms]
         changed = self.fitted(terms ^ {term}, fit)
-        p_value, why_not = math.nan, "no fit converged"
+        p_value = math.nan
+        why_not = "no fit converged"
         change, *pair = ("remove", changed, fit) if term in terms else ("add", fit, changed)
         if changed.converged:
             test = self._tested(term, *pair)
@@ -281,7 +282,8 @@ class _Fits:
 
     def doubtful(self, terms: Terms) -> Values:
         """Return the p-values of terms that only a test for independent errors finds."""
-        fit, p_values = self.cache[terms], {}
+        fit = self.cache[terms]
+        p_values = {}
         for term in (name for name in self.absent if name in terms):
             small = self.fitted(terms - {term}, fit)
             test = self._tested(term, small, fit)

@@ -364,17 +364,20 @@ def test_an_interval_in_words(interval, ends, at_bound, connected, said):
 
 
 def test_the_factor_of_the_cost_is_that_of_both_variances_along_the_gradient():
-    white, covariance = (
-        np.array([[4.0, 1.0], [1.0, 9.0]]),
-        np.array([[2.0, -0.5, 8.0], [-0.5, 3.0, 8.0], [8.0] * 3]),
+    known = SimpleNamespace(
+        covariance=np.array([[2.0, -0.5], [-0.5, 3.0]]), size=np.array([1.0, 10.0])
     )
-    accuracy = SimpleNamespace(white=white, covariance=covariance, size=np.array([1.0, 10.0, 7.0]))
+    fit = SimpleNamespace(
+        free=("a", "b"),
+        white=np.array([[4.0, 1.0], [1.0, 9.0]]),
+        known_directions={("a", "b"): known}.get,
+    )
     gradient = np.array([2.0, -1.0])
-    assert likelihood_factor(accuracy, gradient) == pytest.approx((16 - 4 + 9) / (8 + 2 + 3))
+    assert likelihood_factor(fit, gradient) == pytest.approx((16 - 4 + 9) / (8 + 2 + 3))
     # Along what has no variance, what holds on average, in multiples of the sizes.
-    accuracy.covariance = np.diag([2.0, 0.0, 8.0])
-    assert likelihood_factor(accuracy, np.array([0.0, 3.0])) == pytest.approx((4 + 0.09) / 2)
-    assert likelihood_factor(accuracy, np.array([3.0, 0.0])) == pytest.approx(2)
+    known.covariance = np.diag([2.0, 0.0])
+    assert likelihood_factor(fit, np.array([0.0, 3.0])) == pytest.approx((4 + 0.09) / 2)
+    assert likelihood_factor(fit, np.array([3.0, 0.0])) == pytest.approx(2)
 
 
 @pytest.fixture(scope="module")

@@ -36,3 +36,11 @@ def test_the_casadi_function_of_a_transfer_function_has_its_response():
         Tilt(), {**TILT, "T_delay": 0.02}, TILT_OMEGA, delay="pade:2"
     ).response
     np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_the_casadi_function_has_the_name_of_the_model_in_letters_of_c():
+    class RollRate(Tilt):
+        label = "roll rate, 5°"
+
+    assert gb.interop.to_casadi(Tilt(), TILT, pade=0).name() == "Tilt"
+    assert gb.interop.to_casadi(RollRate(), TILT, pade=0).name().strip("_") == "roll_rate_5"

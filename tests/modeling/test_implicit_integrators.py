@@ -4,11 +4,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from sample_steps import stepped
 from scipy.integrate import solve_ivp
 from spring_lag_tilt import HELD, SPRING, Spring, fit, spring
 
 import greybox as gb
-from greybox.modeling.integrators import Radau, step_function
+from greybox.modeling.integrators import Radau
 from greybox.modeling.realization import dynamics
 
 
@@ -26,7 +27,7 @@ class Decay(gb.StateSpace):
 
 
 def step(degree, substeps=1):
-    return step_function(dynamics(Decay()), Radau(substeps, degree), substeps)
+    return stepped(dynamics(Decay()), Radau(substeps, degree), substeps)
 
 
 def exact(h):
@@ -96,7 +97,7 @@ def test_steps_follow_a_jump_and_their_derivatives_are_their_own(end):
     rule = lambda t, x: (x[1], 50 * (1 - x[0] ** 2) * x[1] - x[0])  # noqa: E731
     wanted = solve_ivp(rule, (0, end), (2, 0), "LSODA", rtol=1e-11, atol=1e-13).y[:, -1]
     mu = ca.MX.sym("mu")
-    reached = step_function(dynamics(Relaxing()), Radau(), 8)((2, 0), 0, 0, mu, end)
+    reached = stepped(dynamics(Relaxing()), Radau(), 8)((2, 0), 0, 0, mu, end)
     run = ca.Function("run", [mu], [reached, ca.jacobian(reached, mu)])
     assert_allclose(run(50)[0].full().ravel(), wanted, rtol=1e-4)
     difference = (run(50 + 1e-5)[0] - run(50 - 1e-5)[0]) / 2e-5
@@ -106,7 +107,7 @@ def test_steps_follow_a_jump_and_their_derivatives_are_their_own(end):
 def test_a_chosen_number_of_steps_stays():
     """As many as a collocation has, whose equations they solve."""
     chosen, automatic = (
-        step_function(dynamics(Relaxing()), Radau(n), 1)((2, 0), 0, 0, 50, 39.0) for n in (1, None)
+        stepped(dynamics(Relaxing()), Radau(n), 1)((2, 0), 0, 0, 50, 39.0) for n in (1, None)
     )
     assert float(ca.norm_inf(chosen - automatic)) > 1e-3
 
@@ -124,5 +125,5 @@ class Draining(gb.StateSpace):
 
 
 def test_a_step_out_of_the_domain_of_a_formula_gives_nan():
-    drained = step_function(dynamics(Draining()), Radau(), 4)
+    drained = stepped(dynamics(Draining()), Radau(), 4)
     assert np.isnan(float(drained(0.5, 0.0, 0.0, [], 20.0)))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from sample_steps import stepped
 from scipy.integrate import solve_ivp
 
 import greybox as gb
-from greybox.modeling.integrators import step_function
 from greybox.modeling.realization import dynamics
 
 
@@ -63,7 +63,7 @@ def exact(step, x=(0.5, -1.0)):
 
 
 def advanced(scheme, substeps, step, x=(0.5, -1.0)):
-    function = step_function(dynamics(Pendulum()), scheme, substeps)
+    function = stepped(dynamics(Pendulum()), scheme, substeps)
     return function(x, 0.7, 1.2, VALUES, step).full().ravel()
 
 
@@ -95,7 +95,7 @@ def test_the_reach_is_where_a_step_is_still_stable(scheme):
         def output(self, x, u, p):
             return (x.x,)
 
-    step = step_function(dynamics(Decay()), scheme, 1)
+    step = stepped(dynamics(Decay()), scheme, 1)
     reach = min(scheme.reach, 1e4)
     assert abs(float(step(1.0, [], [], [reach], 1.0))) < 1
     beyond = abs(float(step(1.0, [], [], [10 * reach], 1.0)))
@@ -114,7 +114,7 @@ def test_a_stiff_model():
     system = dynamics(Robertson())
     found = {}
     for scheme in SCHEMES:
-        step, x = step_function(system, scheme, 4), wanted[:, 0]
+        step, x = stepped(system, scheme, 4), wanted[:, 0]
         for _ in range(40):
             x = step(x, [], [], [0.04], 1.0).full().ravel()
         found[scheme.order] = x
@@ -130,9 +130,7 @@ def test_a_static_model_stays_without_states():
         def output(self, x, u, p):
             return (p.k * u.u,)
 
-    assert step_function(dynamics(Static()), gb.RungeKutta(), 3)(
-        [], 1.0, 0.0, [2.0], 0.1
-    ).shape == (0, 1)
+    assert stepped(dynamics(Static()), gb.RungeKutta(), 3)([], 1.0, 0.0, [2.0], 0.1).shape == (0, 1)
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5, "2"])
@@ -156,7 +154,7 @@ def test_an_oscillation_is_followed_to_less_than_a_thousandth_in_a_step():
 
     wave = gb.RungeKutta.wave
     a, b = (
-        step_function(dynamics(Oscillator()), gb.RungeKutta(), 1)([1, 0], [], [], [wave], 1.0)
+        stepped(dynamics(Oscillator()), gb.RungeKutta(), 1)([1, 0], [], [], [wave], 1.0)
         .full()
         .ravel()
     )

@@ -6,11 +6,11 @@ import pytest
 from declared_models import LagLagDelay
 from evaluation import input_output_pairs, random_values, shipped_models
 from numpy.testing import assert_allclose
+from sample_steps import stepped
 from scipy.linalg import expm
 from scipy.signal import TransferFunction as ScipyTransferFunction, lsim
 
 import greybox as gb
-from greybox.modeling.integrators import step_function
 from greybox.modeling.realization import dynamics
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 
@@ -164,7 +164,7 @@ def test_a_cascade_with_a_fast_delay_needs_no_short_steps(delay):
     A, B, *_ = matrices(system, values)
     n, (x, fine) = len(A), np.zeros((2, len(A)))
     whole = expm(h * np.block([[A, B], [np.zeros((1, n + 1))]]))[:n]
-    step = step_function(system, gb.RungeKutta(), 2)
+    step = stepped(system, gb.RungeKutta(), 2)
     values[system.parameters.index("T_delay")] = delay
     for u in np.random.default_rng(0).normal(size=50):
         x, fine = step(x, u, 0.0, values, h).full().ravel(), whole @ [*fine, u]

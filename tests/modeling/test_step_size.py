@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from sample_steps import stepped
 
 import greybox as gb
-from greybox.modeling.integrators import step_function
 from greybox.modeling.realization import dynamics
 from greybox.modeling.step_size import (
     LEAST_GROWTH,
@@ -43,7 +43,7 @@ class Logistic(Decay):
 
 def after(model, scheme, count, start, rate, step=1.0):
     """The state one sample later."""
-    one = step_function(dynamics(model()), scheme, count)
+    one = stepped(dynamics(model()), scheme, count)
     return float(one([start], [], [], [rate], step)[0])
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox.modeling.fingerprint import value_fingerprint
 from greybox.solve.runs import (
     INTERRUPTED,
     SEARCH_OVER,
@@ -36,7 +37,7 @@ class Listed(RunStorage):
 def test_a_run_is_recalled_by_its_number_and_start():
     storage = Listed({4: (START, DONE), -2: (START, DONE)})
     memory = Memory(storage, "of this problem")
-    assert storage.names == ["of this problem"]
+    assert storage.names == [value_fingerprint("of this problem")]
     assert memory.recall(4, START.copy()) is DONE
     assert memory.recall(5, START) is None
     assert memory.recall(-2, START) is DONE

@@ -48,7 +48,9 @@ class Collocation(Transcription):
 
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the states at all samples and stages, and the equations of every step."""
-        n, samples, stages = step.function.size1_in(0), data.samples, self.scheme.stages
+        n = step.function.size1_in(0)
+        samples = data.samples
+        stages = self.scheme.stages
         equations, residuals = self._sample(step)
         nodes, inside = ca.MX.sym("nodes", n, samples), ca.MX.sym("inside", n * stages, samples)
         residual_rows = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, rows)
@@ -72,7 +74,8 @@ class Collocation(Transcription):
 
     def _sample(self, step: SampleStep) -> tuple[ca.Function, ca.Function]:
         """Return (x, stages, q, d) -> equations and end of the step, and (x, q, d) -> residuals."""
-        n, scheme = step.function.size1_in(0), self.scheme
+        n = step.function.size1_in(0)
+        scheme = self.scheme
         x, q, d = step.measurement.sx_in()
         stages = ca.SX.sym("stages", n, scheme.stages)
         corrected, mean, change, residual, _ = step.measurement(x, q, d)

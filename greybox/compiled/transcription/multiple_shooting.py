@@ -48,7 +48,9 @@ class MultipleShooting(Shooting):
 
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the nodes, and the gaps between ends and next nodes."""
-        n, length, s = step.function.size1_in(0), data.segment_length, data.segments
+        n = step.function.size1_in(0)
+        length = data.segment_length
+        s = data.segments
         x, Q, D = ca.MX.sym("x", n), ca.MX.sym("q", q.numel()), ca.MX.sym("D", step.width, length)
         states, errors = step.folded(length)(x, Q, D)
         segment = ca.Function("segment", [x, Q, D], [states[:, length - 1], errors])

@@ -196,7 +196,8 @@ def correlated_frequencies(
     x: Array,
 ) -> Iterator[str]:
     """Name the responses whose errors at the estimate x (p,) are correlated."""
-    values, unlikely = nlp.all_values(x), UNLIKELY / len(nlp.parts)
+    values = nlp.all_values(x)
+    unlikely = UNLIKELY / len(nlp.parts)
     for part, trajectory, known in nlp.rows_of(ResponsePart, trajectories, accuracy.parts):
         if part.data.has_independent_errors:
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)

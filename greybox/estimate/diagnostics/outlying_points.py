@@ -85,7 +85,8 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
 
 def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[str]:
     """Say whether errors grow or shrink with frequency more than assumed, by their ranks."""
-    model, criterion = part.response(values), part.criterion
+    model = part.response(values)
+    criterion = part.criterion
     size = np.maximum(criterion.error_size(model, part.data), TINY)
     ratio = (np.abs(part.data.response - model) / size)[np.argsort(part.data.omega)]
     r, _ = _rank_correlation(np.sort(part.data.omega), ratio)

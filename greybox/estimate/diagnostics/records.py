@@ -90,7 +90,8 @@ def record_warnings(
     Residuals of a wrong model look like feedback, which is then not tested, and like gusts unless
     the model explains the data.
     """
-    misfit, pairs = answer.misfit, nlp.rows_of(RecordPart, answer.parts)
+    misfit = answer.misfit
+    pairs = nlp.rows_of(RecordPart, answer.parts)
     unstable = bool(misfit and misfit.is_unstable)
     answered = bool(misfit and unstable and (misfit.left > ANSWERED or not explained))
 

@@ -31,7 +31,6 @@ MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motor
 DEFAULTS = {
     "MOT_SPIN_MIN": 0.15,
     "MOT_SPIN_MAX": 0.95,
-    "MOT_THST_EXPO": 0.65,
     "MOT_THST_HOVER": 0.35,
 }
 PWM = (1000.0, 2000.0)  # µs, used where MOT_PWM_MIN and MOT_PWM_MAX were not logged
@@ -86,7 +85,7 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
         for name in record.signals
         if name[:1] == "C" and parameters.get(f"SERVO{name[1:]}_FUNCTION") in MOTORS
     ]
-    rows = np.flatnonzero((record.time >= start) & (record.time <= end))
+    rows = np.flatnonzero(record.during(start, end))
     if not motors or not rows.size:
         return None
     inside = record.rows(rows)

@@ -49,7 +49,8 @@ def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
     by_name = {group.name: group for group in groups}
     parm, msg = by_name.get("PARM"), by_name.get("MSG")
     texts = column(msg, "Message")
-    names, values = column(parm, "Name"), [float(value) for value in column(parm, "Value")]
+    names = column(parm, "Name")
+    values = [float(value) for value in column(parm, "Value")]
     # Older firmware has no VER message.
     firmware = next(filter(vehicle_in, (*column(by_name.get("VER"), "FWS"), *texts)), "")
     vehicle = vehicle_in(firmware)

@@ -71,7 +71,8 @@ def completed(record: Record, settings: Values) -> Record:
     """
     if LOOPS not in record.signals or not record.has_time:
         return record
-    signals, findings = dict(record.signals), record.findings
+    signals = dict(record.signals)
+    findings = record.findings
     rates = [name for name in signals if re.fullmatch(f"{GYRO}|{SETPOINT}", name)]
     if settings.get("blackbox_high_resolution"):
         # In high resolution, the blackbox logs in tenths of a deg/s.

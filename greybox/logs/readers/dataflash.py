@@ -5,7 +5,6 @@ letters, unit and multiplier tables) follows pymavlink, and the values are equal
 the last bit.
 """
 
-import mmap
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +30,7 @@ from greybox.logs.readers.messages import (
     Messages,
     bare,
     checksum_of,
+    mapped,
     on_one_clock,
     records,
 )
@@ -64,10 +64,7 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         If the file cannot be opened.
     """
     messages = bare(messages)
-    # Mapped: the system reads only the pages that are needed, and releases them again.
-    with open(path, "rb") as file:
-        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    groups, damage = _contents(data, messages)
+    groups, damage = _contents(mapped(path), messages)
     return recording(groups, path, messages, damage)
 
 

@@ -1,6 +1,7 @@
 """From messages to records: one per instance, on one clock, with increasing times."""
 
 import hashlib
+import mmap
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from itertools import chain
@@ -68,6 +69,12 @@ class Messages:
             columns={name: values[rows] for name, values in self.columns.items()},
             texts={name: [values[i] for i in rows] for name, values in self.texts.items()},
         )
+
+
+def mapped(path: Path) -> mmap.mmap:
+    """Return the bytes of a log: the system reads only pages that are needed, and releases them."""
+    with path.open("rb") as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def checksum_of(path: Path) -> str:
@@ -173,7 +180,8 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         wrong = int(np.count_nonzero(~np.isfinite(time)))
         reasons = [f"{wrong} with implausible times"] if wrong else []
         reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
-        cure = "; sort the lines of the file by time" * (2 * dropped > time.size + wrong)
+        is_unsorted = 2 * dropped > time.size + wrong
+        cure = "; sort the lines of the file by time" if is_unsorted else ""
         findings = (
             f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}{cure}.",
         )

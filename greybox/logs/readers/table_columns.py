@@ -42,7 +42,8 @@ def table(
     if has_interval:
         signals.pop("Ts", None)
     size = len(columns[timer]) if timer else max(map(len, signals.values()), default=0)
-    time, assumed = None, ()
+    time = None
+    assumed = ()
     if timer:
         time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
     elif has_interval:

@@ -30,7 +30,7 @@ from greybox.files.progress import bar
 from greybox.logs.readers import time_stamps
 from greybox.logs.readers.ardupilot_metadata import mode_name, unit, vehicle_in
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.messages import MessageNames, Messages, bare, checksum_of, records
+from greybox.logs.readers.messages import MessageNames, Messages, bare, checksum_of, mapped, records
 
 STAMP = 8  # bytes of time before a packet
 MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
@@ -295,10 +295,8 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         If the file cannot be opened.
     """
     messages = bare(messages)
-    with open(path, "rb") as file:
-        data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     checksum = checksum_of(path)
-    packets = Packets(data)
+    packets = Packets(mapped(path))
     kinds, first_received = _kinds(packets, messages)
     if not kinds:
         raise ValueError(
@@ -353,7 +351,8 @@ def _kinds(packets: Packets, messages: MessageNames) -> tuple[dict[str, Kind], f
     for number, (received, packet) in enumerate(packets):
         name = packet.get_type()
         if name not in kinds:
-            kinds[name] = Kind(type(packet), messages is None or name in (*ABOUT, *messages))
+            is_stored = messages is None or name in (*ABOUT, *messages)
+            kinds[name] = Kind(type(packet), is_stored)
         first_received = first_received or received
         kinds[name].append(number, received, packet)
 

@@ -200,9 +200,8 @@ class GaussNewton(LocalSolver):
         # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)
         cost = self._parts.cost(iterate, 0.0)
-        return Profile(
-            iterate.z, tuple(self._parts.groups.split(iterate.trajectories)), cost, converged
-        )
+        trajectories = tuple(self._parts.groups.split(iterate.trajectories))
+        return Profile(trajectories, cost, converged)
 
     def cost(self, values: Array) -> float:
         """Return the smallest cost at all values (k,), continuity exact; NaN if there is none.

@@ -63,7 +63,9 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         remaining = abs(step.decrease) + step.distance
         if not remaining < shortest:
             break
-        end, shortest, distance = iterate, remaining, 2 * step.distance
+        end = iterate
+        shortest = remaining
+        distance = 2 * step.distance
         if remaining < 1e-18:  # changes none of the first nine digits of a parameter
             break
 
@@ -117,7 +119,8 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
         rows.append(math.sqrt(part.weight * bread) * information.jacobian[:, :free] / slope)
     jacobian = np.vstack(rows)
 
-    unit = 1 / positive_or_one(np.linalg.norm(jacobian, axis=0))
+    size = np.linalg.norm(jacobian, axis=0)
+    unit = 1 / positive_or_one(size)
     _, singular, axes = np.linalg.svd(triangle_of(jacobian * unit))
     determined = singular > 1e-8 * singular[0]  # smaller singular values are rounding as well
     along = (axes @ (step.gradient * unit))[determined] / singular[determined]

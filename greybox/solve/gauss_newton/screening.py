@@ -51,7 +51,8 @@ class Points(NamedTuple):
     def reduced(self, damping: Array) -> ArrayTriple:
         """Return gradient and Hessian without the states, and how these follow (r, m, n, 1 + p)."""
         right = np.concatenate([self.slope[..., None], self.cross], axis=3)
-        follow = -np.linalg.solve(_damped(self.curvature, damping[:, None]), right)
+        damped = _damped(self.curvature, damping[:, None])
+        follow = -np.linalg.solve(damped, right)
         eliminated = np.einsum("rmnp,rmnq->rpq", self.cross, follow)
         return self.gradient + eliminated[..., 0], self.hessian + eliminated[..., 1:], follow
 
