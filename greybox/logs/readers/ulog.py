@@ -74,12 +74,13 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         )
 
     # The modes are in the status, which is always read for them.
-    contents = named_arrays.read_contents(
+    report, groups = named_arrays.read_contents(
         "ulog", path, *(sorted({STATUS, *topics_wanted}) if topics_wanted else ())
     )
-    recording = named_arrays.recording(path, contents, None, contents.about["parameters"])
+    facts = report["about"]
+    recording = named_arrays.recording(path, groups, report["findings"], None, facts["parameters"])
     topics = {name: name.partition("[")[0] for name in recording}
-    about = _about(contents.about)
+    about = _about(facts)
     if STATUS in topics.values():
         about |= modes_of(recording[STATUS])
     by_name = {
