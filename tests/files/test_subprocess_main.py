@@ -37,10 +37,9 @@ def test_what_is_written_is_a_line_of_json_and_the_numbers(monkeypatch):
     collector.write()
     head, _, raw = Out.buffer.getvalue().partition(b"\n")
     assert json.loads(head)["items"] == [
-        {"path": "ATT/x", "unit": "deg"},
-        {"path": "ATT/m", "unit": ""},
+        {"path": "ATT/x", "unit": "deg", "shape": [2]},
+        {"path": "ATT/m", "unit": "", "shape": [2, 2]},
     ]
-    assert json.loads(head)["shapes"] == [[2], [2, 2]]
     np.testing.assert_array_equal(np.frombuffer(raw, "<f8"), [1, 2, 1, 0, 0, 1])
 
 

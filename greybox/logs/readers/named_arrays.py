@@ -95,12 +95,12 @@ def read_contents(kind: str, path: Path, *wanted: str) -> tuple[Fields, Groups]:
     ValueError
         If the file cannot be read, or not within the limits of time and memory.
     """
-    report, arrays = read_in_subprocess(kind, path, *wanted)
+    report = read_in_subprocess(kind, path, *wanted)
     groups: Groups = {}
-    for item, values in zip(report["items"], arrays, strict=True):
+    for item in report["items"]:
         group, _, name = item["path"].rpartition("/")
         columns, units = groups.setdefault(group or path.stem, ({}, {}))
-        columns[name] = values
+        columns[name] = item["values"]
         units[name] = item["unit"]
     return report, groups
 
