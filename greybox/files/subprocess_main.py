@@ -232,12 +232,7 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
             collector.reserve(values.size)
             collector.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
 
-    parameters = {
-        **log.initial_parameters,
-        **{name: value for _, name, value in log.changed_parameters},
-    }
     collector.about = {
-        "parameters": parameters,
         "initial": log.initial_parameters,
         "changes": log.changed_parameters,
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],
