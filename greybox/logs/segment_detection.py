@@ -45,7 +45,7 @@ PAUSE = 1.0
 # s: messages and modes that mark a start or an end are logged ten times a second at most.
 EDGE = 0.1
 
-STICK_TRAVEL = {"": 1000.0, "RCIN": 1000.0, "manual_control_setpoint": 2.0}
+STICK_TRAVEL = {"manual_control_setpoint": 2.0}  # of PX4; that of others is 1000, in µs
 
 
 def find_segments(
@@ -252,7 +252,7 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
         if during.sum() > 2:
             travel = max(
                 float(np.ptp(record[field][finite])),
-                STICK_TRAVEL.get(stick.rpartition(".")[0], 1.0),
+                STICK_TRAVEL.get(stick.rpartition(".")[0], 1000.0),
             )
             # In a travel of 1000 µs, a stick at rest wanders by 1 to 5, a dead zone takes 20 to 30,
             # and a hand that flies a sine moves the stick further.
