@@ -8,7 +8,14 @@ from statistics import median
 
 import numpy as np
 
-from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
+from greybox.data.record import (
+    GAP,
+    Record,
+    Recording,
+    median_step,
+    require_time,
+    runs_between_gaps,
+)
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
 from greybox.files.arrays import (
@@ -189,10 +196,7 @@ def _announced(
 
 def _tests(time: Array, columns: NamedArrays) -> list[IntArray]:
     """Return the rows of each test, which ends if a field changes or the message pauses."""
-    if time.size < 2:
-        return []
-    steps = np.diff(time)
-    change = steps > max(PAUSE, 5 * float(np.median(steps)))
+    change = np.diff(time) > max(PAUSE, 5 * median_step(time))
     for values in columns.values():
         # NaN differs from itself, and would cut a test at every sample.
         change = change | (np.diff(np.nan_to_num(values)) != 0)
