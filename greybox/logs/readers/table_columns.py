@@ -28,8 +28,7 @@ def table(
     name : str
         Their name.
     columns : mapping of str to array
-        As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]``
-        ..., one per column.
+        Matrices with one sample per row give signals ``x[0]``, ``x[1]`` ..., one per column.
     units : mapping of str to str
         A word after the unit may state how the signal varies between its samples, ``1 held`` or
         ``rad sampled``.
@@ -87,7 +86,7 @@ def _split(name: str, values: AnyArray, size: int) -> dict[str, Array]:
     if values.shape[:1] != (size,):
         return {}
     if values.ndim == 1:
-        return {name: values.astype(float, copy=False)}
+        return {name: values}
     if values.ndim == 2 and values.shape[1] <= WIDEST:
         return {f"{name}[{i}]": column.astype(float) for i, column in enumerate(values.T)}
     return {}
