@@ -46,7 +46,7 @@ def table(
     if timer:
         time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
     elif has_interval:
-        time = np.arange(size, dtype=float) * (1 / rate if rate else float(interval[0]))
+        time = np.arange(size) * (1 / rate if rate else float(interval[0]))
 
     split = {}
     labels = {}
