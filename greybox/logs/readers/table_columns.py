@@ -36,16 +36,14 @@ def table(
     timer = time_column(columns, units)
     signals = {key: values for key, values in columns.items() if key != timer}
     # MATLAB's iddata and many scripts store one interval instead of a vector of times.
-    interval = np.ravel(columns.get("Ts", np.empty(0)))
-    has_interval = not timer and (rate or interval.size == 1)
-    if has_interval:
-        signals.pop("Ts", None)
+    interval = columns.get("Ts", np.empty(0))
     size = len(columns[timer]) if timer else max(map(len, signals.values()), default=0)
     time = None
     assumed = ()
     if timer:
         time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
-    elif has_interval:
+    elif rate or interval.size == 1:
+        signals.pop("Ts", None)
         time = np.arange(size) * (1 / rate if rate else float(interval[0]))
 
     split = {}
