@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.checked_array import require
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import AnyArray, Array, ComplexArray
 
 
 def angular_frequency(frequency: Array, unit: str) -> Array:
@@ -27,7 +27,7 @@ def angular_frequency(frequency: Array, unit: str) -> Array:
 
 
 def complex_response(
-    magnitude: Array, phase: Array, magnitude_unit: str, phase_unit: str
+    magnitude: AnyArray, phase: Array, magnitude_unit: str, phase_unit: str
 ) -> ComplexArray:
     """Return the response (n,) of magnitudes, absolute or in dB (20 log10), and phases.
 

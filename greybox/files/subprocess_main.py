@@ -75,7 +75,7 @@ class Collector:
         out.write(json.dumps(head).encode() + b"\n")
         # Each array is released once it is written: the parent process holds its copy by then.
         while self.arrays:
-            out.write(np.ascontiguousarray(self.arrays.pop(0), dtype="<f8"))
+            out.write(np.ascontiguousarray(self.arrays.pop(0), dtype="<f8").data)
 
 
 def hdf5(path: str, collector: Collector, _: list[str]) -> None:
