@@ -242,9 +242,9 @@ class FrequencyResponse:
         for name in COLUMNS:
             values = getattr(self, name)
             # The mark keeps a variance and a coherence of the same numbers apart.
-            digest.update(b"-" if values is None else np.ascontiguousarray(values).tobytes())
+            digest.update(b"-" if values is None else values.tobytes())
         if self.common_errors is not None:
-            digest.update(np.ascontiguousarray(self.common_errors).tobytes())
+            digest.update(self.common_errors.tobytes())
         return digest.hexdigest()
 
     def where(self, selected: BoolArray | IntArray) -> "FrequencyResponse":

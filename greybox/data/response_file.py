@@ -1,7 +1,7 @@
 """Writes and reads frequency responses as CSV files."""
 
 import contextlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
@@ -141,10 +141,12 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     """
     path = Path(path)
     require_csv(path)
+    stretches = (f"{s.checksum} {s.start!r} {s.end!r}" for s in response.stretches)
     facts = {
         **{key: text for key in NAMES[:2] if (text := getattr(response, key))},
         **{key: text for key, text in response.about.items() if key not in NAMES},
-        **common_facts(response.units, response.stretches),
+        **{f"{UNIT}{name}": unit for name, unit in response.units.items() if unit},
+        **{f"{STRETCH}{k}": text for k, text in enumerate(stretches, start=1)},
     }
     columns = {key: x.tolist() for key, x in {OMEGA: response.omega, **response.columns}.items()}
     write_delimited(path, facts, columns)
@@ -183,15 +185,6 @@ def require_csv(path: Path) -> None:
     """Refuse a name that does not end in .csv: readers choose the format by it."""
     if path.suffix.lower() != ".csv":
         raise ValueError(f"{path} is not the name of a table: give one that ends in .csv.")
-
-
-def common_facts(units: NamedStrings, stretches: Iterable[Stretch]) -> dict[str, str]:
-    """Return units and stretches of records as facts for a file."""
-    texts = (f"{s.checksum} {s.start!r} {s.end!r}" for s in stretches)
-    return {
-        **{f"{UNIT}{name}": unit for name, unit in units.items() if unit},
-        **{f"{STRETCH}{k}": text for k, text in enumerate(texts, start=1)},
-    }
 
 
 def described(facts: NamedStrings) -> Fields:

@@ -57,7 +57,7 @@ def tick(unit: str) -> float | None:
     return conversion.factor if conversion and conversion.si == "s" else None
 
 
-def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, Strings]:
+def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, Strings]:
     """Return the times of a column (n,) in s, and a finding if its unit had to be assumed.
 
     Times since 1970 count from the first sample.
@@ -67,7 +67,6 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, String
     ValueError
         If the unit is not stated and seconds would be implausible.
     """
-    times = values.astype(float)
     finite = times[np.isfinite(times)]
     if unit or name.lower() not in TIMES or finite.size < 2:
         return times * (seconds(name, unit) or tick(unit) or 1.0), ()

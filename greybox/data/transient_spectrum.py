@@ -123,7 +123,7 @@ class TransientSpectrum:
         digest = hashlib.sha256(f"{', '.join(self.inputs)}->{', '.join(self.outputs)}".encode())
         ends = [self.duration, self.step, *map(self.change, self.inputs)]
         for values in (self.omega, *self.inputs.values(), *self.outputs.values(), np.array(ends)):
-            digest.update(np.ascontiguousarray(values).tobytes())
+            digest.update(values.tobytes())
         return digest.hexdigest()
 
     def is_same_as(self, other: "TransientSpectrum") -> bool:

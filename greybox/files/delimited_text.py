@@ -201,12 +201,11 @@ def _header(lines: list[str], body: Sequence[int]) -> int:
 
 def numbered(text: DelimitedText) -> DelimitedText:
     """Return a table without a header line with the numbers of its columns as names."""
+    if not are_numbers(text.header):
+        return text
     # What was taken for the header is the first row.
     lines = [text.separator.join(text.header), *text.lines]
-    cells = lines[0].split(text.separator)
-    if not are_numbers(cells):
-        return text
-    names = tuple(str(k) for k in range(1, len(cells) + 1))
+    names = tuple(str(k) for k in range(1, len(text.header) + 1))
     numbers = [text.line_numbers[0] - 1 if text.line_numbers else 1, *text.line_numbers]
 
     return replace(text, header=names, lines=lines, line_numbers=numbers)

@@ -1,9 +1,9 @@
 """Reads a file in a subprocess, with libraries that a damaged or crafted file can crash.
 
 Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a
-line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes":
-[...]}``, then the numbers of all arrays, 8 bytes each. It imports nothing of greybox, which its
-path may not have.
+line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}}``, with the
+path, the unit and the shape of every array, then the numbers of all arrays, 8 bytes each. It
+imports nothing of greybox, which its path may not have.
 
 `hdf5` is the one place where an HDF5 file is opened: it reaches nothing outside that file.
 """
@@ -59,26 +59,23 @@ class Collector:
             raise ValueError("its arrays are too large for the size of the file")
         self.room -= 8 * numbers
 
-    def add(self, path: str, values: np.ndarray, **about: Any) -> None:
+    def add(self, path: str, values: np.ndarray, unit: str) -> None:
         """Store an array."""
-        self.arrays.append(np.atleast_1d(values))
-        self.items.append({"path": path, **about})
+        self.arrays.append(values)
+        self.items.append({"path": path, "unit": unit, "shape": values.shape})
 
     def write(self) -> None:
         """Write everything to standard output."""
-        shapes = [array.shape for array in self.arrays]
         head = {
             "items": self.items,
             "findings": self.findings,
             "about": self.about,
-            "shapes": shapes,
         }
         out = sys.stdout.buffer
         out.write(json.dumps(head).encode() + b"\n")
         # Each array is released once it is written: the parent process holds its copy by then.
         while self.arrays:
-            array = np.ascontiguousarray(self.arrays.pop(0), dtype="<f8")
-            out.write(array.data if array.size else b"")
+            out.write(np.ascontiguousarray(self.arrays.pop(0), dtype="<f8").data)
 
 
 def hdf5(path: str, collector: Collector, _: list[str]) -> None:
@@ -235,12 +232,7 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
             collector.reserve(values.size)
             collector.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
 
-    parameters = {
-        **log.initial_parameters,
-        **{name: value for _, name, value in log.changed_parameters},
-    }
     collector.about = {
-        "parameters": parameters,
         "initial": log.initial_parameters,
         "changes": log.changed_parameters,
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],

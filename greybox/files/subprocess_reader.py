@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Fields
+from greybox.files.arrays import Fields
 from greybox.files.subprocess_main import REFUSED
 from greybox.files.text_table import printable
 
@@ -27,8 +27,8 @@ SCRIPT = Path(__file__).with_name("subprocess_main.py")
 TOO_LONG = -getattr(signal, "SIGPROF", 0)
 
 
-def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[Fields, list[Array]]:
-    """Return the report of `subprocess_main` on a file of this `kind`, and its numeric arrays.
+def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Fields:
+    """Return the report of `subprocess_main` on a file; its items have their `values`, an array.
 
     Raises
     ------
@@ -77,20 +77,18 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[Fields, lis
     return answer
 
 
-def _answer(pipe: Any) -> tuple[Fields, list[Array]] | None:
+def _answer(pipe: Any) -> Fields | None:
     """Return the answer, or None from a process that ended early."""
     try:
-        # One line of facts, then the numbers, in the order of the shapes.
-        head = json.loads(pipe.readline())
+        # One line of facts, then the numbers, in the order of the items.
+        report = json.loads(pipe.readline())
     except ValueError:
         return None
-    arrays = []
-    for shape in head.pop("shapes"):
+    for item in report["items"]:
         # Each array has memory of its own, which a record keeps without a copy.
-        values = np.empty(shape, "<f8")
-        if values.size:
-            pipe.readinto(values.data.cast("B"))
+        values = np.empty(item["shape"], "<f8")
+        pipe.readinto(values)
         values.setflags(write=False)
-        arrays.append(values)
+        item["values"] = values
 
-    return head, arrays
+    return report

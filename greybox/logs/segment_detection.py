@@ -8,7 +8,14 @@ from statistics import median
 
 import numpy as np
 
-from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
+from greybox.data.record import (
+    GAP,
+    Record,
+    Recording,
+    median_step,
+    require_time,
+    runs_between_gaps,
+)
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
 from greybox.files.arrays import (
@@ -45,7 +52,7 @@ PAUSE = 1.0
 # s: messages and modes that mark a start or an end are logged ten times a second at most.
 EDGE = 0.1
 
-STICK_TRAVEL = {"": 1000.0, "RCIN": 1000.0, "manual_control_setpoint": 2.0}
+STICK_TRAVEL = {"manual_control_setpoint": 2.0}  # of PX4; that of others is 1000, in µs
 
 
 def find_segments(
@@ -189,10 +196,7 @@ def _announced(
 
 def _tests(time: Array, columns: NamedArrays) -> list[IntArray]:
     """Return the rows of each test, which ends if a field changes or the message pauses."""
-    if time.size < 2:
-        return []
-    steps = np.diff(time)
-    change = steps > max(PAUSE, 5 * float(np.median(steps)))
+    change = np.diff(time) > max(PAUSE, 5 * median_step(time))
     for values in columns.values():
         # NaN differs from itself, and would cut a test at every sample.
         change = change | (np.diff(np.nan_to_num(values)) != 0)
@@ -252,7 +256,7 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
         if during.sum() > 2:
             travel = max(
                 float(np.ptp(record[field][finite])),
-                STICK_TRAVEL.get(stick.rpartition(".")[0], 1.0),
+                STICK_TRAVEL.get(stick.rpartition(".")[0], 1000.0),
             )
             # In a travel of 1000 µs, a stick at rest wanders by 1 to 5, a dead zone takes 20 to 30,
             # and a hand that flies a sine moves the stick further.

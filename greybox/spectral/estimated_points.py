@@ -89,12 +89,10 @@ def response_at(
 def measured_in(stretches: Sequence[UniformStretch], input: str, output: str) -> Fields:
     """Return source, stretches, units and hold of a response that these stretches give."""
     return {
-        "source": ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
+        "source": ", ".join(dict.fromkeys(s.record.source for s in stretches if s.record.source)),
         "stretches": tuple(s.origin for s in stretches),
-        "units": {
-            n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u
-        },
-        "about": hold_of_response(input, output, [(s.hold, s.step) for s in stretches]),
+        "units": {n: u for n, u in stretches[0].record.units.items() if n in (input, output) and u},
+        "about": hold_of_response(input, output, [(s.record.hold, s.step) for s in stretches]),
     }
 
 

@@ -202,7 +202,7 @@ def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
 
 def _row(point: FrequencyPoint) -> Strings:
     gain = abs(point.response)
-    phase = math.degrees(math.atan2(point.response.imag, point.response.real))
+    phase = np.angle(point.response, deg=True)
     return (
         number(point.omega),
         str(point.periods),

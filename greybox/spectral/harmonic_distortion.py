@@ -99,4 +99,4 @@ def interpolated(omega: Array, response: ComplexArray, at: NDArray[np.floating])
     logs = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
     # Beyond the highest frequency, the last slope continues.
     line = make_interp_spline(np.log(omega), logs, k=1)
-    return np.exp(line(np.log(at)).astype(complex))
+    return np.exp(line(np.log(at)))

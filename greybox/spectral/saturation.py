@@ -12,17 +12,17 @@ def at_limit(values: Array) -> BoolArray:
 
     A limit is a flat top: the signal rests at an extreme value for at least three samples and three
     times as long as it usually rests elsewhere (a control may be held for several samples
-    throughout). NaN is never at a limit.
+    throughout).
     """
-    low, high = np.nanmin(values), np.nanmax(values)
+    low, high = values.min(), values.max()
     reach = high - low
-    # Runs of equal values; NaN ends a run, because no comparison with it is true.
-    starts = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(values)) <= 1e-9 * reach)])
+    # Runs of equal values.
+    starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > 1e-9 * reach])
     lengths = np.diff(np.r_[starts, values.size])
     levels = values[starts]
     # Steps, doublets and binary sequences have fewer levels. They rest at their extremes
     # by design, and a limit looks like an amplitude there.
-    if np.unique(levels[np.isfinite(levels)]).size < 12:
+    if np.unique(levels).size < 12:
         return np.zeros(values.size, dtype=bool)
 
     # A single-precision number in a log has 24 bits, 6e-8.

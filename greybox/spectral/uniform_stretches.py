@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps
-from greybox.files.arrays import Array, Labels, NamedStrings, Values
+from greybox.files.arrays import Array, Labels
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
@@ -20,10 +20,8 @@ class UniformStretch(NamedTuple):
 
     values: Array
     step: float
-    source: str
     origin: Stretch
-    units: NamedStrings
-    hold: Values
+    record: Record
 
 
 def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> list[UniformStretch]:
@@ -55,15 +53,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> li
                     time = piece.time[rows]
                     check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
-                    stretch = UniformStretch(
-                        values[:, rows],
-                        piece.step,
-                        record.source,
-                        origin,
-                        record.units,
-                        record.hold,
-                    )
-                    stretches.append(stretch)
+                    stretches.append(UniformStretch(values[:, rows], piece.step, origin, record))
 
     if not stretches:
         raise ValueError(

@@ -37,10 +37,9 @@ def test_what_is_written_is_a_line_of_json_and_the_numbers(monkeypatch):
     collector.write()
     head, _, raw = Out.buffer.getvalue().partition(b"\n")
     assert json.loads(head)["items"] == [
-        {"path": "ATT/x", "unit": "deg"},
-        {"path": "ATT/m", "unit": ""},
+        {"path": "ATT/x", "unit": "deg", "shape": [2]},
+        {"path": "ATT/m", "unit": "", "shape": [2, 2]},
     ]
-    assert json.loads(head)["shapes"] == [[2], [2, 2]]
     np.testing.assert_array_equal(np.frombuffer(raw, "<f8"), [1, 2, 1, 0, 0, 1])
 
 
@@ -310,7 +309,8 @@ def test_what_a_px4_log_lost_is_said(tmp_path):
     subprocess_main.ulog(str(path), found, [])
     assert found.findings == ["the logger lost data 2 times, 1.75 s in total."]
     assert found.about["texts"] == [(2_100_000, "[commander] Takeoff detected")]
-    assert found.about["parameters"] == {"MC_PITCH_P": 7.0, "CBRK_IO": 4}
+    assert found.about["initial"] == {"MC_PITCH_P": 6.5, "CBRK_IO": 4}
+    assert [change[1:] for change in found.about["changes"]] == [("MC_PITCH_P", 7.0)]
     units = {item["path"]: item["unit"] for item in found.items}
     assert units["vehicle_attitude/timestamp"] == "us"
     assert units["sensor_accel[1]/x"] == units["vehicle_attitude/q[0]"] == ""

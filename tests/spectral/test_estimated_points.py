@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.data.record import Record
 from greybox.spectral.estimated_points import EstimatedPoints, response_at, without_incoherent
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -15,10 +16,16 @@ def points(*kinds):
 
 def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
     origin = Stretch("x", 1.0, 2.0)
+    signals = {name: np.zeros(2) for name in "uyz"}
     stretches = [
-        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {"u": "N", "y": "", "z": "m"}, {}),
-        UniformStretch(np.zeros((2, 2)), 0.1, "b.bin", origin, {"y": "m"}, {}),
-        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {}, {}),
+        UniformStretch(
+            np.zeros((2, 2)), 0.1, origin, Record(np.arange(2.0), signals, units, source=source)
+        )
+        for source, units in (
+            ("a.bin", {"u": "N", "y": "", "z": "m"}),
+            ("b.bin", {"y": "m"}),
+            ("a.bin", {}),
+        )
     ]
     found = response_at(points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches)
     np.testing.assert_allclose(found.omega, [1, 3])
@@ -37,11 +44,11 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
     assert found.about == {
         "dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"
     }
-    one = response_at(points("", "weak"), ("u", "y", ""), [])
+    one = response_at(points("", "weak"), ("u", "y", ""), stretches)
     assert one.about == {
         "dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"
     }
-    assert response_at(points("", "lost"), ("u", "y", ""), []).about == {}
+    assert response_at(points("", "lost"), ("u", "y", ""), stretches).about == {}
     with pytest.raises(ValueError, match="the instrument hardly moves u"):
         response_at(points("weak", "lost"), ("u", "y", ""), [])
     with pytest.raises(ValueError, match="no frequency has enough data"):

@@ -196,7 +196,7 @@ def solution_of(lines, center, half, order, slow):
 def test_lines_are_transforms_of_whole_stretches_by_frequency():
     """Sums that are written out, whose squares are densities; of 12 and 8 samples, of other steps."""
     rng = np.random.default_rng(0)
-    rest = "", Stretch("", 0.0, 1.0), {}, {}
+    rest = Stretch("", 0.0, 1.0), Record(np.arange(2.0), {"u": np.zeros(2)})
     pieces = [
         UniformStretch(rng.standard_normal((3, n)), step, *rest)
         for n, step in ((12, 0.05), (8, 0.04))

@@ -11,6 +11,8 @@ from greybox.experiment.excitation import multisine
 from greybox.spectral.multisine_lines import periodic_response, whole_periods
 from greybox.spectral.uniform_stretches import UniformStretch
 
+RECORD = Record(np.arange(2.0), {"u": np.zeros(2)})
+
 
 def test_multisine_in_steady_state_is_exact():
     b, a = resonance()
@@ -185,16 +187,16 @@ def test_the_last_whole_periods_are_kept(samples, left_out):
         np.arange(2.0 * samples).reshape(2, samples),
         Stretch("x", 5.0, 5.0 + 0.1 * (samples - 1)),
     )
-    kept = whole_periods(UniformStretch(values, 0.1 * (1 - 9e-6), "a.bin", origin, {}, {}), 1.0)
+    kept = whole_periods(UniformStretch(values, 0.1 * (1 - 9e-6), origin, RECORD), 1.0)
     np.testing.assert_array_equal(kept.values, values[:, left_out:])
-    assert (kept.step, kept.source) == (0.1, "a.bin")
+    assert (kept.step, kept.record) == (0.1, RECORD)
     assert kept.origin.start == pytest.approx(min(5 + 0.1 * left_out, origin.end), abs=1e-4)
     assert (kept.origin.end, kept.origin.checksum) == (origin.end, "x")
 
 
 def test_a_period_is_a_whole_number_of_samples_two_at_least():
     values = np.zeros((2, 40))
-    rest = "", Stretch("x", 0.0, 40.0), {}, {}
+    rest = Stretch("x", 0.0, 40.0), RECORD
     for step in (0.1 * (1 + 1.1e-5), 0.1 * (1 - 1.1e-5)):
         with pytest.raises(
             ValueError,

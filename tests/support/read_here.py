@@ -24,9 +24,10 @@ def read_here(kind, path, *wanted):
         raise ValueError(
             f"{path} is damaged or of another format ({said:.160}): export or copy it again."
         ) from None
-    arrays = [np.array(values, dtype="<f8", order="C") for values in found.arrays]
-    for values in arrays:
-        values.setflags(write=False)
-    return json.loads(
+    report = json.loads(
         json.dumps({"items": found.items, "findings": found.findings, "about": found.about})
-    ), arrays
+    )
+    for item, array in zip(report["items"], found.arrays, strict=True):
+        item["values"] = np.array(array, dtype="<f8", order="C")
+        item["values"].setflags(write=False)
+    return report

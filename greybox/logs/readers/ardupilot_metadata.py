@@ -89,8 +89,8 @@ def vehicle_in(text: str) -> str:
 
 def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]:
     """Return (time, name): by number, or by the name that text logs write."""
-    written = mode.texts.get("Mode") if mode else None
-    modes = written or column(mode, "ModeNum", "Mode")
+    # In binary logs, Mode is the number that ModeNum is.
+    modes = column(mode, "Mode", "ModeNum")
     names = [
         value.upper()
         if isinstance(value, str)

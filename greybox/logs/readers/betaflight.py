@@ -9,7 +9,6 @@ common/chirp.c, with its debug fields as of pull requests 13105 and 15113.
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,10 +49,10 @@ def without_settings(raw: bytes) -> tuple[bytes, dict[str, float]]:
     return b"".join(b"#" + line + b"\n" for line in lines) + raw[start:], settings
 
 
-def with_units(headings: Sequence[Heading]) -> list[Heading]:
+def with_units(headings: list[Heading]) -> list[Heading]:
     """Return the headings with the units that Betaflight does not write."""
-    if not headings or headings[0].name != LOOPS:
-        return list(headings)
+    if headings[0].name != LOOPS:
+        return headings
     return [h if h.unit else Heading(h.name, _unit(h.name)) for h in headings]
 
 

@@ -27,7 +27,7 @@ from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable, some
 from greybox.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.logs.readers.messages import MessageNames
-from greybox.logs.readers.named_arrays import Contents, Variable, recording
+from greybox.logs.readers.named_arrays import recording
 from greybox.logs.readers.table_columns import time_column
 
 
@@ -89,7 +89,8 @@ def read(
     text = numbered(text) if stated else text
     headings = with_units(_headings(text))
     columns, findings = _columns(headings, text)
-    is_timed = time_column(columns, {h.name: h.unit for h in headings}) or "time" in (stated or ())
+    units = {h.name: h.unit for h in headings}
+    is_timed = time_column(columns, units) or "time" in (stated or ())
     if is_timed and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
     # As rows without a time, the samples would count as independent.
@@ -102,12 +103,9 @@ def read(
             "time."
         )
 
-    variables = [
-        Variable("", h.name, h.unit, columns[h.name]) for h in headings if h.name in columns
-    ]
-    contents = Contents(variables, findings, {})
+    groups = {path.stem: (columns, units)}
     # Rows without a time are for static models.
-    log = recording(path, contents, stated=stated, rate=rate, rows_allowed=True)
+    log = recording(path, groups, findings, stated=stated, rate=rate, rows_allowed=True)
     ((name, record),) = log.items()
     record = completed(replace(record, findings=log.findings), settings)
     about = {"parameters": settings} if settings else {}

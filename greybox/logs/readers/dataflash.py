@@ -172,7 +172,7 @@ def clock_column(layout: Layout) -> str:
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 
-def _missing(present: set[str], messages: MessageNames) -> Strings:
+def _missing(present: set[str], messages: MessageNames) -> Labels:
     """Return findings on requested or necessary messages that are missing."""
     # A missing RATE has a finding of its own, with the cure.
     names = ", ".join(sorted(present - {*ABOUT}))
@@ -184,10 +184,10 @@ def _missing(present: set[str], messages: MessageNames) -> Strings:
     if "RATE" not in present and ("ATT" in present if messages is None else "RATE" in messages):
         findings.append(ardupilot_metadata.NO_RATE)
 
-    return tuple(findings)
+    return findings
 
 
-def _damage(positions: Index) -> Strings:
+def _damage(positions: Index) -> Labels:
     findings = []
     if positions.damage:
         skipped = sum(end - start for start, end in positions.damage)
@@ -201,4 +201,4 @@ def _damage(positions: Index) -> Strings:
             "was lost."
         )
 
-    return tuple(findings)
+    return findings

@@ -4,10 +4,9 @@ The same records are made of the topics of PX4 logs and of tables of text.
 """
 
 from pathlib import Path
-from typing import NamedTuple
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, Fields, NamedStrings, Values
+from greybox.files.arrays import Array, Fields, Labels, NamedStrings, Values
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
@@ -16,22 +15,7 @@ from greybox.logs.readers.table_columns import table
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
-
-class Variable(NamedTuple):
-    """One numeric array: the group (or struct) that it is in, its own name, its unit."""
-
-    group: str
-    name: str
-    unit: str
-    values: Array
-
-
-class Contents(NamedTuple):
-    """The contents of a file: its arrays, its defects, and facts about the vehicle."""
-
-    variables: list[Variable]
-    findings: list[str]
-    about: Fields
+Groups = dict[str, tuple[Fields, Fields]]  # numeric arrays and their units, of groups or structs
 
 
 def read(
@@ -79,12 +63,13 @@ def read(
         # MATLAB 7.3 puts a text before the signature of HDF5.
         head = file.read(4096)
     is_hdf5 = SIGNATURE in head
-    contents = read_contents("hdf5" if is_hdf5 else "matlab", path)
+    report, groups = read_contents("hdf5" if is_hdf5 else "matlab", path)
     # MATLAB 7.3 stores matrices transposed.
     turned = is_hdf5 and head.startswith(b"MATLAB")
-    rows = [v._replace(values=_rows(v.values, turned)) for v in contents.variables]
+    for columns, _ in groups.values():
+        columns.update({name: _rows(values, turned) for name, values in columns.items()})
 
-    return recording(path, contents._replace(variables=rows), messages, None, stated, rate)
+    return recording(path, groups, report["findings"], messages, None, stated, rate)
 
 
 def _rows(values: Array, turned: bool) -> Array:
@@ -94,8 +79,8 @@ def _rows(values: Array, turned: bool) -> Array:
     return values.T if turned else values
 
 
-def read_contents(kind: str, path: Path, *wanted: str) -> Contents:
-    """Read all numeric vectors and matrices of a file.
+def read_contents(kind: str, path: Path, *wanted: str) -> tuple[Fields, Groups]:
+    """Return the report on a file, and its numeric vectors and matrices; the root has its name.
 
     Parameters
     ----------
@@ -110,17 +95,20 @@ def read_contents(kind: str, path: Path, *wanted: str) -> Contents:
     ValueError
         If the file cannot be read, or not within the limits of time and memory.
     """
-    head, arrays = read_in_subprocess(kind, path, *wanted)
-    variables = []
-    for item, values in zip(head["items"], arrays, strict=True):
+    report = read_in_subprocess(kind, path, *wanted)
+    groups: Groups = {}
+    for item in report["items"]:
         group, _, name = item["path"].rpartition("/")
-        variables.append(Variable(group, name, item["unit"], values))
-    return Contents(variables, head["findings"], head["about"])
+        columns, units = groups.setdefault(group or path.stem, ({}, {}))
+        columns[name] = item["values"]
+        units[name] = item["unit"]
+    return report, groups
 
 
 def recording(
     path: Path,
-    contents: Contents,
+    groups: Groups,
+    problems: Labels,
     messages: MessageNames = None,
     parameters: Values | None = None,
     stated: NamedStrings | None = None,
@@ -128,7 +116,7 @@ def recording(
     *,
     rows_allowed: bool = False,
 ) -> Recording:
-    """Make a record of every group that has a time; the root is named after the file.
+    """Make a record of every group that has a time; `problems` are those of the file.
 
     With the `parameters` of a vehicle, the groups are messages of its flight controller. The
     `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`. With
@@ -136,12 +124,8 @@ def recording(
     settings and the like, a finding.
     """
     checksum = checksum_of(path)
-    groups: dict[str, dict[str, Variable]] = {}
-    for variable in contents.variables:
-        groups.setdefault(variable.group or path.stem, {})[variable.name] = variable
-
     by_name = {}
-    findings = list(contents.findings)
+    findings = [*problems]
     findings += [f"there is no group {name}." for name in messages or () if name not in groups]
     present = ", ".join(groups)
     groups = {n: group for n, group in groups.items() if messages is None or n in messages}
@@ -152,11 +136,8 @@ def recording(
 
     # Every group has a clock of its own.
     for name, group in groups.items():
-        columns = {key: variable.values for key, variable in group.items()}
-        units = {key: variable.unit for key, variable in group.items()}
-        if stated:
-            columns, units = renamed(columns, units, stated, path.name)
-        part, problems = table(name, columns, units, rate)
+        columns, units = renamed(*group, stated, path.name) if stated else group
+        part, assumed = table(name, columns, units, rate)
         if part.time is None and part.columns and rows_allowed:
             about = (name, path.name, checksum)
             by_name[name] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]
@@ -165,7 +146,7 @@ def recording(
         clocked = clocked if parameters is None else with_holds(clocked, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)
         by_name.update(records_of_group)
-        findings += [*problems, *restarts, *dropped]
+        findings += [*assumed, *restarts, *dropped]
     if not by_name:
         raise ValueError(
             f"{path} has no numeric column besides the time: it needs one for each signal."

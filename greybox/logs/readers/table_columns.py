@@ -28,8 +28,7 @@ def table(
     name : str
         Their name.
     columns : mapping of str to array
-        As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]``
-        ..., one per column.
+        Matrices with one sample per row give signals ``x[0]``, ``x[1]`` ..., one per column.
     units : mapping of str to str
         A word after the unit may state how the signal varies between its samples, ``1 held`` or
         ``rad sampled``.
@@ -37,17 +36,15 @@ def table(
     timer = time_column(columns, units)
     signals = {key: values for key, values in columns.items() if key != timer}
     # MATLAB's iddata and many scripts store one interval instead of a vector of times.
-    interval = np.ravel(columns.get("Ts", np.empty(0)))
-    has_interval = not timer and (rate or interval.size == 1)
-    if has_interval:
-        signals.pop("Ts", None)
+    interval = columns.get("Ts", np.empty(0))
     size = len(columns[timer]) if timer else max(map(len, signals.values()), default=0)
     time = None
     assumed = ()
     if timer:
         time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
-    elif has_interval:
-        time = np.arange(size, dtype=float) * (1 / rate if rate else float(interval[0]))
+    elif rate or interval.size == 1:
+        signals.pop("Ts", None)
+        time = np.arange(size) * (1 / rate if rate else float(interval[0]))
 
     split = {}
     labels = {}
@@ -87,7 +84,7 @@ def _split(name: str, values: AnyArray, size: int) -> dict[str, Array]:
     if values.shape[:1] != (size,):
         return {}
     if values.ndim == 1:
-        return {name: values.astype(float, copy=False)}
+        return {name: values}
     if values.ndim == 2 and values.shape[1] <= WIDEST:
         return {f"{name}[{i}]": column.astype(float) for i, column in enumerate(values.T)}
     return {}

@@ -25,7 +25,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, Fields, IntArray, Labels, NamedArrays, by_name
+from greybox.files.arrays import Array, BoolArray, Fields, IntArray, Labels, NamedArrays, by_name
 from greybox.files.progress import bar
 from greybox.logs.readers import time_stamps
 from greybox.logs.readers.ardupilot_metadata import mode_name, unit, vehicle_in
@@ -172,24 +172,25 @@ INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 
 
 class Heartbeats(NamedTuple):
-    """The heartbeats of the first autopilot: its sender, fields and times, s.
+    """The heartbeats of the first autopilot: its sender, fields, and which of all they are.
 
     The sender is 256 · system + component, or -1 without a heartbeat.
     """
 
     sender: int
     fields: NamedArrays
-    time: Array
+    rows: BoolArray
 
     @property
     def autopilot(self) -> int:
         """MAV_AUTOPILOT of the sender; that of no autopilot without a heartbeat."""
-        return int(self.fields["autopilot"][0]) if len(self.time) else mavlink.MAV_AUTOPILOT_INVALID
+        return (
+            int(self.fields["autopilot"][0]) if self.rows.any() else mavlink.MAV_AUTOPILOT_INVALID
+        )
 
 
-def metadata(kinds: Mapping[str, Kind], times: NamedArrays) -> Fields:
+def metadata(kinds: Mapping[str, Kind], times: NamedArrays, beats: Heartbeats) -> Fields:
     """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
-    beats = heartbeats(kinds, times)
     texts = ()
     if "STATUSTEXT" in kinds:
         written = kinds["STATUSTEXT"].texts["text"]
@@ -199,14 +200,14 @@ def metadata(kinds: Mapping[str, Kind], times: NamedArrays) -> Fields:
         **firmware,
         "parameters": _parameters(kinds.get("PARAM_VALUE"), beats),
         "texts": texts,
-        "modes": _modes(beats, firmware.get("vehicle", "")),
+        "modes": _modes(beats, times, firmware.get("vehicle", "")),
     }
     return {key: value for key, value in about.items() if value}
 
 
-def heartbeats(kinds: Mapping[str, Kind], times: NamedArrays) -> Heartbeats:
-    """Return the heartbeats of the first autopilot in the log; their times are zero by default."""
-    nobody = Heartbeats(-1, {}, np.empty(0))
+def heartbeats(kinds: Mapping[str, Kind]) -> Heartbeats:
+    """Return the heartbeats of the first autopilot in the log."""
+    nobody = Heartbeats(-1, {}, np.zeros(0, dtype=bool))
     if "HEARTBEAT" not in kinds:
         return nobody
     senders = np.asarray(kinds["HEARTBEAT"].senders)
@@ -220,9 +221,8 @@ def heartbeats(kinds: Mapping[str, Kind], times: NamedArrays) -> Heartbeats:
     sender = int(senders[flying.argmax()])
     # Modes of another vehicle on the same link are not those of this one.
     rows = flying & (senders == sender)
-    time = times.get("HEARTBEAT", np.zeros(rows.size))
 
-    return Heartbeats(sender, {name: x[rows] for name, x in fields.items()}, time[rows])
+    return Heartbeats(sender, {name: x[rows] for name, x in fields.items()}, rows)
 
 
 def _firmware(beats: Heartbeats, texts: Labels) -> dict[str, str]:
@@ -253,13 +253,14 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
     return by_name(sent.texts["param_id"], values)
 
 
-def _modes(beats: Heartbeats, vehicle: str) -> tuple[tuple[float, str], ...]:
+def _modes(beats: Heartbeats, times: NamedArrays, vehicle: str) -> tuple[tuple[float, str], ...]:
     """Return (time, name) at every change."""
     modes: list[tuple[float, str]] = []
-    if not beats.time.size:
+    if not beats.rows.any():
         return ()
+    moments = times["HEARTBEAT"][beats.rows].tolist()
     states = (beats.fields[name].astype(int).tolist() for name in ("base_mode", "custom_mode"))
-    for time, base, custom in zip(beats.time.tolist(), *states, strict=True):
+    for time, base, custom in zip(moments, *states, strict=True):
         name = interpret_px4_mode(base, custom) if vehicle == "PX4" else mode_name(vehicle, custom)
         # Every heartbeat has the mode, and only changes matter.
         if not modes or modes[-1][1] != name:
@@ -307,10 +308,10 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
     # Times count from the start of the vehicle, or else of another sender, or from the first
     # packet.
     stamps, boots = _clocks(kinds)
-    vehicle = heartbeats(kinds, {}).sender
-    zero, *_ = boots.get(vehicle) or next(iter(boots.values()), [first_received])
+    beats = heartbeats(kinds)
+    zero, *_ = boots.get(beats.sender) or next(iter(boots.values()), [first_received])
     times = {name: (stamps[kind.numbers] - zero) / 1e6 for name, kind in kinds.items()}
-    about = metadata(kinds, times)
+    about = metadata(kinds, times, beats)
     wanted = [
         name for name in kinds if (name not in ABOUT[1:] if messages is None else name in messages)
     ]

