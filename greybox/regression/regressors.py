@@ -70,8 +70,7 @@ def regressors(
             signal = derivatives[state.source]
         # The formula may use the states before this one; others stay NaN, and it has no use of
         # them.
-        if state.value is not None:
-            signal = np.asarray(state.value(x, signal[None, :])).ravel()
+        signal = np.asarray(state.value(x, signal[None, :])).ravel()
         x[equations.state_names.index(state.name)] = signal
         derivatives[state.name] = differentiate(time, signal)
 
