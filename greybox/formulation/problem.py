@@ -342,8 +342,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def _as_stated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `fixed` and `free` to one declared parameter."""
         if name not in self.fixed_values:
-            is_freed = parameter.fixed and name in self.free
-            return replace(parameter, fixed=False) if is_freed else parameter
+            return replace(parameter, fixed=parameter.fixed and name not in self.free)
 
         value = self.fixed_values[name]
         # An earlier fit has the parameter under its outside name.
