@@ -39,6 +39,7 @@ from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals, require_known
 from greybox.modeling.one_thread import once, one_thread_at_a_time, traced_once
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.parameter import start_values
 from greybox.modeling.sine import MOST_HARMONICS, Sine, as_sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import symbols, traced_column
@@ -168,7 +169,7 @@ def compiled_balance(
     input, output = pick_signals(model, input, output)
     check_sine(model, sine, input, omega)
     trim = trim_of(model, at or {}).closed()
-    start = ca.DM([q.start for q in model.parameters.values()])
+    start = ca.DM(start_values(model.parameters))
     point = ca.vertcat(*trim(start))
     declared = model, sine.signal, sine.harmonics, input, output, pade, (point, start)
     *_, size, _, numbers = _equations(*declared)
