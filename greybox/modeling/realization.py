@@ -126,7 +126,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     delays = [
         p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs
     ]
-    f = traced_column(model, "derivative", z, p) if model.states else ca.SX(0, 1)
+    f = traced_column(model, "derivative", z, p)
 
     return _with_pade_states(
         Dynamics(
