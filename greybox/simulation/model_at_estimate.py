@@ -115,12 +115,6 @@ class ModelAtEstimate:
         places = [self.part.outputs.index(name) for name in outputs]
         return self.part.noise[np.ix_(places, places)]
 
-    def free_running(self) -> "ModelAtEstimate":
-        """Return the model without corrections of its states."""
-        # A free simulation has no measurements to correct its states with.
-        criterion = OutputError(inputs=self.criterion.inputs, biases=self.criterion.biases)
-        return replace(self, criterion=criterion)
-
 
 def model_at(
     model: Model | Estimate,
