@@ -239,7 +239,7 @@ def _equations(
     equations by the unknowns. The `center` is the operating point at the start values, and these.
     """
     n = len(model.states)
-    names = (*model.states, *model.inputs)
+    names = model.resting_signals
     point, p = symbols(model)
     outputs = traced_column(model, "output", point, p)
     rows = [outputs[model.outputs.index(y)] for y in (output, signal) if y in model.outputs]
@@ -329,7 +329,7 @@ def _gains(derivatives: ca.SX, z: ca.SX, parameters: ca.SX, point: ca.DM, start:
     Rows of zeros for the inputs follow those of the states.
     A gain that is infinite at the operating point, as that of a square root at zero, counts as 0.
     """
-    rows = ca.vertcat(*ca.vertsplit(derivatives), ca.SX(z.numel() - derivatives.numel(), 1))
+    rows = ca.vertcat(derivatives, ca.SX(z.numel() - derivatives.numel(), 1))
     jacobian = ca.fabs(ca.jacobian(rows, z))
     values = np.asarray(ca.Function("gains", [z, parameters], [jacobian])(point, start))
     finite = ca.sparsify(ca.DM(np.isfinite(values).astype(float))).sparsity()

@@ -130,9 +130,9 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
 
     return _with_pade_states(
         Dynamics(
-            states=tuple(model.states),
-            inputs=tuple(model.inputs),
-            outputs=tuple(model.outputs),
+            states=model.state_names,
+            inputs=model.input_names,
+            outputs=model.output_names,
             parameters=tuple(names),
             **_functions(x, u, p, f, traced_column(model, "output", z, p), ca.vertcat(*delays)),
         ),

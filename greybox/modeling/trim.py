@@ -126,7 +126,7 @@ def _own_trim(model: Model, at: Values, p: ca.SX) -> Trimmed:
 
 
 def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
-    names = (*model.states, *model.inputs)
+    names = model.resting_signals
     z, p = symbols(model)
     derivative = derivative_function(model)(z, p)
     # A signal on which no derivative depends cannot be solved for; it rests at zero.
