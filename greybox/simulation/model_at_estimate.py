@@ -183,8 +183,5 @@ def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
 
 def criterion_of(inputs: Inputs, biases: Strings, gains: tuple[StringPair, ...]) -> TimeCriterion:
     """Return the criterion under which a model runs, with innovations if there are `gains`."""
-    if gains:
-        return PredictionError(
-            inputs=inputs, biases=biases, corrected=tuple(dict.fromkeys(s for s, _ in gains))
-        )
-    return OutputError(inputs=inputs, biases=biases)
+    kind = PredictionError if gains else OutputError
+    return kind(inputs=inputs, biases=biases)

@@ -33,9 +33,7 @@ def test_biases_and_gains_come_by_their_names():
     assert model.names[-2:] == ("position_bias", "K_velocity_position")
     assert_allclose(model.q[-2:], [0.2, 1.5])
     assert_allclose(model.p, model.q[:-2])
-    assert model.criterion == gb.PredictionError(
-        inputs="held", biases=("position",), corrected=("velocity",)
-    )
+    assert model.criterion == gb.PredictionError(inputs="held", biases=("position",))
     record = driven(8.0, noise=0.05)
     without_gain = gb.simulate(Spring(), {"position_bias": 0.2}, record, inputs="held")
     simulated = gb.simulate(Spring(), values, record, inputs="held")
