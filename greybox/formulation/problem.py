@@ -363,9 +363,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         label = self.model.label
         functions = {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
         functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
-        if not functions and not self.tied:
-            return
-
         parameters = self.parameters
         numbers = self.local_values({name: p.start for name, p in parameters.items()})
         for name in self.tied:
