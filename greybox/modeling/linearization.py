@@ -89,7 +89,7 @@ def linearize(
             "and the values."
         )
 
-    blocks = [np.asarray(ca.DM(b)) for b in jacobians(model)(vector, x, u)]
+    blocks = [np.asarray(b) for b in jacobians(model)(vector, x, u)]
     delays = [p[model.delays[name]] if name in model.delays else 0.0 for name in model.inputs]
     return LinearSystem(
         *blocks,
