@@ -221,7 +221,7 @@ def equation_error(
         },
         at_bound=at_bound,
         states=tuple(map(str, equations.states)),
-        parameters=dict(parameters),
+        parameters=parameters,
         warnings=tuple(_warnings(used, at_bound)),
         inputs=described_inputs(inputs, system.inputs, record),
     )
