@@ -266,8 +266,8 @@ def seconds(length: float) -> str:
 
 def cut(
     record: Record,
-    inputs: Labels,
-    outputs: Labels,
+    inputs: Strings,
+    outputs: Strings,
     *,
     lead: float,
     horizon: float,
@@ -284,7 +284,7 @@ def cut(
         If a length is not positive or shorter than a sample, or no stretch is long enough.
     """
     require_signals(record, inputs)
-    stretches = gapless(record, tuple(inputs), tuple(outputs))
+    stretches = gapless(record, inputs, outputs)
     if record.is_irregular:
         raise ValueError(
             f"{record.name or 'the record'} is not uniformly sampled, as windows of equal length "
