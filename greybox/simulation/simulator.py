@@ -168,7 +168,7 @@ class Simulator:
         # Products of three larger slopes would overflow.
         if not np.all(np.abs(slopes) < 1e100):
             by_value = np.full_like(by_value, np.nan)
-        elif fitted_initial and n:
+        elif fitted_initial:
             part, rows = model.part, stretch.rows
             compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
             places = [self._outputs.index(name) for name in part.outputs]
@@ -193,7 +193,7 @@ class Simulator:
         present = np.isfinite(data["measured"]) & (np.arange(length) < lead)
         measured = np.moveaxis(data["measured"], 0, -1)
         in_lead = np.moveaxis(present, 0, -1)
-        past = np.where(in_lead, measured, np.nan)[:, :lead]
+        past = measured[:, :lead]
         informing = in_lead[:, :lead, :, None]
         guess = self._first_states(windows, past)
         # A constant signal has no size of its own.
