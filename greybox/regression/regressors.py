@@ -125,9 +125,7 @@ def _filtered(time: Array, columns: Array, band: float, lateness: float) -> Arra
     for rows in stretches(time, columns.sum(axis=1)):
         if rows.stop - rows.start < 2 * edge + late + FEWEST:
             continue
-        part = columns[rows]
-        if math.isfinite(band):
-            part = low_pass(part, step, band)
+        part = low_pass(columns[rows], step, band)
         result.append(part[edge + late : len(part) - edge])
     return np.vstack(result)
 
