@@ -178,7 +178,7 @@ def compiled_balance(
     values = ca.vertcat(start, point, 1, omega[middle], sine.amplitudes(omega)[middle])
     # A random orbit has no symmetry that would make the rank too low.
     generic = np.random.default_rng(0).normal(size=numbers.numel_in(0))
-    conditions = _mean_conditions(*np.split(np.asarray(ca.DM(numbers(generic, values))), [size]))
+    conditions = _mean_conditions(*np.split(np.asarray(numbers(generic, values)), [size]))
     if conditions is None:
         raise ValueError(
             f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
