@@ -86,7 +86,7 @@ def normal_priors(
     if isinstance(prior, HeldEstimate):
         knowledge = shared_parameters(prior, {name: outside[name] for name in free}, "prior")
     elif isinstance(prior, Mapping):
-        knowledge = dict(prior)
+        knowledge = prior
     else:
         raise TypeError(
             f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit."

@@ -342,8 +342,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def _as_stated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `fixed` and `free` to one declared parameter."""
         if name not in self.fixed_values:
-            is_freed = parameter.fixed and name in self.free
-            return replace(parameter, fixed=False) if is_freed else parameter
+            return replace(parameter, fixed=parameter.fixed and name not in self.free)
 
         value = self.fixed_values[name]
         # An earlier fit has the parameter under its outside name.
@@ -364,9 +363,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         label = self.model.label
         functions = {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
         functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
-        if not functions and not self.tied:
-            return
-
         parameters = self.parameters
         numbers = self.local_values({name: p.start for name, p in parameters.items()})
         for name in self.tied:

@@ -27,8 +27,6 @@ def restated(
     ValueError
         For values that a `Parameter` refuses; the message names the parameter.
     """
-    if bounds is None and start is None and starts is None:
-        return parameter
     try:
         limits = parameter.bounds if bounds is None else number_pair(bounds, "bounds")
         # Nothing can be drawn from infinite bounds.

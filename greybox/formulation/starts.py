@@ -178,7 +178,7 @@ def as_starts(starts: AnyStarts, seed: int | None = None) -> Starts:
         starts = int(starts)
     if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
         drawn = Sobol(int(starts), 0 if seed is None else seed)
-        declared = Listed(({},))
+        declared = Listed()
         return Chained((declared, Sobol(starts - 1, drawn.seed))) if starts > 1 else declared
     if seed is not None:
         raise ValueError(

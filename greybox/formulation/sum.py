@@ -15,7 +15,7 @@ from greybox.files.text_table import counted, one_line, preformatted
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters
-from greybox.modeling.parameter import Parameter, parameter_table
+from greybox.modeling.parameter import Parameter, parameter_table, start_values
 
 # A part is a `Problem`, whose file imports this one.
 Part = TypeVar("Part", bound=Any)
@@ -92,7 +92,7 @@ class Sum(Addable, Generic[Part]):
         # Different formulas agree at a random point with probability zero; there are four points,
         # since formulas may be undefined in places.
         drawn = np.random.default_rng(0).uniform(low, high, (4, len(merged)))
-        points = [[parameter.start for parameter in merged.values()], *drawn]
+        points = [start_values(merged), *drawn]
 
         seen: dict[str, list[float]] = {}
         for part in self.parts:

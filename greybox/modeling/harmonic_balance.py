@@ -39,6 +39,7 @@ from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals, require_known
 from greybox.modeling.one_thread import once, one_thread_at_a_time, traced_once
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.parameter import start_values
 from greybox.modeling.sine import MOST_HARMONICS, Sine, as_sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import symbols, traced_column
@@ -168,7 +169,7 @@ def compiled_balance(
     input, output = pick_signals(model, input, output)
     check_sine(model, sine, input, omega)
     trim = trim_of(model, at or {}).closed()
-    start = ca.DM([q.start for q in model.parameters.values()])
+    start = ca.DM(start_values(model.parameters))
     point = ca.vertcat(*trim(start))
     declared = model, sine.signal, sine.harmonics, input, output, pade, (point, start)
     *_, size, _, numbers = _equations(*declared)
@@ -177,7 +178,7 @@ def compiled_balance(
     values = ca.vertcat(start, point, 1, omega[middle], sine.amplitudes(omega)[middle])
     # A random orbit has no symmetry that would make the rank too low.
     generic = np.random.default_rng(0).normal(size=numbers.numel_in(0))
-    conditions = _mean_conditions(*np.split(np.asarray(ca.DM(numbers(generic, values))), [size]))
+    conditions = _mean_conditions(*np.split(np.asarray(numbers(generic, values)), [size]))
     if conditions is None:
         raise ValueError(
             f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
@@ -238,7 +239,7 @@ def _equations(
     equations by the unknowns. The `center` is the operating point at the start values, and these.
     """
     n = len(model.states)
-    names = (*model.states, *model.inputs)
+    names = model.resting_signals
     point, p = symbols(model)
     outputs = traced_column(model, "output", point, p)
     rows = [outputs[model.outputs.index(y)] for y in (output, signal) if y in model.outputs]
@@ -328,7 +329,7 @@ def _gains(derivatives: ca.SX, z: ca.SX, parameters: ca.SX, point: ca.DM, start:
     Rows of zeros for the inputs follow those of the states.
     A gain that is infinite at the operating point, as that of a square root at zero, counts as 0.
     """
-    rows = ca.vertcat(*ca.vertsplit(derivatives), ca.SX(z.numel() - derivatives.numel(), 1))
+    rows = ca.vertcat(derivatives, ca.SX(z.numel() - derivatives.numel(), 1))
     jacobian = ca.fabs(ca.jacobian(rows, z))
     values = np.asarray(ca.Function("gains", [z, parameters], [jacobian])(point, start))
     finite = ca.sparsify(ca.DM(np.isfinite(values).astype(float))).sparsity()

@@ -113,7 +113,7 @@ class KnownStateSpace(StateSpace):
         self.outputs = _signal_names(outputs, "y", k)
         names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
         self.arguments = (tuple(array.tolist() for array in arrays), names)
-        self._rows = np.vstack([np.hstack(arrays[:2]), np.hstack(arrays[2:])]).tolist()
+        self._rows = np.block([arrays[:2], arrays[2:]]).tolist()
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return A x + B u."""

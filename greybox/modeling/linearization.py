@@ -81,7 +81,7 @@ def linearize(
     p = model.values(values)
     vector = list(p.values())
     x, u = trim_of(model, at or {}).closed()(vector)
-    point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
+    point = np.asarray(ca.vertcat(x, u)).ravel()
     # Without an operating point, `trim_of` returns an infinite one, so that a search can continue.
     if not all_finite(point):
         raise ValueError(
@@ -89,14 +89,13 @@ def linearize(
             "and the values."
         )
 
-    blocks = [np.asarray(ca.DM(b)) for b in jacobians(model)(vector, x, u)]
+    blocks = [np.asarray(b) for b in jacobians(model)(vector, x, u)]
     delays = [p[model.delays[name]] if name in model.delays else 0.0 for name in model.inputs]
-    names = (*model.states, *model.inputs)
     return LinearSystem(
         *blocks,
-        states=tuple(model.states),
-        inputs=tuple(model.inputs),
-        outputs=tuple(model.outputs),
+        states=model.state_names,
+        inputs=model.input_names,
+        outputs=model.output_names,
         delays=np.array(delays, dtype=float),
-        point=by_name(names, point.tolist()),
+        point=by_name(model.resting_signals, point.tolist()),
     )

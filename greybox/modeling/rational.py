@@ -180,7 +180,7 @@ def rational(
 
     # The response is a power series in 1/s with the Markov parameters d, c b, c A b, ... Its
     # product with the denominator is the numerator, whose terms beyond the order vanish.
-    denominator = np.atleast_1d(np.poly(np.linalg.eigvals(system.A))).real
+    denominator = np.atleast_1d(np.poly(system.poles)).real
     markov = [d, *(c @ np.linalg.matrix_power(system.A, j) @ b for j in range(len(b)))]
     numerator = np.convolve(denominator, markov)[: len(denominator)]
     result = Rational(numerator.tolist(), denominator.tolist())

@@ -126,13 +126,13 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     delays = [
         p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs
     ]
-    f = traced_column(model, "derivative", z, p) if model.states else ca.SX(0, 1)
+    f = traced_column(model, "derivative", z, p)
 
     return _with_pade_states(
         Dynamics(
-            states=tuple(model.states),
-            inputs=tuple(model.inputs),
-            outputs=tuple(model.outputs),
+            states=model.state_names,
+            inputs=model.input_names,
+            outputs=model.output_names,
             parameters=tuple(names),
             **_functions(x, u, p, f, traced_column(model, "output", z, p), ca.vertcat(*delays)),
         ),

@@ -30,7 +30,7 @@ _FILTERS = threading.RLock()
 
 def parameter_names(model: Model, p: Any) -> Names:
     """Name the entries of a parameter vector."""
-    return Names({name: p[k] for k, name in enumerate(model.parameters)}, model.label)
+    return Names(entries_by_name(model.parameters, p), model.label)
 
 
 def entries_by_name(names: Iterable[str], column: Any) -> Fields:

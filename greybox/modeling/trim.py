@@ -126,7 +126,7 @@ def _own_trim(model: Model, at: Values, p: ca.SX) -> Trimmed:
 
 
 def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
-    names = (*model.states, *model.inputs)
+    names = model.resting_signals
     z, p = symbols(model)
     derivative = derivative_function(model)(z, p)
     # A signal on which no derivative depends cannot be solved for; it rests at zero.
@@ -142,9 +142,7 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
 
     w = ca.SX.sym("w", len(unknown))
     point = ca.SX([at.get(name, 0.0) for name in names])
-    for k, index in enumerate(unknown):
-        point[index] = w[k]
-
+    point[unknown] = w
     derivative = ca.substitute(derivative, z, point)
     residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
     guess, rows = _presolve(model, at, residual, start_values(model.parameters), len(unknown))

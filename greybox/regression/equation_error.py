@@ -186,7 +186,7 @@ def equation_error(
     between = by_name(system.inputs, between_samples(inputs, system.inputs, record))
     data = regressors(equations, record, start, between)
     low, high = np.reshape([unknown[n].bounds for n in equations.linear], (-1, 2)).T
-    values, residuals = _solved(data, low, high)
+    values, errors = _solved(data, low, high)
     groups = [tuple(equations.linear[k] for k in group) for group in undetermined(data.rows.slopes)]
     lost = {name for group in groups for name in group}
     limits = zip(equations.linear, values.tolist(), low, high, strict=True)
@@ -199,7 +199,7 @@ def equation_error(
         )
 
     at_bound = tuple(name for name, (value, a, b) in estimates.items() if not a < value < b)
-    errors = data.rows.errors(values)
+    residuals = data.rows.spread(errors, len(data.bands))
     used = list[UsedEquation]()
     for k, (equation, band) in enumerate(zip(equations.equations, data.bands, strict=True)):
         of = data.rows.equation == k
@@ -221,7 +221,7 @@ def equation_error(
         },
         at_bound=at_bound,
         states=tuple(map(str, equations.states)),
-        parameters=dict(parameters),
+        parameters=parameters,
         warnings=tuple(_warnings(used, at_bound)),
         inputs=described_inputs(inputs, system.inputs, record),
     )
@@ -255,17 +255,18 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
 
 
 def _solved(data: Regressors, low: Array, high: Array) -> ArrayPair:
-    """Return the unknowns (k,) within their bounds, and the rms residual of every equation."""
+    """Return the unknowns (k,) within their bounds, and the residuals (n,)."""
     rows = data.rows
     count = len(data.bands)
-    # The equations are weighted by the sizes of their residuals, known only after a solution.
-    # Weights and estimate determine one another; each pass changes the weights less.
-    sizes = rows.spread(rows.target, count)
-    values = rows.solution(1 / sizes, low, high)
-    for _ in range(4 if count > 1 else 1):
-        sizes = rows.spread(rows.errors(values), count)
-        values = rows.solution(1 / sizes, low, high)
-    return values, rows.spread(rows.errors(values), count)
+    # The equations are weighted by the sizes of their residuals, known only after a solution: at
+    # first, nothing is explained. Weights and estimate determine one another; each pass changes the
+    # weights less.
+    values = np.zeros(low.size)
+    errors = rows.target
+    for _ in range(5 if count > 1 else 2):
+        values = rows.solution(1 / rows.spread(errors, count), low, high)
+        errors = rows.errors(values)
+    return values, errors
 
 
 def explained(target: Array, errors: Array) -> float:

@@ -22,13 +22,13 @@ class KnownState:
     """How the time history of a state is obtained.
 
     ``value(x, s)`` gives it from the states known before it and from `s`: the signal `source` of
-    the record, or the derivative of the state `source`. None if the state is the signal itself.
+    the record, or the derivative of the state `source`.
     """
 
     name: str
     how: Literal["signal", "derivative"]
     source: str
-    value: ca.Function | None
+    value: ca.Function
 
     def __str__(self) -> str:
         kind = "signal" if self.how == "signal" else "derivative of"
@@ -139,10 +139,6 @@ class _Analysis:
         """Go through the states, then the equations, then the parameters."""
         # Each step needs the previous one: only known states make equations, and only the equations
         # show which parameters are linear.
-        for name in self.model.states:
-            if name in self.signals:
-                self.states[name] = KnownState(name, "signal", name, None)
-                self.measured[name] = name
         # Each state may make another one known: x from a position, then v from x.
         while self._one_more_state():
             pass
@@ -172,9 +168,10 @@ class _Analysis:
 
     def _one_more_state(self) -> bool:
         """Find one more state that is a signal or a derivative, up to constants."""
-        outputs: list[Source] = [(n, h, "signal") for n, h in self.h.items() if n in self.signals]
+        rows = (*self.state.items(), *self.h.items())
+        signals: list[Source] = [(n, row, "signal") for n, row in rows if n in self.signals]
         rates: list[Source] = [(n, self.f[n], "derivative") for n in self.states]
-        for source, row, how in (*outputs, *rates):
+        for source, row, how in (*signals, *rates):
             for name, x in self.state.items():
                 others = {**self.input, **self.parameter}
                 if self._unknown(row) != {name} or _needed(row, others):

@@ -70,8 +70,7 @@ def regressors(
             signal = derivatives[state.source]
         # The formula may use the states before this one; others stay NaN, and it has no use of
         # them.
-        if state.value is not None:
-            signal = np.asarray(state.value(x, signal[None, :])).ravel()
+        signal = np.asarray(state.value(x, signal[None, :])).ravel()
         x[equations.state_names.index(state.name)] = signal
         derivatives[state.name] = differentiate(time, signal)
 
@@ -126,9 +125,7 @@ def _filtered(time: Array, columns: Array, band: float, lateness: float) -> Arra
     for rows in stretches(time, columns.sum(axis=1)):
         if rows.stop - rows.start < 2 * edge + late + FEWEST:
             continue
-        part = columns[rows]
-        if math.isfinite(band):
-            part = low_pass(part, step, band)
+        part = low_pass(columns[rows], step, band)
         result.append(part[edge + late : len(part) - edge])
     return np.vstack(result)
 

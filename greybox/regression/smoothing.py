@@ -109,11 +109,10 @@ def reach(cutoff: float) -> float:
     return math.log(10) / (math.sin(math.pi / POWER) * cutoff)
 
 
-def stretches(time: Array, *signals: Array) -> list[slice]:
-    """Return the runs of rows in which no signal is missing and time has no gap."""
-    present = np.flatnonzero(np.logical_and.reduce([np.isfinite(values) for values in signals]))
+def stretches(time: Array, values: Array) -> list[slice]:
+    """Return the runs of rows in which no value is missing and time has no gap."""
     # Time is uniform except for gaps.
-    runs = _cut(time, present, 1.5)
+    runs = _cut(time, np.flatnonzero(np.isfinite(values)), 1.5)
     return [slice(int(rows[0]), int(rows[-1]) + 1) for rows in runs if rows.size]
 
 

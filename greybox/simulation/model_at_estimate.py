@@ -115,12 +115,6 @@ class ModelAtEstimate:
         places = [self.part.outputs.index(name) for name in outputs]
         return self.part.noise[np.ix_(places, places)]
 
-    def free_running(self) -> "ModelAtEstimate":
-        """Return the model without corrections of its states."""
-        # A free simulation has no measurements to correct its states with.
-        criterion = OutputError(inputs=self.criterion.inputs, biases=self.criterion.biases)
-        return replace(self, criterion=criterion)
-
 
 def model_at(
     model: Model | Estimate,
@@ -189,8 +183,5 @@ def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
 
 def criterion_of(inputs: Inputs, biases: Strings, gains: tuple[StringPair, ...]) -> TimeCriterion:
     """Return the criterion under which a model runs, with innovations if there are `gains`."""
-    if gains:
-        return PredictionError(
-            inputs=inputs, biases=biases, corrected=tuple(dict.fromkeys(s for s, _ in gains))
-        )
-    return OutputError(inputs=inputs, biases=biases)
+    kind = PredictionError if gains else OutputError
+    return kind(inputs=inputs, biases=biases)

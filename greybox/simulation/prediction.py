@@ -27,15 +27,10 @@ def samples_ahead(share: float, samples: int) -> int:
     return max(1, math.ceil(share * samples - 1e-9))
 
 
-def reported_shares(horizons: Sequence[int]) -> list[float]:
-    """Return the shares of horizons (in samples) to report."""
-    # Short horizons have several shares at one sample; the largest is reported.
-    places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
-    return [
-        share
-        for share, place in places.items()
-        if place not in [places[s] for s in AHEAD if s > share]
-    ]
+def reported_shares(horizon: int) -> list[float]:
+    """Return the shares of a horizon (in samples) to report."""
+    # A short horizon has several shares at one sample; the largest is reported.
+    return list({samples_ahead(share, horizon): share for share in AHEAD}.values())
 
 
 @frozen
@@ -183,7 +178,7 @@ class Prediction:
     def __str__(self) -> str:
         # Rows without a time have no lead-in, and no error that grows.
         samples = self.rows.shape[1]
-        shares = reported_shares([samples]) if self.data.has_time else []
+        shares = reported_shares(samples) if self.data.has_time else []
         ends = [f"after {seconds(self.ahead[samples_ahead(s, samples) - 1])} s" for s in shares]
         name = self.data.name or "the record"
         head = f"{self.label}: {counted(len(self), self.window)} of {name}"
@@ -271,8 +266,8 @@ def seconds(length: float) -> str:
 
 def cut(
     record: Record,
-    inputs: Labels,
-    outputs: Labels,
+    inputs: Strings,
+    outputs: Strings,
     *,
     lead: float,
     horizon: float,
@@ -289,7 +284,7 @@ def cut(
         If a length is not positive or shorter than a sample, or no stretch is long enough.
     """
     require_signals(record, inputs)
-    stretches = gapless(record, tuple(inputs), tuple(outputs))
+    stretches = gapless(record, inputs, outputs)
     if record.is_irregular:
         raise ValueError(
             f"{record.name or 'the record'} is not uniformly sampled, as windows of equal length "

@@ -112,12 +112,7 @@ def simulate(
         what = "sample" if static else "two consecutive samples"
         raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
     fitted = estimated.part and estimated.part.data
-    fitted_initial = (
-        initial is None
-        and fitted is not None
-        and record.checksum == fitted.checksum
-        and np.array_equal(record.time, fitted.time)
-    )
+    fitted_initial = initial is None and fitted is not None and fitted.is_same_as(record)
     states = _initial_states(estimated, initial, len(stretches), fitted_initial)
 
     errors = [] if estimated.covariance is None else [name + ERROR for name in outputs]
@@ -127,23 +122,22 @@ def simulate(
         name: np.full(len(record), np.nan)
         for name in dict.fromkeys((*outputs, *errors, *estimated.system.states))
     }
-    simulator = Simulator(estimated.free_running(), outputs, integrator)
+    simulator = Simulator(estimated, outputs, integrator)
     unknown: dict[str, None] = {}
     for stretch, start in zip(stretches, states, strict=True):
-        signals, without_error = simulator.free_run(stretch, start, fitted_initial)
+        signals, of_outputs, without_error = simulator.free_run(stretch, start, fitted_initial)
         unknown |= dict.fromkeys(without_error)
-        modeled = {name: row for name, row in signals.items() if not name.endswith(ERROR)}
-        bad = diverged(modeled)
+        bad = diverged(signals)
         if bad.any():
             when = int(np.argmax(bad))
-            name = next(name for name, row in modeled.items() if not abs(row[when]) < DIVERGED)
+            name = next(name for name, row in signals.items() if not abs(row[when]) < DIVERGED)
             raise ValueError(
                 f"the simulation of {estimated.label} diverges at "
                 f"{record.time[stretch.rows][when]:.6g} s, {name} first: predict an unstable model "
                 f"over windows instead of simulating it, or {DOMAINS}."
             )
-        for name in columns.keys() & signals.keys():
-            columns[name][stretch.rows] = signals[name]
+        for name, row in {**signals, **of_outputs}.items():
+            columns[name][stretch.rows] = row
 
     units = {
         n: record.units[signal]

@@ -138,11 +138,11 @@ class Simulator:
 
     def free_run(
         self, stretch: Stretch, initial: Array, fitted_initial: bool
-    ) -> tuple[dict[str, Array], Strings]:
+    ) -> tuple[NamedArrays, NamedArrays, Strings]:
         """Simulate one stretch from the states `initial` (n,), which the fit may have estimated.
 
-        Returns outputs, standard errors and states by name, and the parameters without a standard
-        error on which an output depends.
+        Returns outputs and states by name, standard errors by name, and the parameters without a
+        standard error on which an output depends.
         """
         model = self._model
         count = len(stretch)
@@ -158,8 +158,8 @@ class Simulator:
         result = self._accurate(float(stretch.steps.max()), run)
         signals = by_name(model.system.states, result.along.states)
         signals |= by_name(self._outputs, result.outputs)
-        if model.covariance is None or diverged(signals).any():
-            return signals, ()
+        if model.covariance is None:
+            return signals, {}, ()
 
         slopes = result.sensitivities()
         n = len(model.system.states)
@@ -168,15 +168,15 @@ class Simulator:
         # Products of three larger slopes would overflow.
         if not np.all(np.abs(slopes) < 1e100):
             by_value = np.full_like(by_value, np.nan)
-        elif fitted_initial and n:
+        elif fitted_initial:
             part, rows = model.part, stretch.rows
             compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
             places = [self._outputs.index(name) for name in part.outputs]
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
             by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
         error, unknown = _standard_errors(by_value[0], variance[0], model)
-        signals |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
-        return signals, unknown
+        errors = {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
+        return signals, errors, unknown
 
     def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
         """Estimate the state of every window from its lead-in, and simulate the window from there.
@@ -193,7 +193,7 @@ class Simulator:
         present = np.isfinite(data["measured"]) & (np.arange(length) < lead)
         measured = np.moveaxis(data["measured"], 0, -1)
         in_lead = np.moveaxis(present, 0, -1)
-        past = np.where(in_lead, measured, np.nan)[:, :lead]
+        past = measured[:, :lead]
         informing = in_lead[:, :lead, :, None]
         guess = self._first_states(windows, past)
         # A constant signal has no size of its own.

@@ -63,19 +63,24 @@ def estimate_states(
     outputs over the record.
     """
     w, n = guess.shape
-    lead_ins = _LeadIns(outputs, sensitivities, measured)
+
+    def residual(x: Array) -> Array:
+        """Return measured less simulated: zero if nothing was measured, infinite if not finite."""
+        e = measured - outputs(x)
+        return np.where(np.isfinite(measured), np.where(np.isfinite(e), e, np.inf), 0.0)
+
     # Smaller noise would make the information singular.
     floor = np.diag((1e-9 * spread) ** 2)
     R = np.diag((0.1 * spread) ** 2) + floor if noise is None else noise + floor
     x = guess
-    e, S, finite = lead_ins.linearized(x)
+    e, S, finite = _linearized(x, residual, sensitivities)
     if not finite.any():
         unknown = np.full(n, np.nan)
         return StateEstimates(x, R, unknown, unknown, ~finite)
     if not finite.all():
         # Begin the other windows where these are on average.
         x = np.where(finite[:, None], x, x[finite].mean(axis=0))
-        e, S, finite = lead_ins.linearized(x)
+        e, S, finite = _linearized(x, residual, sensitivities)
 
     mean = x[finite].mean(axis=0)
     precision = np.zeros(n)
@@ -97,9 +102,9 @@ def estimate_states(
         posterior = _inverse(H, precision)
         step = np.einsum("wij,wj->wi", posterior, b - precision * (x - mean))
         step = np.where(finite[:, None], step, 0.0)
-        step = _halved(step, x, e, lead_ins, R, mean, precision)
+        step = _halved(step, x, e, residual, R, mean, precision)
         x = x + step
-        e, S, finite = lead_ins.linearized(x)
+        e, S, finite = _linearized(x, residual, sensitivities)
         deviation = np.sqrt(np.maximum(of_diagonal(posterior), TINY))
         if not adapting and np.all(np.abs(step) <= 1e-3 * deviation):
             break
@@ -108,7 +113,7 @@ def estimate_states(
 
 
 def _halved(
-    step: Array, x: Array, e: Array, lead_ins: "_LeadIns", R: Array, mean: Array, precision: Array
+    step: Array, x: Array, e: Array, residual: Outputs, R: Array, mean: Array, precision: Array
 ) -> Array:
     """Halve the step (w, n) of every window until its cost grows by no more than rounding."""
     weight = whitening(R)
@@ -122,7 +127,7 @@ def _halved(
     limit = cost(e, x) * (1 + 1e-9) + 1e-9
     worse = np.any(step != 0, axis=1)
     for _ in range(20):  # to a millionth
-        worse &= ~(cost(lead_ins.residual(x + step), x + step) <= limit)
+        worse &= ~(cost(residual(x + step), x + step) <= limit)
         if not worse.any():
             break
         step = np.where(worse[:, None], step / 2, step)
@@ -161,30 +166,19 @@ def one_step_errors(
     return result
 
 
-@frozen
-class _LeadIns:
-    """Residuals e and sensitivities S of the lead-ins as functions of the first states (w, n)."""
-
-    outputs: Outputs
-    sensitivities: Sensitivities
-    measured: Array
-
-    def residual(self, x: Array) -> Array:
-        """Return measured less simulated: zero if nothing was measured, infinite if not finite."""
-        e = self.measured - self.outputs(x)
-        return np.where(np.isfinite(self.measured), np.where(np.isfinite(e), e, np.inf), 0.0)
-
-    def linearized(self, x: Array) -> tuple[Array, Array, BoolArray]:
-        """Return e, S and which windows are finite; e and S are zero in the others."""
-        e = self.residual(x)
-        S = self.sensitivities(x)
-        finite = np.all(np.isfinite(e), axis=(1, 2)) & np.all(np.isfinite(S), axis=(1, 2, 3))
-        usable = finite[:, None, None]
-        return (
-            np.where(usable, e, 0.0),
-            np.where(usable[..., None], S, 0.0),
-            finite,
-        )
+def _linearized(
+    x: Array, residual: Outputs, sensitivities: Sensitivities
+) -> tuple[Array, Array, BoolArray]:
+    """Return e, S and which windows are finite at x (w, n); e and S are zero in the others."""
+    e = residual(x)
+    S = sensitivities(x)
+    finite = np.all(np.isfinite(e), axis=(1, 2)) & np.all(np.isfinite(S), axis=(1, 2, 3))
+    usable = finite[:, None, None]
+    return (
+        np.where(usable, e, 0.0),
+        np.where(usable[..., None], S, 0.0),
+        finite,
+    )
 
 
 def information_of(e: Array, S: Array, R: Array) -> ArrayPair:

@@ -107,6 +107,21 @@ def point(model, values=None, **at):
     return gb.modeling.linearize(model, values, at).point
 
 
+def test_the_whole_point_may_be_given():
+    class Level(gb.StateSpace):
+        states, inputs, outputs = ("h",), ("u",), ("h",)
+        k = gb.Parameter(2.0, bounds=(0.1, 5))
+
+        def derivative(self, x, u, p):
+            return (u.u - p.k * x.h**2,)
+
+        def output(self, x, u, p):
+            return (x.h,)
+
+    system = gb.modeling.linearize(Level(), {"k": 2.0}, at={"h": 1.0, "u": 2.0})
+    assert_allclose(system.A, [[-4.0]])
+
+
 def test_the_origin_is_taken_where_it_is_an_equilibrium():
     assert point(make(lambda x, u, p: (u.u - p.c * x.x**3,))) == {"x": 0.0, "u": 0.0}
 

@@ -33,10 +33,11 @@ def test_biases_and_gains_come_by_their_names():
     assert model.names[-2:] == ("position_bias", "K_velocity_position")
     assert_allclose(model.q[-2:], [0.2, 1.5])
     assert_allclose(model.p, model.q[:-2])
-    assert model.criterion == gb.PredictionError(
-        inputs="held", biases=("position",), corrected=("velocity",)
-    )
-    assert model.free_running().criterion == gb.OutputError(inputs="held", biases=("position",))
+    assert model.criterion == gb.PredictionError(inputs="held", biases=("position",))
+    record = driven(8.0, noise=0.05)
+    without_gain = gb.simulate(Spring(), {"position_bias": 0.2}, record, inputs="held")
+    simulated = gb.simulate(Spring(), values, record, inputs="held")
+    assert_allclose(simulated["position"], without_gain["position"])  # nothing is corrected
 
 
 def test_a_fit_gives_its_covariance_and_noise():

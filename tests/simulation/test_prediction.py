@@ -135,7 +135,6 @@ def test_shares_of_a_horizon():
         10,
     ]
     assert samples_ahead(0.3, 10) == 3  # 3.0000000000000004 - rounding is no sample
-    assert reported_shares([20]) == [0.1, 0.25, 0.5, 1.0]
-    assert reported_shares([2]) == [0.5, 1.0]
-    assert reported_shares([1]) == [1.0]
-    assert reported_shares([2, 20]) == [0.1, 0.25, 0.5, 1.0]
+    assert reported_shares(20) == [0.1, 0.25, 0.5, 1.0]
+    assert reported_shares(2) == [0.5, 1.0]
+    assert reported_shares(1) == [1.0]
