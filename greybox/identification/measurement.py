@@ -277,14 +277,16 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     pieces = [record.between(*span) for span in spans]
     if quality.usable:
         try:
-            response, detail, points, linear = _estimated(
+            response, points, linear = _estimated(
                 record, pieces, used if are_sines else (), settings
             )
+            detail = str(response)
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
             # The table of sines shows the errors of the response, including the systematic ones.
-            detail = points.with_variance(response.variance).table if points else detail
+            if points:
+                detail = points.with_variance(response.variance).table
             quality = quality_of(response).with_findings(
                 *_on_points(points),
                 *_beyond_sweep(response, used),
@@ -436,7 +438,7 @@ def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> 
 
 def _estimated(
     record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
-) -> tuple[FrequencyResponse, str, FiniteFrequency | None, dict[Orders, LinearFit]]:
+) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
     (u, _), (y, _) = settings.names
     if sines:
         if settings.conditioned:
@@ -453,7 +455,7 @@ def _estimated(
         about = dict(estimate.response.about)
         if estimate.left_out:
             about["dropped"] = f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"
-        return replace(estimate.response, about=about), estimate.table, estimate, {}
+        return replace(estimate.response, about=about), estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
     linear = {}
@@ -484,7 +486,7 @@ def _estimated(
             measured = estimate(near=partial(best_response, linear))
             about = {"refined": "the polynomials describe what the best rational function leaves"}
             measured = replace(measured, about={**measured.about, **about})
-    return measured, str(measured), None, linear
+    return measured, None, linear
 
 
 def _on_points(points: FiniteFrequency | None) -> Findings:
