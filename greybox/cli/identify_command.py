@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> Answer:
     text = [str(identification)]
     selection, fit = identification.selection, identification.fit
     # Nothing is written for data that cannot be trusted: the next command would take the files.
-    if identification.refusals or selection is None:
+    if selection is None:
         answer["error"] = " ".join(identification.refusals)
         return answer, *text
 
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> Answer:
         text += [f"saved {result}", *save_figure(figure, "plot", fit, hz=options.hz)]
         answer["files"] = [*responses, result, figure]
     # The fit is saved even if no structure explains the data: the user must see what is missing.
-    if fit is None or not selection.explains:
+    if not selection.explains:
         answer["error"] = selection.verdict
         return answer, *text
 

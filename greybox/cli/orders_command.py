@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> Answer:
     text = [str(selection)]
     if selection.fit is not None:
         text += ["", str(selection.fit), *save_fit(selection.fit, options.out)]
-    if selection.fit is None or not selection.explains:
+    if not selection.explains:
         answer["error"] = selection.verdict
     return answer, *text
 
