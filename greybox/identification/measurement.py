@@ -354,9 +354,7 @@ def _refuse_closed_loop(recording: Recording, settings: Settings, controller: st
 
 def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]:
     """Return the tests that the settings find."""
-    segments = find_segments(
-        recording, settings.announced, settings.fields, settings.setpoint
-    )
+    segments = find_segments(recording, settings.announced, settings.fields, settings.setpoint)
     # A column r is a setpoint in one log and the yaw rate in another; an output is not a setpoint.
     _, output = settings.names[1]
     measured = {f"setpoint {output}", f"setpoint {output.rpartition('.')[2]}"}
