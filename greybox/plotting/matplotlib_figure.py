@@ -241,7 +241,7 @@ def _draw_band(ax: Axes, series: Series) -> None:
     assert series.low is not None
     assert series.high is not None
     look = {"color": color_of(series.color), "alpha": BAND_ALPHA, "linewidth": 0, "zorder": 1.1}
-    ax.fill_between(series.x, _finite(series.low), _finite(series.high), **look)
+    ax.fill_between(series.x, series.low, series.high, **look)  # it omits infinity
 
 
 def _draw_rule(ax: Axes, series: Series) -> None:

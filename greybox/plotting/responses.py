@@ -121,8 +121,7 @@ def drawn_responses(
 
     for k, (checksum, part) in enumerate(data.items()):
         assert part.data is not None
-        named = part.data.input, part.data.output
-        pair = named if all(named) else pairs.get(checksum, only)
+        pair = pairs.get(checksum, only)
         color = k if len(data) > 1 else INK
         drawn.append(DrawnResponse(part.data, part.label, color, k, True, checksum, pair))
 
