@@ -10,7 +10,6 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import field
-from functools import cached_property
 from inspect import getsource
 from textwrap import dedent
 from typing import Any
@@ -136,21 +135,16 @@ class Entry:
         Its name on the page.
     fit : Fit or None
         None if the page shows no details.
-    numbers : mapping
-        `Fit.to_dict` of a result whose fit is not loaded.
+    answer : mapping
+        `Fit.to_dict` of the result; empty if there is none.
     error : str
         Why there is no result.
     """
 
     label: str
     fit: Fit | None
-    numbers: Named = field(default_factory=dict)
+    answer: Named = field(default_factory=dict)
     error: str = ""
-
-    @cached_property
-    def answer(self) -> Named:
-        """`Fit.to_dict` of the result; empty if there is none."""
-        return self.numbers if self.fit is None else self.fit.to_dict()
 
     @property
     def anchor(self) -> str:
