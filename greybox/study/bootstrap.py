@@ -218,7 +218,7 @@ class Bootstrap(Printed):
             "seed": self.seed,
             "replicates": len(self.values),
             "failed": self.failed,
-            "statuses": dict(Counter(status for status in self.statuses if status)),
+            "statuses": Counter(status for status in self.statuses if status),
             "level": level,
             "quantities": {
                 name: {
