@@ -74,8 +74,7 @@ def run(options: argparse.Namespace) -> Answer:
         recordings,
         structures=[_structure(word) for word in options.structures],
         fixed=options.fix,
-        **attributes(options, "through", "free", "bounds", "start"),
-        **attributes(options, "all_points", "starts", "seed"),
+        **attributes(options, "through", "free", "bounds", "start", "all_points", "starts", "seed"),
         **stated_choices(options),
     )
     answer = _json(identification)

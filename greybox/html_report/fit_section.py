@@ -21,6 +21,7 @@ from greybox.estimate.profile_result import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
 from greybox.files.arrays import Named, frozen
+from greybox.files.grouping import grouped
 from greybox.files.text_table import counted, number
 from greybox.html_report.elements import (
     COLUMNS,
@@ -222,9 +223,7 @@ def _profiles(profiles: Profiles) -> Iterator[Element]:
 def _equations(fit: Fit) -> Iterator[Element]:
     """Yield the description of every model by its author, and its formula as it is programmed."""
     # Several records of one model have one equation: take the first part.
-    first = {part.label: k for k, part in reversed([*enumerate(fit.parts)])}
-    for k in sorted(first.values()):
-        part = fit.parts[k]
+    for (k, part), *_ in grouped(enumerate(fit.parts), lambda numbered: numbered[1].label):
         yield tag("h4", part.label)
         yield from description(part.equation)
         try:
