@@ -69,20 +69,19 @@ def run(options: argparse.Namespace) -> Answer:
         require_writable(path, options.force)
     require_figure(figure, options.force)
 
-    recordings = [read(log, columns=options.columns or None) for log in options.logs]
+    recordings = [read(log, columns=options.columns) for log in options.logs]
     identification = identify(
         recordings,
         structures=[_structure(word) for word in options.structures],
         fixed=options.fix,
-        **attributes(options, "through", "free", "bounds", "start"),
-        **attributes(options, "all_points", "starts", "seed"),
+        **attributes(options, "through", "free", "bounds", "start", "all_points", "starts", "seed"),
         **stated_choices(options),
     )
     answer = _json(identification)
     text = [str(identification)]
     selection, fit = identification.selection, identification.fit
     # Nothing is written for data that cannot be trusted: the next command would take the files.
-    if identification.refusals or selection is None:
+    if selection is None:
         answer["error"] = " ".join(identification.refusals)
         return answer, *text
 
@@ -96,7 +95,7 @@ def run(options: argparse.Namespace) -> Answer:
         text += [f"saved {result}", *save_figure(figure, "plot", fit, hz=options.hz)]
         answer["files"] = [*responses, result, figure]
     # The fit is saved even if no structure explains the data: the user must see what is missing.
-    if fit is None or not selection.explains:
+    if not selection.explains:
         answer["error"] = selection.verdict
         return answer, *text
 

@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> Answer:
     """Return the contents of a log, and draw it."""
     require_figure(options.plot, options.force)
     recording = read_log(options)
-    segments = find_segments(recording, options.announced, options.fields or None, options.setpoint)
+    segments = find_segments(recording, options.announced, options.fields, options.setpoint)
     # A controller that flies tests moves its own setpoints, which are not manoeuvres of the pilot.
     manoeuvres: Sequence[Segment] = ()
     if options.setpoint or not segments:

@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> Answer:
             log,
             *fits.values(),
             options.axis,
-            broken_at=options.broken_at or (),
+            broken_at=options.broken_at,
             signals=options.signals,
             **settings,
         )
@@ -135,7 +135,7 @@ def _fits(options: argparse.Namespace) -> Fields:
         if path.is_dir():
             fits |= {member.name: member.fit for member in read_study(path).done}
         elif path.suffix.lower() == ".csv":
-            fits[str(path)] = read_response(path, columns=options.columns or None)
+            fits[str(path)] = read_response(path, columns=options.columns)
         else:
             fits[str(path)] = saved_fit(path, options)
     return fits

@@ -45,7 +45,7 @@ responses RESPONSE...
 def run(options: argparse.Namespace) -> Answer:
     """Read the responses, fit the structures of the grid, and choose."""
     require_fit_file(options.out, options.force)
-    data = [read_response(path, columns=options.columns or None) for path in options.responses]
+    data = [read_response(path, columns=options.columns) for path in options.responses]
     # The filters are those of the log; all responses of one plant have passed the same ones.
     filters = [f for word in options.through for f in filters_of(word, data[0])]
     selection = select_orders(
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> Answer:
     text = [str(selection)]
     if selection.fit is not None:
         text += ["", str(selection.fit), *save_fit(selection.fit, options.out)]
-    if selection.fit is None or not selection.explains:
+    if not selection.explains:
         answer["error"] = selection.verdict
     return answer, *text
 

@@ -8,9 +8,8 @@ from greybox.logs.readers import read
 
 def read_log(options: argparse.Namespace) -> Recording:
     """Return the log of a command; a table without a time has the rate of `--rate`."""
-    columns = options.columns or None
     # Only a table without a time needs the rate here; a log is resampled to it later.
-    log = read(options.log, columns=columns)
+    log = read(options.log, columns=options.columns)
     if options.rate is None or all(record.has_time for record in log.values()):
         return log
-    return read(options.log, columns=columns, rate=options.rate)
+    return read(options.log, columns=options.columns, rate=options.rate)

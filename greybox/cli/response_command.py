@@ -1,15 +1,14 @@
 """The command `greybox response`: a response, or a matrix of responses."""
 
 import argparse
-from collections.abc import Callable, Sequence
-from functools import partial
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, stated_choices
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.read_log import read_log
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
 from greybox.files.arrays import Fields
@@ -57,22 +56,25 @@ def run(options: argparse.Namespace) -> Answer:
 
     recording = read_log(options)
     kind = _matrix if is_matrix else _response
-    measured, answer, write, items = kind(options, recording)
+    measured, answer, responses = kind(options, recording)
     # What the reader of the log has left out concerns every measurement.
     lines = [str(measured), *(["", *recording.findings] if recording.findings else [])]
-    if write is not None:
-        if options.out is not None:
-            write(options.out)
-            lines.append(f"saved {options.out}")
-        lines += save_figure(options.plot, "bode", *items, hz=options.hz)
-        if options.out is not None and len(items) > 1:
-            pair = f"--input {items[0].input} --output {items[0].output}"
-            lines.append(f"  fit one: greybox fit --model MODEL --data {options.out} {pair}")
+    if responses and options.out is not None:
+        if is_matrix:
+            write_responses(responses, options.out)
+        else:
+            write_response(responses[0], options.out)
+        lines.append(f"saved {options.out}")
+    if responses:
+        lines += save_figure(options.plot, "bode", *responses, hz=options.hz)
+    if is_matrix and options.out is not None:
+        pair = f"--input {responses[0].input} --output {responses[0].output}"
+        lines.append(f"  fit one: greybox fit --model MODEL --data {options.out} {pair}")
     return answer, *lines
 
 
-Kind = tuple[Any, Fields, Callable[[Path], None] | None, Sequence[Any]]
-"""A measurement, its JSON, the function that writes its data if they are usable, its figures."""
+Kind = tuple[Any, Fields, Sequence[FrequencyResponse]]
+"""A measurement, its JSON, and its responses; none if they are not usable."""
 
 
 def _response(options: argparse.Namespace, recording: Recording) -> Kind:
@@ -82,8 +84,8 @@ def _response(options: argparse.Namespace, recording: Recording) -> Kind:
     response = measured.response
     if not measured.quality.usable or response is None:
         answer["error"] = " ".join(measured.quality.refusals)
-        return measured, answer, None, ()
-    return measured, answer, partial(write_response, response), [response]
+        return measured, answer, ()
+    return measured, answer, [response]
 
 
 def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
@@ -104,7 +106,7 @@ def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
         ],
         "units": {name: unit for name, unit in measured.record.units.items() if unit},
     }
-    return measured, answer, partial(write_responses, measured.responses), measured.responses
+    return measured, answer, measured.responses
 
 
 def _origin(recording: Recording, measured: Any) -> Fields:

@@ -436,20 +436,17 @@ class Fit(Printed):
         """
         return self.models[part] if self.models else resolve(self.parts[part].model, self.given)
 
-    def response(
-        self, omega: ArrayLike, part: int = 0, model: Model | None = None
-    ) -> FrequencyResponse:
+    def response(self, omega: ArrayLike, part: int = 0) -> FrequencyResponse:
         """Evaluate the fitted model of a part at `omega` (n,) rad/s.
 
-        A loaded fit knows the models of greybox and those given to `load`; pass any other one as
-        `model`.
+        A loaded fit knows the models of greybox and those given to `load`.
 
         Raises
         ------
         LookupError
             If a loaded fit does not know the model.
         """
-        response, model, values = self._response_part(part, model)
+        response, model, values = self._response_part(part)
         return response_of_test(
             model, values, omega, response.sine, response.data.omega, **response.signals
         )
@@ -490,10 +487,8 @@ class Fit(Printed):
 
         return frame_of(columns, [q.name for q in self.quantities], "name", about)
 
-    def _response_part(
-        self, part: int, model: Model | None
-    ) -> tuple[FittedResponse, Model, dict[str, float]]:
-        """Return a frequency response, the given model or its own, and the model's parameters."""
+    def _response_part(self, part: int) -> tuple[FittedResponse, Model, dict[str, float]]:
+        """Return a frequency response, its model, and the model's parameters."""
         fitted = self.parts[part]
         if not isinstance(fitted, FittedResponse):
             raise ValueError(
@@ -501,7 +496,7 @@ class Fit(Printed):
                 "gb.frequency_response(model, fit.estimate, omega), or gb.simulate for time "
                 "histories."
             )
-        model = model or self.model_of(part)
+        model = self.model_of(part)
         return (
             fitted,
             model,
@@ -517,7 +512,7 @@ class Fit(Printed):
             If the part is not a frequency response, its model has no rational form, or a loaded fit
             does not know the model.
         """
-        fitted, model, values = self._response_part(part, None)
+        fitted, model, values = self._response_part(part)
         return rational(
             model, values, input=fitted.data.input, output=fitted.data.output, at=fitted.at
         )
@@ -536,7 +531,6 @@ class Fit(Printed):
         omega: ArrayLike | None = None,
         level: float = 0.95,
         part: int = 0,
-        model: Model | None = None,
     ) -> ResponseBand:
         """Return the fitted response of a part at `omega` (n,) rad/s with its confidence band.
 
@@ -550,7 +544,7 @@ class Fit(Printed):
         LookupError
             If a loaded fit does not know the model.
         """
-        fitted, model, values = self._response_part(part, model)
+        fitted, model, values = self._response_part(part)
         # Renamed parameters stand among those of the fit under their outside names.
         names = [fitted.outside(name) for name in model.parameters]
         directions = self.known_directions(names)

@@ -10,7 +10,6 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import field
-from functools import cached_property
 from inspect import getsource
 from textwrap import dedent
 from typing import Any
@@ -22,6 +21,7 @@ from greybox.estimate.profile_result import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
 from greybox.files.arrays import Named, frozen
+from greybox.files.grouping import grouped
 from greybox.files.text_table import counted, number
 from greybox.html_report.elements import (
     COLUMNS,
@@ -136,21 +136,16 @@ class Entry:
         Its name on the page.
     fit : Fit or None
         None if the page shows no details.
-    numbers : mapping
-        `Fit.to_dict` of a result whose fit is not loaded.
+    answer : mapping
+        `Fit.to_dict` of the result; empty if there is none.
     error : str
         Why there is no result.
     """
 
     label: str
     fit: Fit | None
-    numbers: Named = field(default_factory=dict)
+    answer: Named = field(default_factory=dict)
     error: str = ""
-
-    @cached_property
-    def answer(self) -> Named:
-        """`Fit.to_dict` of the result; empty if there is none."""
-        return self.numbers if self.fit is None else self.fit.to_dict()
 
     @property
     def anchor(self) -> str:
@@ -228,9 +223,7 @@ def _profiles(profiles: Profiles) -> Iterator[Element]:
 def _equations(fit: Fit) -> Iterator[Element]:
     """Yield the description of every model by its author, and its formula as it is programmed."""
     # Several records of one model have one equation: take the first part.
-    first = {part.label: k for k, part in reversed([*enumerate(fit.parts)])}
-    for k in sorted(first.values()):
-        part = fit.parts[k]
+    for (k, part), *_ in grouped(enumerate(fit.parts), lambda numbered: numbered[1].label):
         yield tag("h4", part.label)
         yield from description(part.equation)
         try:

@@ -88,19 +88,23 @@ def report(
     if comparison is not None and not isinstance(comparison, Comparison):
         raise TypeError(f"comparison is {comparison!r:.80}: give what gb.compare returns.")
 
-    # Labels of fits must differ, since links lead to them; members of a study have unique names.
-    labels = iter(labels_of([result for result in results if isinstance(result, Fit)]))
-    entries: list[Entry] = []
-    for result in results:
-        entries += [Entry(next(labels), result)] if isinstance(result, Fit) else members_of(result)
-    if not entries:
-        raise ValueError("there is nothing to report: give at least one fit.")
-
-    default = f"{counted(len(entries), 'result')} side by side"
-    if len(entries) == 1:
-        default = entries[0].answer.get("problem", entries[0].label)
     # A file from a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
+        # Labels of fits must differ, since links lead to them; members of a study have unique
+        # names.
+        labels = iter(labels_of([result for result in results if isinstance(result, Fit)]))
+        entries: list[Entry] = []
+        for result in results:
+            if isinstance(result, Fit):
+                entries.append(Entry(next(labels), result, result.to_dict()))
+            else:
+                entries += members_of(result)
+        if not entries:
+            raise ValueError("there is nothing to report: give at least one fit.")
+
+        default = f"{counted(len(entries), 'result')} side by side"
+        if len(entries) == 1:
+            default = entries[0].answer.get("problem", entries[0].label)
         studies = [result for result in results if isinstance(result, Study)]
         loops = [margins] if isinstance(margins, Margins) else margins
         text = page(entries, comparison, title or default, studies, loops, author)

@@ -29,7 +29,7 @@ from greybox.identification.systematic_errors import (
 from greybox.logs.ardupilot.truncated_angles import STEP, is_truncated
 from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.injected_tests import INJECTED
-from greybox.logs.known_filters import KnownFilter, in_series
+from greybox.logs.known_filters import KnownFilters, in_series
 from greybox.logs.prepare import prepare
 from greybox.logs.segment_detection import find_segments, present
 from greybox.spectral.frequency_points import FiniteFrequency
@@ -213,7 +213,7 @@ class Measurement:
     response: FrequencyResponse | None
     quality: Quality
     choices: Strings
-    filters: Mapping[str, tuple[KnownFilter, ...]] = field(repr=False)
+    filters: KnownFilters = field(repr=False)
     controller: str
     detail: str = field(repr=False)
     linear: Mapping[Orders, LinearFit] = field(repr=False)
@@ -277,14 +277,16 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     pieces = [record.between(*span) for span in spans]
     if quality.usable:
         try:
-            response, detail, points, linear = _estimated(
+            response, points, linear = _estimated(
                 record, pieces, used if are_sines else (), settings
             )
+            detail = str(response)
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
             # The table of sines shows the errors of the response, including the systematic ones.
-            detail = points.with_variance(response.variance).table if points else detail
+            if points:
+                detail = points.with_variance(response.variance).table
             quality = quality_of(response).with_findings(
                 *_on_points(points),
                 *_beyond_sweep(response, used),
@@ -296,10 +298,10 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = Quality((refused, *quality.findings))
+    filters = named_filters(recording, axis_of(control))
     if response is not None:
-        response = replace(
-            response, about=_about(recording, record, response, signals, used, settings)
-        )
+        about = _about(recording, record, response, signals, filters, used, settings)
+        response = replace(response, about=about)
     choices = _choices(settings, used, controller, signals, response)
     return Measurement(
         settings,
@@ -310,7 +312,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         response,
         quality,
         choices,
-        named_filters(recording, axis_of(control)),
+        filters,
         controller,
         detail,
         linear,
@@ -352,9 +354,7 @@ def _refuse_closed_loop(recording: Recording, settings: Settings, controller: st
 
 def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]:
     """Return the tests that the settings find."""
-    segments = find_segments(
-        recording, settings.announced, dict(settings.fields) or None, settings.setpoint
-    )
+    segments = find_segments(recording, settings.announced, settings.fields, settings.setpoint)
     # A column r is a setpoint in one log and the yaw rate in another; an output is not a setpoint.
     _, output = settings.names[1]
     measured = {f"setpoint {output}", f"setpoint {output.rpartition('.')[2]}"}
@@ -415,8 +415,13 @@ def _within_band(sines: Sequence[Segment], band: Interval) -> list[Segment]:
 
 def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment]) -> str:
     """Return the injected signal of sweeps and noise: stated, or where the tests were found."""
-    if settings.instrument or settings.open_loop or not used or used[0].kind == "sine":
-        return settings.instrument or ("" if settings.open_loop or used else settings.setpoint)
+    # With an open loop as stated, there is no instrument.
+    if settings.instrument or settings.open_loop:
+        return settings.instrument
+    if not used:
+        return settings.setpoint
+    if used[0].kind == "sine":
+        return ""
     # SIDD logs the injected signal itself, whatever axis it was added to.
     if used[0].source == "SIDS":
         return next(iter(present(recording, ["SIDD.Targ"])), settings.setpoint)
@@ -436,7 +441,7 @@ def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> 
 
 def _estimated(
     record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
-) -> tuple[FrequencyResponse, str, FiniteFrequency | None, dict[Orders, LinearFit]]:
+) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
     (u, _), (y, _) = settings.names
     if sines:
         if settings.conditioned:
@@ -453,7 +458,7 @@ def _estimated(
         about = dict(estimate.response.about)
         if estimate.left_out:
             about["dropped"] = f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"
-        return replace(estimate.response, about=about), estimate.table, estimate, {}
+        return replace(estimate.response, about=about), estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
     linear = {}
@@ -484,7 +489,7 @@ def _estimated(
             measured = estimate(near=partial(best_response, linear))
             about = {"refined": "the polynomials describe what the best rational function leaves"}
             measured = replace(measured, about={**measured.about, **about})
-    return measured, str(measured), None, linear
+    return measured, None, linear
 
 
 def _on_points(points: FiniteFrequency | None) -> Findings:
@@ -536,6 +541,7 @@ def _about(
     record: Record,
     response: FrequencyResponse,
     signals: NamedStrings,
+    filters: KnownFilters,
     used: Sequence[Segment],
     settings: Settings,
 ) -> dict[str, str]:
@@ -553,10 +559,7 @@ def _about(
             for name in (response.input, response.output)
             for known in record.filters.get(name, ())
         ),
-        **{
-            name: in_series(known)
-            for name, known in named_filters(recording, axis_of(settings.names[0][1])).items()
-        },
+        **{name: in_series(known) for name, known in filters.items()},
         "band": ""
         if settings.band is None
         else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",

@@ -93,7 +93,7 @@ class GivenModel:
         """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""
         # Without an order the delays stay outside the ODE, and are checked below.
         system = dynamics(self.model, pade or None)
-        p = np.array(list(self.model.values(self.values).values()), dtype=float)
+        p = np.array([*self.values.values()], dtype=float)
         delays = system.delay(p).full().ravel().tolist()
         if pade is None:
             self._require_no_delay(by_name(system.inputs, delays))

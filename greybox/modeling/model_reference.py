@@ -52,7 +52,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
     module_name, _, class_name = stored["class"].partition(":")
     name = f"{printable(class_name)} of the module {module_name!r}"
     missing = f"the model {name} is needed and was not found"
-    cure = "give its class or file, gb.load(path, models=[...]), or the model itself, model=Mine()"
+    cure = "give its class or file, gb.load(path, models=[...])"
     model = _given(stored["class"], given) or included_model(module_name, class_name)
     if model is None:
         raise UnknownModelError(
@@ -68,7 +68,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
     # A crafted file may nest models without end, or give them any arguments.
     except (TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise LookupError(
-            f"{missing} as it was: {error}; give the model itself, model=..."
+            f"{missing} as it was: {error}; give the model itself, gb.load(path, models=[...])"
         ) from None
 
 

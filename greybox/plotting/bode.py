@@ -121,12 +121,9 @@ def _error_panels(
     points: tuple[list[Series], list[Series]] = ([], [])
     fitted = [item for item in fits if isinstance(item, Fit)]
     for number, fit in enumerate(fitted):
-        for part in fit.responses:
+        for part in fit.responses if fit.converged else ():
             with np.errstate(divide="ignore", invalid="ignore"):
                 error = part.data.response / part.response
-            if not np.any(np.isfinite(error)):  # no start converged
-                continue
-
             same_data = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
             data = next(drawn for drawn in same_data if drawn.is_measured)
             # A curve that lies on another one is not drawn: then take any curve of the fit.

@@ -227,11 +227,10 @@ def _draw_points(ax: Axes, series: Series) -> None:
             circles = (series.x + 1j * y)[:, None] + (series.high - series.low)[:, None] / 2 * turn
             _draw_regions(ax, outlined(circles, series.color, is_hollow=True))
         else:
-            middle = series.x if series.is_across else y
-            ends = [middle - _finite(series.low), _finite(series.high) - middle]
-            look = {"ecolor": color_of(series.color), "elinewidth": 1.0, "alpha": 0.2 * layer}
-            look["xerr" if series.is_across else "yerr"] = ends
-            ax.errorbar(series.x, y, fmt="none", zorder=layer - 0.3, **look)
+            look = {"colors": color_of(series.color), "linewidths": 1.0, "alpha": 0.2 * layer}
+            bars = ax.hlines if series.is_across else ax.vlines
+            places = y if series.is_across else series.x
+            bars(places, _finite(series.low), _finite(series.high), zorder=layer - 0.3, **look)
 
     # The ink of all points together stays the same: a thousand points must not hide the curve.
     size = MARKER_SIZE * min(1.0, (CROWD / max(len(y), 1)) ** 0.5)
@@ -242,7 +241,7 @@ def _draw_band(ax: Axes, series: Series) -> None:
     assert series.low is not None
     assert series.high is not None
     look = {"color": color_of(series.color), "alpha": BAND_ALPHA, "linewidth": 0, "zorder": 1.1}
-    ax.fill_between(series.x, _finite(series.low), _finite(series.high), **look)
+    ax.fill_between(series.x, series.low, series.high, **look)  # it omits infinity
 
 
 def _draw_rule(ax: Axes, series: Series) -> None:

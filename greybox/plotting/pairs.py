@@ -30,7 +30,7 @@ def pairs(columns: NamedArrays, axes: GivenAxes | None = None) -> AxesArray:
     if not names:
         raise ValueError("no column varies: give at least one parameter that was estimated.")
     figures = [_figure(columns, x, y) for y in names for x in names]
-    return draw(figures, axes, legend=False, columns=len(names), size=(2.4, 2.2))
+    return draw(figures, axes, columns=len(names), size=(2.4, 2.2))
 
 
 def _figure(columns: NamedArrays, x: str, y: str) -> Figure:

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,26 +26,27 @@ class DrawnResponse:
     ----------
     response : FrequencyResponse
     label : str
-    color, style : int
-        As in `Series`.
     is_measured : bool
         Points, otherwise a curve.
     checksum : str
         Checksum of the data to which it belongs; empty for a curve without data.
     pair : (str, str)
-    fit, band : Fit or None, ResponseBand or None
-        The fit and the confidence band of a fitted curve.
+    fit, part, band : Fit or None, int, ResponseBand or None
+        The fit, the number of the part, and the confidence band of a fitted curve.
+    color, style : int
+        As in `Series`.
     """
 
     response: FrequencyResponse
     label: str
-    color: int
-    style: int
     is_measured: bool
     checksum: str
     pair: StringPair
     fit: Fit | None = None
+    part: int = 0
     band: ResponseBand | None = None
+    color: int = 0
+    style: int = 0
 
     def series(
         self,
@@ -57,23 +59,6 @@ class DrawnResponse:
         """Return points or a curve with this look; `more` are other fields of `Series`."""
         kind = "points" if self.is_measured else "line"
         return Series(self.label, kind, x, y, self.color, self.style, low, high, **more)
-
-
-@frozen
-class _Part:
-    """Data and curve of one part of a fit; a response alone is one of both."""
-
-    label: str
-    checksum: str = ""
-    data: FrequencyResponse | None = None
-    curve: FrequencyResponse | None = None
-    fit: Fit | None = None
-    number: int = 0
-
-    @property
-    def pair(self) -> StringPair:
-        named = self.curve or self.data
-        return (named.input, named.output) if named else ("", "")
 
 
 def drawn_responses(
@@ -89,42 +74,37 @@ def drawn_responses(
         For an item that is not a response, for no items, or for a wrong number of labels.
     """
     names = distinct_labels([_label(item) for item in items], labels)
-    parts = list(map(_parts, items, names))
-    every = [part for group in parts for part in group]
+    groups = list(map(_responses, items, names))
+    every = [drawn for group in groups for drawn in group]
     if not every:
         raise ValueError(
             "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
         )
 
     # By checksum: data that several fits share are drawn once.
-    data = {part.checksum: part for part in every if part.data is not None}
-    pairs = {part.checksum: part.pair for part in every if all(part.pair)}
+    data = {drawn.checksum: drawn for drawn in every if drawn.is_measured}
+    pairs = {drawn.checksum: drawn.pair for drawn in every if all(drawn.pair)}
     # Data without names belong to the curve of these data, or else to the only pair.
     only = next(iter(pairs.values())) if len(set(pairs.values())) == 1 else ("", "")
 
-    curves = [_distinct(group) for group in parts]
+    curves = [[drawn for drawn in group if not drawn.is_measured] for group in groups]
+    distinct = list(map(_distinct, curves))
     # One curve for several data sets must not have the color of one of them.
-    is_shared = any(
-        0 < len(distinct) < len([part for part in group if part.curve is not None])
-        for group, distinct in zip(parts, curves, strict=True)
-    )
+    is_shared = any(len(fewer) < len(group) for group, fewer in zip(curves, distinct, strict=True))
     is_plain = is_shared or len(data) <= 1
     colors = {} if is_plain else {checksum: k for k, checksum in enumerate(data)}
     drawn = []
-    for i, name in enumerate(names):
+    for i, group in enumerate(distinct):
         plain_color = i if len(data) <= 1 else (INK if i == 0 else GRAY)
-        for part, curve in curves[i]:
-            color = colors.get(part.checksum, plain_color)
-            look = {"fit": part.fit, "band": _band(part, level)}
-            pair = part.pair if all(part.pair) else only
-            drawn.append(DrawnResponse(curve, name, color, i, False, part.checksum, pair, **look))
+        for curve in group:
+            color = colors.get(curve.checksum, plain_color)
+            pair = curve.pair if all(curve.pair) else only
+            look = {"pair": pair, "band": _band(curve, level), "color": color, "style": i}
+            drawn.append(replace(curve, **look))
 
-    for k, (checksum, part) in enumerate(data.items()):
-        assert part.data is not None
-        named = part.data.input, part.data.output
-        pair = named if all(named) else pairs.get(checksum, only)
+    for k, (checksum, points) in enumerate(data.items()):
         color = k if len(data) > 1 else INK
-        drawn.append(DrawnResponse(part.data, part.label, color, k, True, checksum, pair))
+        drawn.append(replace(points, pair=pairs.get(checksum, only), color=color, style=k))
 
     return drawn
 
@@ -154,35 +134,42 @@ def interpolated(omega: NDArray, grid: NDArray, values: NDArray) -> NDArray:
     return np.interp(np.log(omega), np.log(grid), values)
 
 
-def _parts(item: Fit | FrequencyResponse, name: str) -> list[_Part]:
-    if isinstance(item, Fit):
-        return [
-            _Part(part.name, part.data.checksum, part.data, part.curve, item, k)
-            for k, part in enumerate(item.parts)
-            if isinstance(part, FittedResponse)
-        ]
-    return [_Part(name, curve=item) if item.source == "model" else _Part(name, item.checksum, item)]
+def _responses(item: Fit | FrequencyResponse, name: str) -> list[DrawnResponse]:
+    """Return the data and curves of an item in turn, with the pairs that they name."""
+    if isinstance(item, FrequencyResponse):
+        pair = item.input, item.output
+        if item.source == "model":
+            return [DrawnResponse(item.by_frequency, name, False, "", pair)]
+        return [DrawnResponse(item, name, True, item.checksum, pair)]
+    drawn = []
+    for k, part in enumerate(item.parts):
+        if isinstance(part, FittedResponse):
+            named = part.curve or part.data
+            place = part.data.checksum, (named.input, named.output)
+            drawn.append(DrawnResponse(part.data, part.name, True, *place))
+            if part.curve is not None:
+                curve = part.curve.by_frequency
+                drawn.append(DrawnResponse(curve, name, False, *place, item, k))
+    return drawn
 
 
-def _band(part: _Part, level: float | None) -> ResponseBand | None:
+def _band(curve: DrawnResponse, level: float | None) -> ResponseBand | None:
     """Return the band of a curve, if its covariance is known."""
-    if level is None or part.fit is None or part.fit.directions is None:
+    if level is None or curve.fit is None or curve.fit.directions is None:
         return None
     with contextlib.suppress(LookupError):  # a loaded fit of a model that greybox does not include
-        band = part.fit.response_band(level=level, part=part.number)
+        band = curve.fit.response_band(level=level, part=curve.part)
         return band if np.any(np.isfinite(band.relative_error)) else None
     return None
 
 
-def _distinct(parts: Sequence[_Part]) -> list[tuple[_Part, FrequencyResponse]]:
+def _distinct(curves: Sequence[DrawnResponse]) -> list[DrawnResponse]:
     """Return the curves, except those that lie on a longer one."""
     # Four rotors with one model would draw one line four times, in four colors.
-    curves = [(part, part.curve.by_frequency) for part in parts if part.curve is not None]
-
-    distinct: list[tuple[_Part, FrequencyResponse]] = []
-    for part, curve in sorted(curves, key=lambda pair: pair[1].omega[0] / pair[1].omega[-1]):
-        if not any(_lies_on(curve, longer) for _, longer in distinct):
-            distinct.append((part, curve))
+    distinct: list[DrawnResponse] = []
+    for curve in sorted(curves, key=lambda c: c.response.omega[0] / c.response.omega[-1]):
+        if not any(_lies_on(curve.response, longer.response) for longer in distinct):
+            distinct.append(curve)
     return distinct
 
 

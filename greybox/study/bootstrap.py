@@ -23,7 +23,7 @@ from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
-from greybox.files.json_numbers import finite, plain
+from greybox.files.json_numbers import plain
 from greybox.files.progress import bar
 from greybox.files.text_table import (
     Printed,
@@ -218,7 +218,7 @@ class Bootstrap(Printed):
             "seed": self.seed,
             "replicates": len(self.values),
             "failed": self.failed,
-            "statuses": dict(Counter(status for status in self.statuses if status)),
+            "statuses": Counter(status for status in self.statuses if status),
             "level": level,
             "quantities": {
                 name: {
@@ -245,8 +245,8 @@ def tail(level: float, dof: float) -> float:
     return float(ndtr(-t_quantile(level, dof)))
 
 
-def _ends(interval: Interval) -> list[float | None] | None:
-    return None if any(map(math.isnan, interval)) else [finite(end) for end in interval]
+def _ends(interval: Interval) -> Interval | None:
+    return None if any(map(math.isnan, interval)) else interval
 
 
 def interval_text(ends: Sequence[float | None] | None) -> str:

@@ -26,7 +26,7 @@ def headings(text):
 
 
 def test_one_result_has_its_sections_and_links_to_them(fit):
-    text = page([Entry("lag", fit)], None, "a <title>")
+    text = page([Entry("lag", fit, fit.to_dict())], None, "a <title>")
     sections = [
         *("Verdict", "Parameters", "Equation", "Frequency response", "Time history", "Starts"),
         "Data and provenance",
@@ -49,7 +49,9 @@ def test_several_results_have_details_that_are_open_up_to_three(fit, monkeypatch
     monkeypatch.setattr(file, "OPEN", 2)  # a smaller page
     alike = replace(fit, parts=fit.parts[:1], models=None)
     for count in (2, 3):
-        text = page([Entry(f"fit {k}", alike) for k in range(count)], None, "several")
+        text = page(
+            [Entry(f"fit {k}", alike, alike.to_dict()) for k in range(count)], None, "several"
+        )
         assert headings(text) == ["Comparison", *(f"fit {k}" for k in range(count))]
         assert re.findall('<section id="([^"]*)"', text) == [
             "comparison",
@@ -58,7 +60,7 @@ def test_several_results_have_details_that_are_open_up_to_three(fit, monkeypatch
         assert text.count("<details open") >= count * (count <= 2)
         assert ("<details open" in text) == (count <= 2)
     kept = [
-        Entry("shown", fit),
+        Entry("shown", fit, fit.to_dict()),
         Entry("kept", None, fit.to_dict()),
         Entry("bad", None, error="no log"),
     ]
@@ -115,12 +117,15 @@ def test_of_many_records_the_worst_are_drawn(fit):
 
 
 def test_remarks_explain_the_columns(fit):
-    texts = [element.text for element in dict(fit_section(Entry("lag", fit)))["Parameters"][1:]]
+    texts = [
+        element.text
+        for element in dict(fit_section(Entry("lag", fit, fit.to_dict())))["Parameters"][1:]
+    ]
     assert texts[0].startswith("CR is the Cramér-Rao bound")
 
 
 def test_a_page_without_some_of_the_details_says_how_to_see_them(fit):
-    whole = [Entry("one", fit), Entry("two", None, error="no start converged")]
+    whole = [Entry("one", fit, fit.to_dict()), Entry("two", None, error="no start converged")]
     assert "of another member" not in page(whole, None, "study")
     some = page([*whole, Entry("three", None)], None, "study")
     assert "Below are details of 1 result." in some

@@ -164,8 +164,8 @@ def test_results_side_by_side_stand_in_one_table(fit):
     failed = Entry("bad", None, error="no log")
     warned = replace(fit, name="warned", warnings=("one", "two"))
     entries = [
-        Entry("lag", fit),
-        Entry("warned", warned),
+        Entry("lag", fit, fit.to_dict()),
+        Entry("warned", warned, warned.to_dict()),
         failed,
         Entry("none", None),
     ]
@@ -209,7 +209,9 @@ def test_estimates_of_several_fits_stand_with_their_errors(fit):
         name="other",
         quantities=(replace(fit.quantities[0], standard_error=math.nan), fit.quantities[1]),
     )
-    heading, estimates, *compared = comparison_section([Entry("a", fit), Entry("b", other)], None)
+    heading, estimates, *compared = comparison_section(
+        [Entry("a", fit, fit.to_dict()), Entry("b", other, other.to_dict())], None
+    )
     assert heading.text == "Estimates with standard errors"
     names = [q.name for q in fit.quantities]
     header, first, second = texts(estimates)
@@ -224,9 +226,11 @@ def test_estimates_of_several_fits_stand_with_their_errors(fit):
     assert titles == ["Bode diagram", "Nyquist diagram, y/u", "Time history, flight"]
     # One fit alone is compared with nothing, and seven are too many for a figure.
     assert [
-        part.text for part in comparison_section([Entry("a", fit)], None) if part.tag == "h3"
+        part.text
+        for part in comparison_section([Entry("a", fit, fit.to_dict())], None)
+        if part.tag == "h3"
     ] == [heading.text]
-    many = [Entry(str(k), fit) for k in range(7)]
+    many = [Entry(str(k), fit, fit.to_dict()) for k in range(7)]
     assert [part.tag for part in comparison_section(many, None)] == ["h3", "div"]
 
 

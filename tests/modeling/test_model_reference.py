@@ -76,7 +76,7 @@ def test_a_model_survives_json(model):
 def test_a_model_that_is_gone_is_named_with_the_cure(name, words):
     with pytest.raises(LookupError, match=words) as caught:
         resolve({"class": name, "arguments": [], "keywords": {}})
-    assert "model=Mine()" in str(caught.value)
+    assert "gb.load(path, models=[...])" in str(caught.value)
 
 
 def test_a_model_defined_inside_a_function_is_gone_later():

@@ -139,7 +139,7 @@ def read(
     names = (messages,) if isinstance(messages, str) else messages
     kind = _format(path)
     reader = import_module(f"greybox.logs.readers.{kind.module}")
-    if columns is None and rate is None:
+    if not columns and rate is None:
         table_options = {}
     elif "stated" in signature(reader.read).parameters:
         table_options = {"stated": columns, "rate": rate}
