@@ -59,7 +59,6 @@ class StopCheck(ca.Callback):
         ca.Callback.__init__(self)
         self._sizes = {name: value.numel() for name, value in expressions.items()}
         self._sizes |= {f"lam_{name}": size for name, size in self._sizes.items()}
-        self.reason = ""
         self.begin()
         self.construct("stop_check", {})
 
