@@ -91,6 +91,11 @@ class SampledData:
         return np.concatenate([np.arange(count) == 0 for count in self.segment_counts])
 
     @property
+    def first_samples(self) -> IntArray:
+        """Number of the first sample of every stretch."""
+        return np.flatnonzero(self.begins_stretch) * self.segment_length
+
+    @property
     def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)
@@ -136,8 +141,7 @@ class SampledData:
 
     def unpadded(self, values: Array) -> list[Array]:
         """Cut (r, samples) into the samples of every stretch."""
-        ends = np.cumsum([count * self.segment_length for count in self.segment_counts])[:-1]
-        parts = np.split(values, ends, axis=-1)
+        parts = np.split(values, self.first_samples[1:], axis=-1)
         return [
             part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)
         ]

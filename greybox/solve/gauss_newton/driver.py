@@ -54,7 +54,8 @@ class GaussNewton(LocalSolver):
         solver.limits = replace(self.limits, low=low, high=high)
         if equation is not None:
             solver.limits = solver.limits.with_equation(equation)
-        solver._parts = self._parts.within(solver.limits)
+        solver._parts = copy(self._parts)
+        solver._parts.limits = solver.limits
         return solver
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
