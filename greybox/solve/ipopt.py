@@ -83,12 +83,11 @@ class StopCheck(ca.Callback):
 
     def eval_buffer(self, arg: Any, res: Any) -> int:
         """Write whether to stop, 1 or 0."""
-        if res[0] is not None:
-            x = np.frombuffer(arg[0])
-            cost = float(np.frombuffer(arg[1])[0])
-            stagnant = self.is_stagnant(x, cost)
-            self.reason = reason_to_end() or (STAGNATED if stagnant else "")
-            np.frombuffer(res[0])[0] = float(bool(self.reason))
+        x = np.frombuffer(arg[0])
+        cost = float(np.frombuffer(arg[1])[0])
+        stagnant = self.is_stagnant(x, cost)
+        self.reason = reason_to_end() or (STAGNATED if stagnant else "")
+        np.frombuffer(res[0])[0] = float(bool(self.reason))
         return 0
 
     def is_stagnant(self, x: Array, cost: float) -> bool:
