@@ -179,7 +179,7 @@ class SampledData:
             shift = np.clip(samples, -len(stretch), len(stretch))
             at = np.arange(len(stretch)) - shift[:, None].astype(int)
             places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
-            values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
+            values = np.take_along_axis(stretch.inputs[:, None, :], places, axis=2)
             around.append(values.reshape(3 * len(shift), len(stretch)))
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
 
@@ -222,10 +222,8 @@ def sampled_data(
 
     # Through two samples, an initial state and a slope fit anything.
     shortest = 1 if static else 3
-    stretches = gapless(
-        record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
-    )
-    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
+    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete, shortest=shortest)
+    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any())
     if not usable and static:
         what = "sample" if record.has_time else "row"
         raise ValueError(
