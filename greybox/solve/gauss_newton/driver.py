@@ -138,7 +138,7 @@ class GaussNewton(LocalSolver):
 
         In NIST's 27 regressions, nine or more digits are then right instead of four to eight.
         """
-        if not search.minima or search.nodes is None:
+        if search.nodes is None:
             return search
         best = search.minima[0]
         try:
