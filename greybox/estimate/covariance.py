@@ -332,7 +332,7 @@ def known_directions(
 
     None without a covariance. A parameter at its bound counts as known, as in all errors of a fit.
     """
-    if not all_finite(accuracy.covariance) or not accuracy.shares:
+    if not all_finite(accuracy.covariance):
         return None
     # Directions of parameters at their bounds are among the blind ones only because these are held.
     scaled = slopes * accuracy.size
@@ -510,12 +510,8 @@ def _at_bound(
 @one_thread_at_a_time
 def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, Strings]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
-    p = len(nlp.free)
-    if not nlp.limits:
-        return np.zeros((0, p)), ()
-
     values = nlp.all_values(x)
-    gradient = nlp.constraint.jacobian()(values, 0).full()[:, :p]
+    gradient = nlp.constraint.jacobian()(values, 0).full()[:, : len(nlp.free)]
     slack = np.asarray(nlp.constraint(values)).ravel()
     active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
 
