@@ -296,8 +296,6 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
     limits: dict[Any, tuple[str, Any]] = {}
     x = ca.SX.sym("x", len(names))
     for part in problem.parts:
-        if not (part.constraints or part.tied):
-            continue
         local = part.local_values(entries_by_name(names, x))
         for k, constraint in enumerate(part.constraints):
             # Formulas are compared as compiled: equal lambdas are different objects in Python.

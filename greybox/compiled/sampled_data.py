@@ -302,7 +302,7 @@ def gapless(
         rows = np.flatnonzero(complete_inputs)
         return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
-    leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
+    leads = np.broadcast_to(lead, len(inputs))
     # Halfway between one and two steps: where a sample is missing, a stretch ends.
     missing = math.inf if record.is_irregular else 1.5 * record.step
     ends = (np.diff(complete_inputs.astype(int)) != 0) | (np.diff(record.time) > missing)
