@@ -122,7 +122,7 @@ class GaussNewton(LocalSolver):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
         return Outcome(
-            self.nlp.estimate_at(iterate.z),
+            nlp.estimate_at(iterate.z),
             status,
             end.iterations,
             time.perf_counter() - began,
