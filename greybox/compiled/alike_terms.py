@@ -39,17 +39,12 @@ class SecondOrder:
             (Columns(_derivatives([*_others(inputs), group.symbols], group.term)), group)
             for group in groups
         ]
-        self._remainder = None
-        if not (groups and remainder.is_zero()):
-            self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
+        self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
 
     def __call__(self, *inputs: Array) -> ArrayTriple:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
-        p, m = inputs[0].shape
-        if self._remainder is None:
-            values = [np.zeros((size, m)) for size in (1, p, p * p)]
-        else:
-            values = [*self._remainder(*inputs)]
+        m = inputs[0].shape[1]
+        values = [*self._remainder(*inputs)]
         for function, (_, _, constants, places) in self._groups:
             count = constants.shape[1]
             repeated = (np.tile(value, count) for value in _others(inputs))

@@ -263,15 +263,14 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         responses = ResponseCompiler(problem, names, constant_values, values_at, constraint)
         response_parts, functions = responses.compiled()
         parts |= response_parts
+    point = ca.SX.sym("z", len(free))
+    named = values_at(point, constant_values)
     spectra, recorded = problem.parts_with(TransientSpectrum), problem.parts_with(Record)
-    if spectra or recorded:
-        point = ca.SX.sym("z", len(free))
-        named = values_at(point, constant_values)
-        parts |= {part: TransientPart(part, named, point) for part in spectra}
-        if recorded:
-            record_parts = compile_records(recorded, named, point, method)
-            parts |= zip(recorded, record_parts, strict=True)
-            method = record_parts[0].model.method
+    parts |= {part: TransientPart(part, named, point) for part in spectra}
+    if recorded:
+        record_parts = compile_records(recorded, named, point, method)
+        parts |= zip(recorded, record_parts, strict=True)
+        method = record_parts[0].model.method
 
     return CompiledProblem(
         problem=problem,
@@ -297,8 +296,6 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
     limits: dict[Any, tuple[str, Any]] = {}
     x = ca.SX.sym("x", len(names))
     for part in problem.parts:
-        if not (part.constraints or part.tied):
-            continue
         local = part.local_values(entries_by_name(names, x))
         for k, constraint in enumerate(part.constraints):
             # Formulas are compared as compiled: equal lambdas are different objects in Python.

@@ -141,7 +141,7 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, flo
             continue
         (state,) = row.sparsity().get_triplet()[1]
         factor = float(row[state])
-        offset = ca.simplify(ca.substitute(y[k], x, ca.SX.zeros(x.numel())))
+        offset = ca.substitute(y[k], x, ca.SX.zeros(x.numel()))
         if factor and offset.is_constant():
             links.setdefault(state, (k, factor, float(offset)))
 

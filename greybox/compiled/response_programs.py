@@ -373,7 +373,7 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
     for _, alike in groupby(parts, place):
         members = [*alike]
         first = members[0]
-        omega = members[0].response.omega
+        omega = first.response.omega
         if first.amplitude is not None:
             for part in members:
                 yield compiled_balance(part.model, omega, part.amplitude, **part.signals).function()

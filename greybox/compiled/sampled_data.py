@@ -91,6 +91,11 @@ class SampledData:
         return np.concatenate([np.arange(count) == 0 for count in self.segment_counts])
 
     @property
+    def first_samples(self) -> IntArray:
+        """Number of the first sample of every stretch."""
+        return np.flatnonzero(self.begins_stretch) * self.segment_length
+
+    @property
     def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)
@@ -136,8 +141,7 @@ class SampledData:
 
     def unpadded(self, values: Array) -> list[Array]:
         """Cut (r, samples) into the samples of every stretch."""
-        ends = np.cumsum([count * self.segment_length for count in self.segment_counts])[:-1]
-        parts = np.split(values, ends, axis=-1)
+        parts = np.split(values, self.first_samples[1:], axis=-1)
         return [
             part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)
         ]
@@ -175,7 +179,7 @@ class SampledData:
             shift = np.clip(samples, -len(stretch), len(stretch))
             at = np.arange(len(stretch)) - shift[:, None].astype(int)
             places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
-            values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
+            values = np.take_along_axis(stretch.inputs[:, None, :], places, axis=2)
             around.append(values.reshape(3 * len(shift), len(stretch)))
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
 
@@ -218,10 +222,8 @@ def sampled_data(
 
     # Through two samples, an initial state and a slope fit anything.
     shortest = 1 if static else 3
-    stretches = gapless(
-        record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
-    )
-    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
+    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete, shortest=shortest)
+    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any())
     if not usable and static:
         what = "sample" if record.has_time else "row"
         raise ValueError(
@@ -300,7 +302,7 @@ def gapless(
         rows = np.flatnonzero(complete_inputs)
         return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
-    leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
+    leads = np.broadcast_to(lead, len(inputs))
     # Halfway between one and two steps: where a sample is missing, a stretch ends.
     missing = math.inf if record.is_irregular else 1.5 * record.step
     ends = (np.diff(complete_inputs.astype(int)) != 0) | (np.diff(record.time) > missing)

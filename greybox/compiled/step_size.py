@@ -41,9 +41,6 @@ def substeps_and_segment(
     """
     method, system, initial_states = model.method, model.system, model.initial_states
     integrator = method.scheme
-    # Computing the poles takes longer than everything else here.
-    if integrator.substeps and method.segment:
-        return integrator.substeps, method.segment
 
     # At twenty samples, the shortest time constant of an igniting reactor is missed, and two of
     # three runs stall. The poles of 60 states take as long as those of 15 at 64 times as many

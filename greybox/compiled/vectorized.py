@@ -129,9 +129,8 @@ class Columns(Rebuilt):
 def _dense(function: ca.Function) -> ca.Function:
     """Return the function with dense inputs and outputs."""
     # Columns are read by position: structural zeros need a place too.
-    shapes = [function.sparsity_in(k) for k in range(function.n_in())]
-    shapes += [function.sparsity_out(k) for k in range(function.n_out())]
-    if all(shape.is_dense() for shape in shapes):
+    are_dense = function.nnz_in() == function.numel_in()
+    if are_dense and function.nnz_out() == function.numel_out():
         return function
 
     inputs = input_symbols(function)

@@ -159,9 +159,7 @@ class PartAccuracy:
     neighbors: CorrelatedPoints | None = None
 
 
-def assess(
-    nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None] = ()
-) -> Accuracy:
+def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = ()) -> Accuracy:
     """Return the accuracy of the estimate `x` (p,).
 
     Parts with nodes need their best `trajectories` there.
@@ -332,7 +330,7 @@ def known_directions(
 
     None without a covariance. A parameter at its bound counts as known, as in all errors of a fit.
     """
-    if not all_finite(accuracy.covariance) or not accuracy.shares:
+    if not all_finite(accuracy.covariance):
         return None
     # Directions of parameters at their bounds are among the blind ones only because these are held.
     scaled = slopes * accuracy.size
@@ -347,11 +345,11 @@ def directions_beside(
     nlp: CompiledProblem,
     x: Array,
     at_bound: Labels,
-    trajectories_at: Callable[[Array], Sequence[Trajectory | None]],
+    trajectories_at: Callable[[Array], Sequence[Trajectory]],
 ) -> KnownDirections | None:
     """Return the directions of the free parameters at a point near the estimate `x` (p,).
 
-    `trajectories_at` returns the best trajectories there, or None.
+    `trajectories_at` returns the best trajectories there.
     """
     # Each parameter moves by a different share, so that equal ones become different.
     share = 0.1 * (1 + np.arange(len(x)) / len(x))
@@ -360,11 +358,8 @@ def directions_beside(
     moved = np.where(nlp.upper - x > x - nlp.lower, x + step, x - step)
     beside = np.where(np.isin(nlp.free, at_bound), x, np.clip(moved, nlp.lower, nlp.upper))
 
-    trajectories = trajectories_at(beside)
-    if any(trajectory is None for trajectory in trajectories):
-        return None
     try:
-        accuracy = assess(nlp, beside, trajectories)
+        accuracy = assess(nlp, beside, trajectories_at(beside))
     except np.linalg.LinAlgError:  # the model may diverge there
         return None
     return known_directions(nlp, accuracy, beside, np.eye(len(x), len(nlp.names)))
@@ -448,10 +443,8 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
     """
     p = jacobian.shape[1]
     closed = np.vstack([active, np.eye(p)[bounded]])
-    basis = np.eye(p)
-    if len(closed):
-        _, singular, rows = np.linalg.svd(closed)
-        basis = rows[int(np.sum(singular > 1e-12 * singular[0])) :].T
+    _, singular, rows = np.linalg.svd(closed)
+    basis = rows[int(np.sum(singular > 1e-12 * singular.max(initial=0.0))) :].T
 
     _, singular, rows = np.linalg.svd(triangle_of(jacobian @ basis), full_matrices=True)
     rank = int(np.sum(singular > DEAD))
@@ -477,7 +470,7 @@ def _at_bound(
     nlp: CompiledProblem,
     x: Array,
     shares: Sequence[_Share],
-    trajectories: Sequence[Trajectory | None],
+    trajectories: Sequence[Trajectory],
 ) -> Strings:
     """Name the parameters that a bound holds."""
     # How close a solver comes to a bound depends on its tolerances, not on the data. A parameter is
@@ -493,12 +486,11 @@ def _at_bound(
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     deviation = np.sqrt(np.where(is_seen, spread, 0.0))
     close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & ~held
-    if close.any() and trajectories and all(t is not None for t in trajectories):
+    if close.any() and trajectories:
         # The derivatives of the cost along the best trajectories.
         gradient = sum(
             part.weight * quadratic_model(part, trajectory, part.residual_weight(trajectory))[1]
             for part, trajectory in zip(nlp.parts, trajectories, strict=True)
-            if trajectory is not None
         )
         outward = np.where(bound == nlp.lower, 1.0, -1.0) * gradient * nlp.scaling.slope(x)
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
@@ -510,12 +502,8 @@ def _at_bound(
 @one_thread_at_a_time
 def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, Strings]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
-    p = len(nlp.free)
-    if not nlp.limits:
-        return np.zeros((0, p)), ()
-
     values = nlp.all_values(x)
-    gradient = nlp.constraint.jacobian()(values, 0).full()[:, :p]
+    gradient = nlp.constraint.jacobian()(values, 0).full()[:, : len(nlp.free)]
     slack = np.asarray(nlp.constraint(values)).ravel()
     active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
 

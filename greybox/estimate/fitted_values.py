@@ -54,7 +54,6 @@ def _fitted_response(part: ResponsePart, x: Array, values: Values) -> FittedResp
         data=problem.response,
         response=response,
         curve=partial(_curve, problem.model, values, problem.sampled_hold),  # type: ignore[arg-type]
-        at={name: float(value) for name, value in problem.at.items()},
         pade_error=pade_error(problem, values) if all_finite(response) else None,
         sine=problem.amplitude,
         nuisances=problem.criterion.nuisances,
@@ -208,7 +207,6 @@ def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> Fitt
         outputs=part.outputs,
         noise=noise,
         ends=by_name(part.states, ends.tolist()),
-        at={name: float(value) for name, value in part.problem.at.items()},
         nuisances=nuisances,
     )
 
@@ -224,6 +222,7 @@ def _of_problem(part: Problem) -> Fields:
         "rule": part.criterion.description,
         "condition": part.criterion.condition_on(part.data),
         "delay": part.delay,
+        "at": {name: float(value) for name, value in part.at.items()},
         "weight": part.weight,
         "rename": dict(part.rename),
         "tied": {name: source_text(tie) for name, tie in part.tied.items()},

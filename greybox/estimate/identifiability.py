@@ -229,8 +229,6 @@ def _combinations(
     loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
     products = [*_products([k for k in loose if value[k] != 0])]
     members = [*products, *_sums(loose, units)]
-    if not members:
-        return []
     is_product = np.arange(len(members)) < len(products)
     rows = np.zeros((len(members), len(value)))
     for row, powers in zip(rows, members, strict=True):
@@ -386,18 +384,18 @@ def invisible_groups(
 
     Directions without a common parameter are different groups, however the directions are mixed.
     """
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  (imports slowly)
+
     # The projector does not depend on how the singular vectors mix equal singular values.
     projector = invisible @ invisible.T
-    linked = np.abs(projector) > BLIND
-    remaining = set(np.flatnonzero(np.diag(projector) > BLIND**2).tolist())
+    # No parameter that takes part has an error, however small its part is.
+    places = np.flatnonzero(np.diag(projector) > BLIND**2)
+    linked = np.abs(projector[np.ix_(places, places)]) > BLIND
+    count, labels = connected_components(linked)
     groups = []
 
-    while remaining:
-        # No parameter that takes part has an error, however small its part is.
-        group = {max(remaining, key=lambda k: (projector[k, k], -k))}
-        while linked_too := {k for k in remaining - group if linked[k, list(group)].any()}:
-            group |= linked_too
-        remaining -= group
+    for label in range(count):
+        group = places[labels == label].tolist()
         members = sorted(group, key=lambda k: (-round(projector[k, k], 6), k))
         block = projector[np.ix_(members, members)]
         moves = np.zeros((len(names), len(members)))

@@ -38,13 +38,10 @@ def quantities(
     quantity.
     """
     follow = formulas(nlp.problem)
-    values = x[:, None]
-    slopes = np.eye(len(x))
-    if follow:
-        # Exact derivatives: finite differences would limit the errors of ratios of close values.
-        function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])
-        values = function(x).full()
-        slopes = function.jacobian()(x, 0).full()
+    # Exact derivatives: finite differences would limit the errors of ratios of close values.
+    function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])
+    values = function(x).full()
+    slopes = function.jacobian()(x, 0).full()
 
     # Errors are propagated once for all lines.
     errors = propagate(accuracy, slopes)

@@ -111,8 +111,8 @@ def _iteration(p: int) -> tuple[Columns, Columns]:
     # Searches go to the next level at a projected gradient of 1e-2: with 1e-3 they take a twentieth
     # more iterations.
     return (
-        Columns(advanced(p, LAST, 1e-2), fewest=FEWEST_COLUMNS),
-        Columns(bounded(p, LAST), fewest=FEWEST_COLUMNS),
+        Columns(advanced(p, 1e-2), fewest=FEWEST_COLUMNS),
+        Columns(bounded(p), fewest=FEWEST_COLUMNS),
     )
 
 
@@ -138,7 +138,6 @@ class BatchedNewton:
         self._data = data[:, None]
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
-        self._p = len(lower)
         self._rows = layout(len(lower))
 
     @classmethod
@@ -209,8 +208,9 @@ class BatchedNewton:
 
     def _advance(self, searches: _Searches, tolerance: float, smoothing: float | None) -> None:
         """Evaluate the trial of every search, accept it or not, and find the next trial."""
-        numbers, rows, p = searches.numbers, self._rows, self._p
+        numbers, rows = searches.numbers, self._rows
         trial = numbers[rows.trial]
+        p = len(trial)
         levels = (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
         smoothings = SMOOTHINGS if smoothing is None else np.full(LAST + 1, smoothing)
         roots = [] if self._roots is None else self._roots(trial, searches.data)
@@ -288,13 +288,13 @@ def layout(p: int) -> Vectors:
     return Vectors(*starmap(slice, pairwise(ends)), size=ends[-1])
 
 
-def advanced(p: int, last: int, loose: float) -> ca.Function:
+def advanced(p: int, loose: float) -> ca.Function:
     """Return the function that judges a trial, and finds the next one by Newton's step.
 
     Its arguments are (numbers, barrier, tolerance, cost, gradient, Hessian), its result the next
     numbers.
 
-    The cost and its derivatives are those of the trial, without the barrier. Below the `last` level
+    The cost and its derivatives are those of the trial, without the barrier. Below the last level
     a projected gradient of at most `loose` switches to the next level. The second output is the
     Hessian (p * p,) of the variables that no bound holds, with the identity for the others:
     `bounded` takes its eigenvalues.
@@ -348,10 +348,10 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
 
     # Whether the search ends, or goes to the next level.
     slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
-    is_minimum = ca.logic_and(level >= last, slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0))
+    is_minimum = ca.logic_and(level >= LAST, slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0))
     # A radius below 1e-15 cannot change the cost by more than rounding.
     end = ca.if_else(is_minimum, 1.0, -(radius < 1e-15))
-    switched = ca.logic_and(level < last, slope <= loose)
+    switched = ca.logic_and(level < LAST, slope <= loose)
 
     # The next trial, if Newton's step stays within the radius.
     free = _free(z, gradient, lower, upper)
@@ -361,7 +361,7 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     newton = -ca.ldl_solve(free * gradient, pivots, factor, order)
     within_radius = ca.sumsqr(newton) <= (CLOSE_TO_RADIUS * radius) ** 2
     is_newton = ca.logic_and(ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), within_radius)
-    moved = _moved(z, newton, free, level < last, lower, upper)
+    moved = _moved(z, newton, free, level < LAST, lower, upper)
     trial = ca.if_else(ca.logic_and(is_newton, ca.logic_not(switched)), moved, z)
     scalars = [
         cost,
@@ -376,7 +376,7 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     return ca.Function("advanced", inputs, [result, ca.densify(ca.vec(hessian_of_free))])
 
 
-def bounded(p: int, last: int) -> ca.Function:
+def bounded(p: int) -> ca.Function:
     """Return the function that minimizes the quadratic model within the radius.
 
     Its arguments are (numbers, eigenvalues, eigenvectors (p * p,)), its result is the trial (p,).
@@ -392,7 +392,7 @@ def bounded(p: int, last: int) -> ca.Function:
     positive = ca.fabs(curvature)
     positive = ca.fmax(positive, FLATTEST * ca.fmax(ca.mmax(positive), TINY))
     along = _within(radius, eigenvectors.T @ (free * gradient), positive)
-    trial = _moved(z, eigenvectors @ along, free, numbers[LEVEL] < last, lower, upper)
+    trial = _moved(z, eigenvectors @ along, free, numbers[LEVEL] < LAST, lower, upper)
     return ca.Function("bounded", [numbers, curvature, directions], [trial])
 
 

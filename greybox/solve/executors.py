@@ -134,9 +134,9 @@ unpickled = pickle.loads
 
 def _batches(numbered: Iterable[tuple[int, Array]], first: int, size: int) -> Iterator[Batch]:
     iterator = iter(numbered)
-    yield from filter(None, [[*islice(iterator, first)]])
-    while batch := list(islice(iterator, size)):
+    while batch := list(islice(iterator, first)):
         yield batch
+        first = size
 
 
 def _recalled(memory: Memory, batch: Batch) -> Outcomes | None:

@@ -59,7 +59,6 @@ class StopCheck(ca.Callback):
         ca.Callback.__init__(self)
         self._sizes = {name: value.numel() for name, value in expressions.items()}
         self._sizes |= {f"lam_{name}": size for name, size in self._sizes.items()}
-        self.reason = ""
         self.begin()
         self.construct("stop_check", {})
 
@@ -84,12 +83,11 @@ class StopCheck(ca.Callback):
 
     def eval_buffer(self, arg: Any, res: Any) -> int:
         """Write whether to stop, 1 or 0."""
-        if res[0] is not None:
-            x = np.frombuffer(arg[0])
-            cost = float(np.frombuffer(arg[1])[0])
-            stagnant = self.is_stagnant(x, cost)
-            self.reason = reason_to_end() or (STAGNATED if stagnant else "")
-            np.frombuffer(res[0])[0] = float(bool(self.reason))
+        x = np.frombuffer(arg[0])
+        cost = float(np.frombuffer(arg[1])[0])
+        stagnant = self.is_stagnant(x, cost)
+        self.reason = reason_to_end() or (STAGNATED if stagnant else "")
+        np.frombuffer(res[0])[0] = float(bool(self.reason))
         return 0
 
     def is_stagnant(self, x: Array, cost: float) -> bool:

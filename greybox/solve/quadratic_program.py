@@ -15,8 +15,6 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     that ignores them is returned.
     """
     p = len(gradient)
-    if p == 0:
-        return np.zeros(0)
     scale = 1 / np.sqrt(positive_or_one(np.diag(hessian)))
     values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
     largest = max(values.max(), 0.0)

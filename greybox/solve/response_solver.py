@@ -110,7 +110,7 @@ class ResponseSolver(LocalSolver):
         began = time.perf_counter()
         problem = self.problem
         stages = self._stages
-        p = np.append(smoothing, self.problem.data)
+        p = np.append(smoothing, problem.data)
         if options:
             stages = [stage.variant({**options, **self._options}) for stage in stages]
         z = problem.scaling.to_solver(start)

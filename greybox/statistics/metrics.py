@@ -16,10 +16,9 @@ LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
 NORMAL_99 = 2.576  # standard deviations within which 99 % of normal values lie
 
 
-def rms(error: ArrayLike) -> float:
+def rms(error: Array) -> float:
     """Return the root mean square; NaN without any value."""
-    e = np.asarray(error, dtype=float)
-    e = e[np.isfinite(e)]
+    e = error[np.isfinite(error)]
     return float(np.sqrt(np.mean(e**2))) if e.size else math.nan
 
 

@@ -1,11 +1,11 @@
 """The von Neumann ratio: whether a sampled signal is smooth, or looks like white noise."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+
+from greybox.files.arrays import Arrays
 
 # Ratio below which a signal is smooth. For a smooth signal plus white noise it is twice the share
 # of the noise in the variance: at 1, both are equally strong.
@@ -44,12 +44,10 @@ class NoiseRatio:
         return 100 * (1 - math.sqrt(min(self.ratio / 2, 1.0)))
 
 
-def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
+def noise_ratio(stretches: Arrays) -> NoiseRatio:
     """Return the ratio of stretches of samples (n,), each about its own mean; NaN are skipped."""
-    series = [
-        s[np.isfinite(s)] for s in (np.asarray(stretch, dtype=float) for stretch in stretches)
-    ]
-    series = [s for s in series if s.size > 1]
+    measured = (stretch[np.isfinite(stretch)] for stretch in stretches)
+    series = [s for s in measured if s.size > 1]
     samples = sum(s.size for s in series)
     # No difference is taken across the end of a stretch.
     squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)

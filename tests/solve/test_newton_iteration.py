@@ -14,6 +14,7 @@ from greybox.solve.batched_newton import (
     END,
     IS_NEWTON,
     ITERATIONS,
+    LAST,
     LEVEL,
     RADIUS,
     SWITCHED,
@@ -22,7 +23,7 @@ from greybox.solve.batched_newton import (
     layout,
 )
 
-P, LAST, LOOSE = 2, 3, 1e-3
+P, LOOSE = 2, 1e-3
 ROWS = layout(P)
 HESSIAN = np.array([[4.0, 1.0], [1.0, 3.0]])
 BEST = np.array([0.5, -0.25])
@@ -31,7 +32,7 @@ INF = np.full(P, np.inf)
 
 @cache
 def iteration():
-    return advanced(P, LAST, LOOSE), bounded(P, LAST)
+    return advanced(P, LOOSE), bounded(P)
 
 
 def cost_of(z):
@@ -268,9 +269,7 @@ def test_steps_of_three_variables(seed):
     numbers[rows.z] = numbers[rows.trial] = random.normal(size=3)
     numbers[rows.lower], numbers[rows.upper] = -99, 99
     numbers[[RADIUS, LEVEL, SWITCHED]] = 50, LAST - 1, 1
-    found = advanced(3, LAST, LOOSE)(
-        numbers, 0, 1e-9, 1.0, gradient, np.triu(hessian).ravel(order="F")
-    )
+    found = advanced(3, LOOSE)(numbers, 0, 1e-9, 1.0, gradient, np.triu(hessian).ravel(order="F"))
     numbers, of_free = (value.full().ravel() for value in found)
     assert_allclose(of_free.reshape(3, 3), hessian)
     assert_allclose(numbers[rows.trial], numbers[rows.z] - np.linalg.solve(hessian, gradient))
@@ -278,7 +277,7 @@ def test_steps_of_three_variables(seed):
     values, vectors = np.linalg.eigh(hessian)
     for radius in (0.01, 0.1, 0.5):
         numbers[RADIUS] = radius
-        step = bounded(3, LAST)(numbers, values, vectors.ravel()).full().ravel() - numbers[rows.z]
+        step = bounded(3)(numbers, values, vectors.ravel()).full().ravel() - numbers[rows.z]
         assert np.linalg.norm(step) == pytest.approx(radius, rel=0.051)
         left = gradient + hessian @ step
         assert left @ step == pytest.approx(-np.linalg.norm(left) * np.linalg.norm(step), rel=1e-6)
@@ -346,9 +345,9 @@ def test_a_step_of_one_variable():
     numbers[[RADIUS, LEVEL, SWITCHED]] = 5, LAST - 1, 1
     numbers[rows.z] = numbers[rows.trial] = 0.7
     numbers[rows.lower], numbers[rows.upper] = -9, 9
-    found, of_free = advanced(1, LAST, LOOSE)(numbers, 0, 1e-9, 3.0, 2.5, 4.0)
+    found, of_free = advanced(1, LOOSE)(numbers, 0, 1e-9, 3.0, 2.5, 4.0)
     assert float(found[rows.trial]) == pytest.approx(0.7 - 2.5 / 4)
     assert float(of_free) == 4
     numbers = found.full().ravel()
     numbers[RADIUS] = 0.2
-    assert float(bounded(1, LAST)(numbers, 4.0, 1.0)) == pytest.approx(0.5, abs=0.01)
+    assert float(bounded(1)(numbers, 4.0, 1.0)) == pytest.approx(0.5, abs=0.01)

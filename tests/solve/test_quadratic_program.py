@@ -120,10 +120,6 @@ def test_limits_that_contradict_one_another_are_ignored():
     assert_allclose(step, [1.0])
 
 
-def test_nothing_to_choose():
-    assert solve_small_qp(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros(0)).size == 0
-
-
 @pytest.mark.parametrize(("curvature", "moves"), [(1e-12, True), (1e-14, False)])
 def test_directions_are_flat_below_a_part_in_1e13(curvature, moves):
     """Beside a curvature of two, after scaling to a diagonal of one."""

@@ -208,7 +208,7 @@ def test_a_step_within_the_radius_is_the_best_of_many():
     numbers[RADIUS], numbers[rows.gradient], numbers[rows.hessian] = 0.1, gradient, hessian.ravel()
     numbers[rows.lower], numbers[rows.upper] = -9, 9
     values, vectors = np.linalg.eigh(hessian)
-    step = bounded(p, 3)(numbers, values, vectors.ravel()).full().ravel()
+    step = bounded(p)(numbers, values, vectors.ravel()).full().ravel()
     length = np.linalg.norm(step)
     assert length == pytest.approx(0.1, rel=0.051)
     others = rng.normal(size=(p, 20_000))

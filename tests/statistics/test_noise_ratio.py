@@ -41,14 +41,16 @@ def test_stretches_and_missing_samples():
 
 def test_the_ratio_of_stretches_is_that_of_their_squares():
     """Also in small units; a sample alone and values that are none tell nothing."""
-    found = noise_ratio([[0, 0.1, np.nan, 0.2], [5, 5.3], [7.0], [np.inf]])
+    stretches = [0, 0.1, np.nan, 0.2], [5, 5.3], [7.0], [np.inf]
+    found = noise_ratio([*map(np.array, stretches)])
     assert_allclose(found.ratio, (0.1**2 + 0.1**2 + 0.3**2) / (2 * 0.1**2 + 2 * 0.15**2))
     assert found.samples == 4
     assert_allclose(found.spread, 2 * np.sqrt(2 / 15))
     assert_allclose(found.attainable_fit_percent, 100 * (1 - np.sqrt(found.ratio / 2)))
     assert_allclose(noise_ratio([np.arange(4.0)]).ratio, 3 / 5)
     assert np.isnan(noise_ratio([np.arange(3.0)]).ratio)
-    assert (noise_ratio([[1.0, 2.0]]).samples, noise_ratio([[1.0, 2.0]]).spread) == (2, np.inf)
+    few = noise_ratio([np.array([1.0, 2.0])])
+    assert (few.samples, few.spread) == (2, np.inf)
     assert noise_ratio([np.resize([-1.0, 1.0], 9)]).attainable_fit_percent == 0
 
 

@@ -56,16 +56,15 @@ class Collocation(Transcription):
         residual_rows = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, rows)
         errors, end = equations.map("equations", "serial", samples, [2], [])(nodes, inside, q, rows)
         # The last sample of a stretch continues nowhere.
-        last = np.cumsum([count * data.segment_length for count in data.segment_counts]) - 1
-        linked = np.setdiff1d(np.arange(samples), last)
+        first = data.first_samples
+        linked = np.setdiff1d(np.arange(samples - 1), first - 1)
         gaps = end[:, linked.tolist()] - nodes[:, (linked + 1).tolist()]
-        first = np.concatenate([[0], last[:-1] + 1]).tolist()
 
         return Transcribed(
             unknowns=ca.vertcat(ca.vec(nodes), ca.vec(inside)),
             residuals=residual_rows,
             equations=ca.vertcat(ca.vec(errors), ca.vec(gaps)),
-            initial=nodes[:, first],
+            initial=nodes[:, first.tolist()],
             # Stages begin at the state of their sample.
             start=lambda states: np.concatenate(
                 [states.ravel(order="F"), np.tile(states, (stages, 1)).ravel(order="F")]

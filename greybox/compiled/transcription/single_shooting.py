@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
@@ -30,16 +29,13 @@ class SingleShooting(Shooting):
 
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the initial states; there are no equations."""
-        counts = data.segment_counts
-        initial = ca.MX.sym("initial", step.function.size1_in(0), len(counts))
-        residuals = []
-        first = 0
-        for k, count in enumerate(counts):
-            size = count * data.segment_length
-            residuals.append(step.folded(size)(initial[:, k], q, rows[:, first : first + size])[1])
-            first += size
-
-        starts = (np.cumsum([0, *counts[:-1]]) * data.segment_length).tolist()
+        starts = data.first_samples.tolist()
+        initial = ca.MX.sym("initial", step.function.size1_in(0), len(starts))
+        stretches = ca.horzsplit(rows, [*starts, data.samples])
+        residuals = [
+            step.folded(stretch.shape[1])(x, q, stretch)[1]
+            for x, stretch in zip(ca.horzsplit(initial), stretches, strict=True)
+        ]
         return Transcribed(
             unknowns=ca.vec(initial),
             residuals=ca.horzcat(*residuals),

@@ -163,7 +163,7 @@ def _rank_correlation(a: Array, b: Array) -> tuple[float, float]:
     if len(a) < 4:
         return 0.0, 1.0
     ranks = np.argsort(np.argsort([a, b]))
-    r = np.corrcoef(ranks[0], ranks[1])[0, 1]
+    r = np.corrcoef(ranks)[0, 1]
     c = np.prod([np.corrcoef(row[1:], row[:-1])[0, 1] for row in ranks])
     return r, math.erfc(abs(r) * math.sqrt(len(a) * (1 - c) / (1 + c) / 2))
 
@@ -183,9 +183,6 @@ def _largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviatio
     model = part.response(values)
     size = criterion.error_size(model, data)
     points = np.flatnonzero(np.isfinite(size) & (size > ROUNDING * np.max(size, initial=0.0)))
-    if not points.size:
-        return None
-
     residual = (data.response - model)[points] / size[points]
     if criterion.known_noise and data.dof is not None:
         ratio = np.abs(residual) ** 2 / max(criterion.noise_ratio(model, data), 1.0)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from copy import copy
 from typing import Any
 
 import numpy as np
@@ -46,12 +45,6 @@ class AllParts:
         self.is_discontinuous = np.isin(free, delays)
         self.limits = limits
         self.settings = settings
-
-    def within(self, limits: Limits) -> "AllParts":
-        """Return the same parts with other limits."""
-        other = copy(self)
-        other.limits = limits
-        return other
 
     # --- iterates
 

@@ -54,7 +54,8 @@ class GaussNewton(LocalSolver):
         solver.limits = replace(self.limits, low=low, high=high)
         if equation is not None:
             solver.limits = solver.limits.with_equation(equation)
-        solver._parts = self._parts.within(solver.limits)
+        solver._parts = copy(self._parts)
+        solver._parts.limits = solver.limits
         return solver
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
@@ -121,7 +122,7 @@ class GaussNewton(LocalSolver):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
         return Outcome(
-            self.nlp.estimate_at(iterate.z),
+            nlp.estimate_at(iterate.z),
             status,
             end.iterations,
             time.perf_counter() - began,
@@ -137,7 +138,7 @@ class GaussNewton(LocalSolver):
 
         In NIST's 27 regressions, nine or more digits are then right instead of four to eight.
         """
-        if not search.minima or search.nodes is None:
+        if search.nodes is None:
             return search
         best = search.minima[0]
         try:

@@ -174,7 +174,7 @@ def test_other_minima_are_kept_when_the_best_is_polished():
     polished = solver.polished(Multistart(Runs.of(()), (best, *others), nodes=outcome.nodes))
     assert polished.minima[1:] == others
     assert polished.minima[0] is not best
-    nothing = Multistart(Runs.of(()), (), nodes=outcome.nodes)
+    nothing = Multistart(Runs.of(()), ())
     assert solver.polished(nothing) is nothing
 
 
