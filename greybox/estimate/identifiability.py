@@ -396,7 +396,7 @@ def invisible_groups(
 
     for label in range(count):
         group = places[labels == label].tolist()
-        members = sorted(group, key=lambda k: (-round(projector[k, k], 6), k))
+        members = sorted(group, key=lambda k: (-round(float(projector[k, k]), 6), k))
         block = projector[np.ix_(members, members)]
         moves = np.zeros((len(names), len(members)))
         moves[members] = block * size[members, None]

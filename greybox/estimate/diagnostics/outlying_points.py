@@ -163,7 +163,7 @@ def _rank_correlation(a: Array, b: Array) -> tuple[float, float]:
     if len(a) < 4:
         return 0.0, 1.0
     ranks = np.argsort(np.argsort([a, b]))
-    r = np.corrcoef(ranks)[0, 1]
+    r = np.corrcoef(ranks[0], ranks[1])[0, 1]
     c = np.prod([np.corrcoef(row[1:], row[:-1])[0, 1] for row in ranks])
     return r, math.erfc(abs(r) * math.sqrt(len(a) * (1 - c) / (1 + c) / 2))
 
