@@ -143,7 +143,8 @@ def autoregressive_p_values(
     white = whitened(values[:, first:], weights, outputs)
     kept, whole = (tests[:-1] @ (k * np.sum(_means(white, k) ** 2, axis=0)) for k in (m, 1))
     p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
-    return np.where(kept > whole / 2, np.maximum(p_of_samples, p_of_means), p_of_samples)
+    # Of a faster term, means would show too little.
+    return np.where(kept > 0.9 * whole, np.maximum(p_of_samples, p_of_means), p_of_samples)
 
 
 def _fits(
