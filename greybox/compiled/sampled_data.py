@@ -93,7 +93,7 @@ class SampledData:
     @property
     def first_samples(self) -> IntArray:
         """Number of the first sample of every stretch."""
-        return np.flatnonzero(self.begins_stretch) * self.segment_length
+        return np.cumsum([0, *self.segment_counts[:-1]]) * self.segment_length
 
     @property
     def coupled(self) -> BoolArray:

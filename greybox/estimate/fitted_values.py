@@ -58,9 +58,10 @@ def _fitted_response(part: ResponsePart, x: Array, values: Values) -> FittedResp
         sine=problem.amplitude,
         nuisances=problem.criterion.nuisances,
     )
-    if fitted.sine is None:
+    if fitted.sine is None and not problem.sampled_hold:
         # Curves of linear responses take a hundredth of a fit, because all responses share what is
-        # traced. One by one, later, they would take a third.
+        # traced. One by one, later, they would take a third. Those of samples are compiled, and
+        # wait until they are drawn.
         _ = fitted.curve
     return fitted
 

@@ -25,7 +25,7 @@ from greybox.estimate.misfit_regression import (
     regression_of_record,
     regression_of_response,
 )
-from greybox.estimate.missing_terms import KNOTS, Term, terms_of_record
+from greybox.estimate.missing_terms import KNOTS, Term, constants_of_record, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
 from greybox.files.arrays import Array, Arrays, Labels, Strings, frozen
 from greybox.files.text_table import numbered_where_alike
@@ -156,17 +156,15 @@ def assessed_misfit(
         DisturbedRecord(*on_excerpts(part, trajectory, most), name)
         for part, trajectory, name in records
     ]
-    regressions = [
-        regression_of_record(
-            record,
-            [*terms_of_record(record, at_bound, candidates), *terms],
-            # Records are linearized by the solver's variables, responses by the parameters.
-            np.diag(nlp.scaling.slope(x))[moves],
-            is_new,
-            len(records),
+    # Records are linearized by the solver's variables, responses by the parameters.
+    by_x = np.diag(nlp.scaling.slope(x))[moves]
+    regressions = []
+    for record, (repeated, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True):
+        constants = constants_of_record(record)
+        terms = [*terms_of_record(record, constants, at_bound, candidates), *repeated]
+        regressions.append(
+            regression_of_record(record, constants, terms, by_x, is_new, len(records))
         )
-        for record, (terms, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True)
-    ]
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
     groups = [*map(_group, tested)]
     misfits = [*map(_of_group, groups, _determined(groups))]

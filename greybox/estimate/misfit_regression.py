@@ -16,8 +16,8 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.misfit import Cause
 from greybox.estimate.missing_terms import (
+    Constants,
     Term,
-    constants_of_record,
     signals_of_record,
     terms_of_response,
 )
@@ -85,7 +85,12 @@ class Regression:
 
 
 def regression_of_record(
-    record: DisturbedRecord, terms: Iterable[Term], by_x: Array, is_new: Array, count: int
+    record: DisturbedRecord,
+    constants: Constants,
+    terms: Iterable[Term],
+    by_x: Array,
+    is_new: Array,
+    count: int,
 ) -> Regression:
     """Return the regression of one of `count` records.
 
@@ -112,11 +117,10 @@ def regression_of_record(
 
     by_initial = np.einsum("ab,bmn->amn", noise, slopes.by_initial)
     starts = [*map(column_basis, by_stretch(by_initial))]
-    constants = [*constants_of_record(record)]
-    effects = followed(constants)
     # A wrong initial state is a cause of its own, beside which all terms are tested. An offset or a
     # trend cannot be distinguished from a drift of the errors.
-    known = by_stretch(effects[:, [term.kind == "initial" for term in constants]])
+    is_initial = [term.kind == "initial" for term in constants.terms]
+    known = by_stretch(constants.effects[:, is_initial])
     drifts = [
         column_basis(np.hstack(each))
         for each in zip(starts, known, map(_lines, present), strict=True)
@@ -127,7 +131,7 @@ def regression_of_record(
         return np.vstack([*map(outside, by_stretch(values), taken)])
 
     by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
-    with_effects = np.concatenate([record.residuals[:, None], effects], axis=1)
+    with_effects = np.concatenate([record.residuals[:, None], constants.effects], axis=1)
     firsts = np.cumsum([0, *(row.size for row in present)])
     outputs = [
         [
@@ -138,7 +142,11 @@ def regression_of_record(
         for k in range(len(present[0]))
     ]
     offsets = _offsets(
-        constants, rows(with_effects, starts), rows(by_parameters, starts), len(present[0]), count
+        constants.terms,
+        rows(with_effects, starts),
+        rows(by_parameters, starts),
+        len(present[0]),
+        count,
     )
     return Regression(
         rows(np.nan_to_num(data.measured)[:, None], [column_basis(_lines(row)) for row in present]),

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -370,8 +370,18 @@ class Term:
         return text.format(**values), code.format(**values) + "".join(also)
 
 
+class Constants(NamedTuple):
+    """Terms that act from the beginning of a record, and how outputs (k, c, samples) follow."""
+
+    terms: Sequence[Term]
+    effects: Array
+
+
 def terms_of_record(
-    record: DisturbedRecord, at_bound: Labels, candidates: Mapping[str, Formula]
+    record: DisturbedRecord,
+    constants: Constants,
+    at_bound: Labels,
+    candidates: Mapping[str, Formula],
 ) -> Iterator[Term]:
     """Yield the terms that the model of a record may lack; `candidates` are the user's.
 
@@ -391,11 +401,17 @@ def terms_of_record(
         yield from _of_equations(record, candidates)
     else:
         yield from _of_feedback(record)
-    yield from _of_loads(record)
+    yield from _of_loads(record, constants)
     yield from _of_parameters(record, at_bound)
 
 
-def constants_of_record(record: DisturbedRecord) -> Iterator[Term]:
+def constants_of_record(record: DisturbedRecord) -> Constants:
+    """Return what acts from the beginning of a record."""
+    terms = [*_constants(record)]
+    return Constants(terms, record.followed_by([(term.place, term.values) for term in terms]))
+
+
+def _constants(record: DisturbedRecord) -> Iterator[Term]:
     """Yield what acts from the beginning.
 
     That are errors of known initial states, offsets of the outputs, and constants in the equations,
@@ -424,13 +440,12 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
     return signals | {"time, s": _time(record)}
 
 
-def _of_loads(record: DisturbedRecord) -> Iterator[Term]:
+def _of_loads(record: DisturbedRecord, constants: Constants) -> Iterator[Term]:
     """Yield constants and offsets from some sample on."""
     time = _time(record)
     tries = 1 + len(time) // PARTS
-    for constant in constants_of_record(record):
+    for constant, effect in zip(constants.terms, constants.effects.swapaxes(0, 1), strict=True):
         if kind := LATER.get(constant.kind):
-            effect = record.followed_by([(constant.place, constant.values)])[:, 0]
             for level in time[_onsets(record, effect)].tolist():
                 later = 1.0 * (time >= level)
                 yield replace(constant, kind=kind, values=later, level=level, tries=tries)

@@ -71,6 +71,8 @@ def _shared(columns: Array, filters: Arrays, outputs: Outputs, width: int) -> Ar
     The columns (N, 1 + c) are those of the errors and of the terms. The filters make the errors of
     every output white, but process noise reaches several outputs, some of them later.
     """
+    if width == 1:
+        return np.ones(columns.shape[1] - 1)
     signals = np.zeros(columns.T.shape)
     rows = [rows[len(w) - 1 :] for w, each in zip(filters, outputs, strict=True) for rows in each]
     signals[:, np.concatenate(rows)] = whitened(columns, filters, outputs).T
@@ -142,9 +144,12 @@ def autoregressive_p_values(
     m = MEANS if MEANS * fewest > ORDER * SAMPLES else 1
     white = whitened(values[:, first:], weights, outputs)
     kept, whole = (tests[:-1] @ (k * np.sum(_means(white, k) ** 2, axis=0)) for k in (m, 1))
-    p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
     # Of a faster term, means would show too little.
-    return np.where(kept > 0.9 * whole, np.maximum(p_of_samples, p_of_means), p_of_samples)
+    is_slow = kept > 0.9 * whole
+    if not is_slow.any():
+        return p_of_samples
+    p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
+    return np.where(is_slow, np.maximum(p_of_samples, p_of_means), p_of_samples)
 
 
 def _fits(

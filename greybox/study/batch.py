@@ -371,8 +371,11 @@ def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
         If it is the answer to another problem.
     """
     # A failed member is tried again: the cause, such as a missing file, may be gone.
-    if stored.status != "done" or isinstance(member.problem, UnreadableError):
-        return stored.status == "done"
+    if stored.status != "done":
+        return False
+    # An earlier answer remains where the data cannot be read any more.
+    if isinstance(member.problem, UnreadableError):
+        return True
     formulas, stated = _key(member, formulas_alone=True), _key(member)
     is_same = stated and formulas in compiled and stored.answer.get("stated") == stated
     if not is_same and stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
