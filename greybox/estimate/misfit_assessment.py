@@ -424,14 +424,14 @@ def _functions(group: Group, functions: Mapping[Key, int]) -> tuple[list[Tested]
             )
             if directions.size:
                 tested.append((p_value, key, each @ directions))
-    if not tested:
-        return [], np.array([])
-    # Only the best two are tested together with the color of the errors, which takes most of the
-    # time.
-    best = sorted(tested, key=itemgetter(0))[:2]
-    _, best_keys, effects = zip(*best, strict=True)
     # A test of several numbers counts as that many terms.
     count = sum(columns.shape[1] for *_, columns in tested)
+    # Only the best two are tested together with the color of the errors, which takes most of the
+    # time, and only if chance does not explain them.
+    best = [test for test in sorted(tested, key=itemgetter(0))[:2] if count * test[0] < 1]
+    if not best:
+        return [], np.array([])
+    _, best_keys, effects = zip(*best, strict=True)
     p_values = count * group.chances(np.hstack(effects), [each.shape[1] for each in effects])
     is_missing = p_values < FALSE_ALARMS
     residuals = outside(group.white_residuals, group.basis)
