@@ -159,7 +159,7 @@ def counted(plant, test, repeats):
     for seed in range(repeats):
         response = measured(flown(values, gains, rate, band, test, seed), test, band)
         problem = gb.Problem(Rate(), response, gb.MaximumLikelihood())
-        answer = gb.margins(gb.fit(problem, starts=2, progress=False), controller)
+        answer = gb.margins(gb.fit(problem, progress=False), controller)
         if not answer.is_stable:  # a miss of every margin
             continue
         for name in NAMES:

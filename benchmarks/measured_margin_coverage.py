@@ -37,7 +37,7 @@ def main():
         truth = gb.margins(Rate(), RateLoop(gains, rate=rate), values)
         held = {name: [] for name in NAMES}
         for seed in range(options.repeats):
-            record = flown(values, gains, rate, band, "u", seed)
+            record = flown(values, gains, rate, band, "sweep at u", seed)
             response = gb.spectral.spectral_response(record, "u_excitation", "u", band=band)
             answer = gb.margins(broken_loop(response))
             for name in NAMES:

@@ -234,7 +234,8 @@ class ResponseSolver(LocalSolver):
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Repeat the searches from z (p, m) that ended at a response of zero."""
         program = self.problem.programs[0]
-        if program.explicit is None or program.roots is not None:
+        is_shared = program.shared is not None
+        if is_shared or program.explicit is None or program.roots is not None:
             return ends
         zero = np.flatnonzero(explains_nothing(ends.cost, self.problem.zero_costs.sum()))
         if not zero.size:

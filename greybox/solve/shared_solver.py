@@ -1,7 +1,7 @@
 """The solver of large problems whose responses share one solve a frequency.
 
-All starts but the first of a batch move to a minimum with process noise, except those of sine
-tests; then all are improved together by Newton's method. The cost is that of
+All starts but the first of a batch, except those of sine tests, get short delays and move to a
+minimum with process noise; then all are improved together by Newton's method. The cost is that of
 `greybox.compiled.shared_response`, whose gradient is exact: a minimum counts where it vanishes, and
 IPOPT need not confirm it. Constraints do not guide the search: most bounds of tied parameters hold
 where it ends, and IPOPT continues where one does not.
@@ -64,7 +64,7 @@ class SharedSolver(ResponseSolver):
                 test.last.clear()
             return continued(ends, super().improved(ends.z, max_iterations=FEW, from_near=True))
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
-        near = z[:, 1:]
+        near = self._in_phase(z[:, 1:])
         iterations = 0
         ratios = np.array(FIRST)[np.arange(near.shape[1]) // 2 % 2]
         search = BatchedNewton(ProcessNoise(self._shared, z), *self.problem.bounds)
@@ -96,6 +96,21 @@ class SharedSolver(ResponseSolver):
         return continued(
             ends, super().improved(ends.z[:, lowest], **limits, from_near=True), lowest
         )
+
+    def _in_phase(self, z: Array) -> Array:
+        """Return z (p, m) with delays of less than half a turn at the highest frequency.
+
+        A search whose delay is more than half a turn off at most frequencies ends at a gain of
+        zero; few delays are longer.
+        """
+        for system in self._shared.systems if z.size else ():
+            half_turn = np.pi / system.omega[-1]
+            for k in np.flatnonzero(system.delayed):
+                _, delays, _, slopes = system.matrices(z)
+                along = slopes[:, k].T
+                excess = half_turn * (delays[:, k] // half_turn)
+                z = z - excess * along / np.sum(along**2, axis=0)
+        return z
 
     def again(self, x: Array, earlier: Outcome | Run, options: Named = NO_OPTIONS) -> Outcome:
         """Return a run that did not arrive, since IPOPT would take minutes, or IPOPT's end.

@@ -57,3 +57,34 @@ def test_the_fit_of_a_wrong_model_ends_at_a_minimum():
     fit = gb.fit(problem, starts=2, progress=False)
     assert fit.converged
     assert fit.cost < 43.156  # a run of IPOPT from the declared values ends at 43.1551
+
+
+class Rate(gb.StateSpace):
+    """Rate behind a lag and a delay, at many frequencies."""
+
+    states, inputs, outputs = ("m", "q"), ("u",), ("q",)
+    K = gb.Parameter(40.0, bounds=(0.1, 4000), unit="1/s", scale="log")
+    a = gb.Parameter(2.0, bounds=(-50, 50), unit="1/s")
+    T = gb.Parameter(0.05, bounds=(0.002, 1), unit="s", scale="log")
+    tau = gb.Parameter(0.02, bounds=(0, 0.5), unit="s")
+    delays = {"u": "tau"}
+
+    def derivative(self, x, u, p):
+        return (u.u - x.m) / p.T, p.K * x.m - p.a * x.q
+
+    def output(self, x, u, p):
+        return (x.q,)
+
+
+def test_starts_with_delays_of_many_turns_find_the_minimum():
+    """From a box of delays up to 75 rad at the highest frequency."""
+    truth, omega = {"K": 400.0, "a": 3.0, "T": 0.025, "tau": 0.004}, np.geomspace(4, 150, 349)
+    exact = gb.frequency_response(Rate(), truth, omega, input="u", output="q").response
+    random = np.random.default_rng(3)
+    for _ in range(2):
+        errors = 0.05 * random.normal(size=(2, omega.size))
+        measured = exact * (1 + errors[0] + 1j * errors[1])
+        response = gb.FrequencyResponse(omega, measured, input="u", output="q")
+        fit = gb.fit(gb.Problem(Rate(), response), starts=16, progress=False)
+        assert abs(fit.estimate["K"] - 400) < 4 * fit.standard_error["K"]
+        assert sum(run.cost < 1.001 * fit.cost for run in fit.runs) > 1
