@@ -47,11 +47,10 @@ class ResponseFunctions(Rebuilt):
     Attributes
     ----------
     objective : casadi.Function
-        (z, smoothing, data) -> cost, unweighted.
+        (z, smoothing, data) -> cost, unweighted, and real and imaginary parts of the model's
+        response, stacked (2 n,).
     response : casadi.Function
-        (all values x) -> real and imaginary parts of the model's response, stacked (2 n,).
-    scaled_response : casadi.Function
-        (z, data) -> the same.
+        (all values x) -> the same response.
     system : SharedSystem or SineTest or None
         The state space of a large problem or the sine test, in numpy, at all values x: it takes a
         quarter of the time of CasADi's functions, and its derivatives need not be built.
@@ -59,7 +58,6 @@ class ResponseFunctions(Rebuilt):
 
     objective: ca.Function
     response: ca.Function
-    scaled_response: ca.Function
     system: SharedSystem | SineTest | None = None
 
     @cached_property
@@ -74,7 +72,7 @@ class ResponseFunctions(Rebuilt):
     def derivatives(self) -> ca.Function:
         """(z, smoothing, data) -> gradient and Hessian of the cost."""
         z, *others = input_symbols(self.objective)
-        hessian, gradient = ca.hessian(self.objective(z, *others), z)
+        hessian, gradient = ca.hessian(self.objective(z, *others)[0], z)
         return ca.Function("derivatives", [z, *others], [gradient, hessian])
 
 
@@ -128,11 +126,11 @@ class ResponsePart(Part):
 
     def scaled_response(self, z: Any) -> Any:
         """Return real and imaginary parts of the model's response at z (p,), stacked (2 n,)."""
-        return self.functions.scaled_response(z, self.inputs)
+        return self.functions.objective(z, 0.0, self.inputs)[1]
 
     def objective(self, z: Any, smoothing: float) -> Any:
         """Return the cost at z (p,), unweighted."""
-        return self.functions.objective(z, smoothing, self.inputs)
+        return self.functions.objective(z, smoothing, self.inputs)[0]
 
     def numbers_of(self, response: ComplexArray) -> Array:
         """Return the inputs of this part with another measured response (n,)."""
@@ -165,7 +163,7 @@ class ResponsePart(Part):
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
         """Return the squared residuals over the given variances, or else their mean."""
-        re, im = np.asarray(self.scaled_response(trajectory.z)).reshape(2, -1)
+        re, im = trajectory.detail.reshape(2, -1)
         return self.criterion.noise_ratio(re + 1j * im, self.data)
 
     # --- for Gauss-Newton
@@ -175,8 +173,9 @@ class ResponsePart(Part):
     ) -> Trajectory:
         """Return the point z, without nodes; its cost may not be finite."""
         # Smoothed already, because every iteration asks for this cost and rarely for another.
-        cost = self.objective(z, SMOOTHING).full()
-        return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True)
+        outputs = self.functions.objective(z, SMOOTHING, self.inputs)
+        cost, response = (value.full() for value in outputs)
+        return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True, detail=response)
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the cost."""
@@ -194,7 +193,7 @@ class ResponsePart(Part):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return the model's response over the measured magnitude: real, imaginary parts (2 n,)."""
-        return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(self.magnitude, 2)
+        return trajectory.detail.ravel() / np.tile(self.magnitude, 2)
 
     # --- for IPOPT and for the covariance of the estimate
 

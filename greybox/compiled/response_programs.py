@@ -256,9 +256,12 @@ class ResponseCompiler:
         systems = self.systems() if programs[-1].shared else {}
         functions = [
             ResponseFunctions(
-                ca.Function("objective", [z, self.smoothing, data], [kind(cost)]),
+                ca.Function(
+                    "objective",
+                    [z, self.smoothing, data],
+                    [kind(cost), kind(ca.vertcat(at_z.re, at_z.im))],
+                ),
                 ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
-                ca.Function("response", [z, data], [kind(ca.vertcat(at_z.re, at_z.im))]),
                 systems.get(k),
             )
             for k, (cost, response, at_z) in enumerate(
