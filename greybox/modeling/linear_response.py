@@ -61,12 +61,11 @@ def frequency_response(
     pade = delay_order(delay)
     # At a pole the response is infinite, which is refused below with its frequency.
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        # Plain complex numbers if possible: tests compare them with those of `Complex`.
+        s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
         if isinstance(model, TransferFunction):
             require_operating_point(model, at)
-            # Plain complex numbers if possible: tests compare them with those of `Complex`.
-            s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
-            re, im = _parts(model.response(s, model.values(values)), model.label, omega.size)
-            response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
+            result = model.response(s, model.values(values))
         else:
             assert isinstance(model, StateSpace)
             system = linearize(model, values, at)
@@ -74,8 +73,9 @@ def frequency_response(
             pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
             b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
             plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
-            delayed = exp(-system.delays[i] * Complex(np.zeros_like(omega), omega, pade)) * plant
-            response = delayed.re + 1j * delayed.im
+            result = exp(-system.delays[i] * s) * plant
+        re, im = _parts(result, model.label, omega.size)
+        response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
 
     if not all_finite(response):
         worst = omega[np.argmin(np.isfinite(response))]
