@@ -164,10 +164,7 @@ class DisturbedRecord:
         coupled, nodes = self.part.data.coupled, np.zeros_like(ends)
         if self.growth > UNSTABLE:
             # Simulated from zero, they would lose their digits: fitted, they remain small.
-            exact = np.zeros(self.part.states)
-            return solve_continuity(
-                weighted @ J, transition, coupled, -weighted @ rows, -ends, exact
-            )[0]
+            return solve_continuity(weighted @ J, transition, coupled, -weighted @ rows, -ends)[0]
         for j in np.flatnonzero(coupled).tolist():
             nodes[j + 1] = transition[j] @ nodes[j] + ends[j]
         return nodes
