@@ -38,7 +38,8 @@ from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
 from greybox.modeling.held_inputs import first_terms, folded_back
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
-from greybox.modeling.symbolic_reading import dense_jacobian
+from greybox.modeling.state_space import input_delays
+from greybox.modeling.symbolic_reading import dense_jacobian, parameter_names
 from greybox.modeling.trim import trim_of
 
 
@@ -324,9 +325,8 @@ def _system(
         return None
     A, B, C, D = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
     system = ca.sparsify(ca.blockcat([[A, B], [C, D]]))
-    names = list(model.parameters)
-    delays = [p[names.index(model.delays[i])] if i in model.delays else 0.0 for i in model.inputs]
-    values = ca.vertcat(system.nz[:], *delays)
+    delays = input_delays(model, parameter_names(model, p))
+    values = ca.vertcat(system.nz[:], *delays.values())
     slopes = ca.vec(dense_jacobian(values, point))
     omega = np.unique(np.concatenate([parts[k].response.omega for k in members]))
     pairs = []

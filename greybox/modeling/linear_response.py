@@ -22,7 +22,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import start_values
 from greybox.modeling.rational import Rational, as_rational
-from greybox.modeling.state_space import StateSpace
+from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, symbols, traced
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.modeling.trim import Trimmed, trim_of
@@ -143,10 +143,11 @@ def response_formulas(
     at_point = Trimmed(trim.root, ca.Function("system", [p, w], [system]))
     order = _elimination_order(model, at_point, omega, len(k))
     solved = cache(lambda line: eliminated(entries, line, order))
+    delays = input_delays(model, parameter_names(model, p))
 
     def formula(input: str, output: str) -> Trimmed:
         row, column = outputs.index(output), inputs.index(input)
-        delay = p[list(model.parameters).index(model.delays[input])] if input in model.delays else 0
+        delay = delays[input]
         result = solved(s)[row][column]
         if hold:
             result += _beside(lambda q: solved(q)[row][column], s, hold, delay)
