@@ -225,12 +225,8 @@ class ResponsePart(Part):
             shift = bread * jacobian.T @ common
             return shift @ shift.T
 
-        @cache
-        def gradient_spread(correction: float) -> tuple[float, Array]:
-            return criterion.spread(response, data, correction)
-
         def spread(correction: float) -> tuple[float, Array]:
-            bread, meat = gradient_spread(correction)
+            bread, meat = criterion.spread(response, data, correction)
             weighted = (independent * meat)[:, None] * jacobian
             return bread, jacobian.T @ weighted + common_meat(bread)
 
@@ -242,7 +238,7 @@ class ResponsePart(Part):
             if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")
-            bread, meat = gradient_spread(correction)
+            bread, meat = criterion.spread(response, data, correction)
             # Neighbors in frequency are neighbors in correlation: the order matters here alone.
             halves = np.split(np.sqrt(independent * meat)[:, None] * jacobian, 2)
             scores = complex_array(*halves)[order]
