@@ -153,7 +153,7 @@ def record_model(
     slope = ca.jacobian(q, z)
     # Gains that follow from process noise have no expression in z: the filter gives their slopes.
     following = range(len(problem.declared), q.numel())
-    active = [i for i in range(q.numel()) if slope[i, :].nnz() or i in following]
+    active = sorted({*slope.sparsity().row(), *following})
     delay = system.delay(q[: len(system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
     states = known(symbol)
@@ -185,7 +185,7 @@ def record_model(
         known_states=np.array([name in criterion.initial for name in system.states], dtype=bool),
         initial_states=initial_states,
         steps=steps,
-        expressions=tuple(str(q[i]) for i in range(q.numel())),
+        expressions=tuple(map(str, ca.vertsplit(q))),
     )
 
 
