@@ -17,7 +17,7 @@ from greybox.compiled.part import (
     Program,
     Trajectory,
 )
-from greybox.compiled.shared_response import SharedSystem, SineTest
+from greybox.compiled.vectorized import Remembering
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -51,14 +51,18 @@ class ResponseFunctions(Rebuilt):
         response, stacked (2 n,).
     response : casadi.Function
         (all values x) -> the same response.
-    system : SharedSystem or SineTest or None
-        The state space of a large problem or the sine test, in numpy, at all values x: it takes a
-        quarter of the time of CasADi's functions, and its derivatives need not be built.
+    shared : function or None
+        Of a large problem or a sine test, (all values x) -> the responses of all parts and their
+        derivatives in numpy, see `StackedResponses`: they take a quarter of the time of CasADi's
+        functions, and derivatives need not be built.
+    rows : slice
+        The place of this response among them.
     """
 
     objective: ca.Function
     response: ca.Function
-    system: SharedSystem | SineTest | None = None
+    shared: Remembering | None
+    rows: slice
 
     @cached_property
     @one_thread_at_a_time
@@ -143,9 +147,8 @@ class ResponsePart(Part):
     def _latest(self, is_slope: bool, values: Array) -> ComplexArray:
         """Return the response at all values x (k,), or its derivatives."""
         functions = self.functions
-        if (system := functions.system) is not None:
-            results = self.stored("both", values, lambda: system.responses(values[:, None]))
-            return results[is_slope][0]
+        if functions.shared is not None:
+            return functions.shared(values[:, None])[is_slope][0, functions.rows]
         function = functions.slope if is_slope else functions.response
         return self.stored(
             function.name(),

@@ -14,7 +14,7 @@ those of small problems with equal models and options are not traced again.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from itertools import groupby
+from itertools import groupby, pairwise, starmap
 from typing import Any
 
 import casadi as ca
@@ -25,12 +25,11 @@ from greybox.compiled.data_input import INCLUDED, DataInput, columns_of
 from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
     SharedResponses,
-    SharedSystem,
-    SineTest,
+    StackedResponses,
     response_symbols,
     shared_systems,
 )
-from greybox.compiled.vectorized import CHUNK, Columns
+from greybox.compiled.vectorized import CHUNK, Columns, Remembering
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, Fields, Labels, Named, StringPair, frozen
 from greybox.files.rebuilt import Rebuilt
@@ -253,7 +252,8 @@ class ResponseCompiler:
             self.costs(scaled, self.measured, self.smoothing, choose) for choose in self.criteria
         ]
         programs = tuple(map(self.program, costs, self.criteria))
-        systems = self.systems() if programs[-1].shared else {}
+        shared = self.at_all_values() if programs[-1].shared else None
+        ends = np.cumsum([0, *(len(part.response) for part in self.parts)]).tolist()
         functions = [
             ResponseFunctions(
                 ca.Function(
@@ -262,10 +262,11 @@ class ResponseCompiler:
                     [kind(cost), kind(ca.vertcat(at_z.re, at_z.im))],
                 ),
                 ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
-                systems.get(k),
+                shared,
+                rows,
             )
-            for k, (cost, response, at_z) in enumerate(
-                zip(costs[-1], self.responses, scaled, strict=True)
+            for cost, response, at_z, rows in zip(
+                costs[-1], self.responses, scaled, starmap(slice, pairwise(ends)), strict=True
             )
         ]
         stacked, responses = response_symbols(kind, self.parts)
@@ -333,11 +334,11 @@ class ResponseCompiler:
         constants, measured = self.source.at(data)
         return data, self.values_at(self.point, constants), measured
 
-    def systems(self) -> dict[int, SharedSystem | SineTest]:
-        """Return the systems of the parts that are in numpy, at all values x."""
+    def at_all_values(self) -> Remembering:
+        """Return all responses and their derivatives in numpy, as a function of all values x."""
         x = ca.SX.sym("x", len(self.names))
-        shared = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
-        return dict(pair for system in shared for pair in system.of_pairs())
+        systems = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
+        return Remembering(StackedResponses(self.parts, systems).stacked)
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
