@@ -22,7 +22,7 @@ import numpy as np
 
 from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.data_input import INCLUDED, DataInput, columns_of
-from greybox.compiled.response_part import ResponseFunctions, ResponsePart
+from greybox.compiled.response_part import CompiledResponses, ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
     SharedResponses,
     StackedResponses,
@@ -252,7 +252,9 @@ class ResponseCompiler:
             self.costs(scaled, self.measured, self.smoothing, choose) for choose in self.criteria
         ]
         programs = tuple(map(self.program, costs, self.criteria))
-        shared = self.at_all_values() if programs[-1].shared else None
+        stacked = ca.Function("responses", [x], [self.stacked])
+        compiled = self.shared_at_values() if programs[-1].shared else CompiledResponses(stacked)
+        of_all = Remembering(compiled.stacked)
         ends = np.cumsum([0, *(len(part.response) for part in self.parts)]).tolist()
         functions = [
             ResponseFunctions(
@@ -261,25 +263,24 @@ class ResponseCompiler:
                     [z, self.smoothing, data],
                     [kind(cost), kind(ca.vertcat(at_z.re, at_z.im))],
                 ),
-                ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
-                shared,
+                of_all,
                 rows,
             )
-            for cost, response, at_z, rows in zip(
-                costs[-1], self.responses, scaled, starmap(slice, pairwise(ends)), strict=True
+            for cost, at_z, rows in zip(
+                costs[-1], scaled, starmap(slice, pairwise(ends)), strict=True
             )
         ]
-        stacked, responses = response_symbols(kind, self.parts)
+        symbols, responses = response_symbols(kind, self.parts)
         costs = self.costs(responses, self.measured, 0.0, _own_criterion)
         return functions, {
             "programs": programs,
             # CasADi evaluates any number of columns, so that one has the same digits as many.
             "response_cost": Columns(
-                ca.Function("cost", [stacked, data], [ca.vertcat(*costs)]),
+                ca.Function("cost", [symbols, data], [ca.vertcat(*costs)]),
                 shared=(1,),
                 fewest=CHUNK + 1,
             ),
-            "responses": Columns(ca.Function("responses", [x], [self.stacked]), fewest=CHUNK + 1),
+            "responses": Columns(stacked, fewest=CHUNK + 1),
         }
 
     def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:
@@ -334,11 +335,14 @@ class ResponseCompiler:
         constants, measured = self.source.at(data)
         return data, self.values_at(self.point, constants), measured
 
-    def at_all_values(self) -> Remembering:
-        """Return all responses and their derivatives in numpy, as a function of all values x."""
+    def shared_at_values(self) -> StackedResponses:
+        """Return the responses in numpy at all values x.
+
+        They take a quarter of the time of CasADi's functions, whose derivatives need not be built.
+        """
         x = ca.SX.sym("x", len(self.names))
         systems = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
-        return Remembering(StackedResponses(self.parts, systems).stacked)
+        return StackedResponses(self.parts, systems)
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
