@@ -230,11 +230,6 @@ class TransientPart(Part):
         """Return T times complex values (k, lines), as real ones (k, 2 lines)."""
         return self._real(np.einsum("lab,bl->al", transform, values))
 
-    def _at(self, z: Array) -> tuple[Along | None, Array]:
-        """Return what follows from z, and the derivatives of the parameters by it."""
-        q, slope = (value.full() for value in self.locate(z))
-        return self.along(q.ravel()), slope
-
     def derivatives(self, at: Along, by: Array) -> ArrayTriple:
         """Return the derivatives of the errors by x, with the end values held.
 
@@ -300,16 +295,16 @@ class TransientPart(Part):
 
         return projected.reshape(weighted.shape), variance, reach
 
-    def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
-        """Yield every output with its errors (lines,) at z and their derivatives by z and end term.
+    def errors_by_output(
+        self, trajectory: Trajectory
+    ) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
+        """Yield every output with its errors (lines,) and their derivatives by z and end term.
 
         They are turned by the phase of the modeled output, as those of a response are: what a
         model leaves out is smooth only then.
         """
-        at, slope = self._at(z)
-        if at is None:
-            return
-        _, total, change = self.derivatives(at, slope)
+        at: Along = trajectory.detail
+        _, total, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
         # The fitted size of an output's noise takes up what all its lines have in common.
         common = np.einsum("laax->alx", change).real.mean(axis=1, keepdims=True)
         errors = at.errors[..., None]
@@ -319,9 +314,9 @@ class TransientPart(Part):
         for name, values in zip(self.outputs, turned, strict=True):
             yield name, values[:, 0], values[:, 1:]
 
-    def doubtful(self, z: Array) -> Iterator[str]:
-        """Yield the outputs whose errors at z look like turbulence, or like a missing term."""
-        for output, errors, complex_slope in self.errors_by_output(z):
+    def doubtful(self, trajectory: Trajectory) -> Iterator[str]:
+        """Yield the outputs whose errors look like turbulence, or like a missing term."""
+        for output, errors, complex_slope in self.errors_by_output(trajectory):
             slope = real_and_imaginary(complex_slope)
             scores = scores_of_powers(real_and_imaginary(errors), slope, self.data.omega)
             neighbors = neighbor_correlation(errors, slope)
@@ -338,7 +333,7 @@ class TransientPart(Part):
         self, z: Array, nodes: Array | None = None, *, simulated: bool = False
     ) -> Trajectory:
         """Return the point z, with the best end term; not finite where the model is not."""
-        at, _ = self._at(z)
+        at = self.along(self.locate(z)[0].full().ravel())
         products = np.full((1, 1), np.nan) if at is None else at.errors @ at.errors.T
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, products, simulated=True, detail=at)
 
@@ -421,7 +416,7 @@ class TransientPart(Part):
             numbers,
             lambda correction: (1.0, meat),
             reach,
-            doubtful=() if trajectory is None else tuple(self.doubtful(trajectory.z)),
+            doubtful=() if trajectory is None else tuple(self.doubtful(trajectory)),
         )
 
 
