@@ -14,7 +14,6 @@ from greybox.compiled.part import (
     CorrelatedPoints,
     Information,
     Part,
-    Program,
     Trajectory,
 )
 from greybox.compiled.vectorized import Remembering
@@ -200,11 +199,7 @@ class ResponsePart(Part):
         """Return the model's response over the measured magnitude: real, imaginary parts (2 n,)."""
         return trajectory.detail.ravel() / np.tile(self.magnitude, 2)
 
-    # --- for IPOPT and for the covariance of the estimate
-
-    def program(self, z: ca.MX) -> "ResponseProgram":
-        """Return the cost at z (p,); there are no hidden unknowns."""
-        return ResponseProgram(self, z)
+    # --- for the covariance of the estimate
 
     def information(
         self,
@@ -314,16 +309,3 @@ def _own_directions(jacobian: Array) -> Array:
     # has on its best one. A single part has all information on every direction. With 0.5, 20 of 90
     # white responses of a helicopter count as correlated, with 0.1 17, with all directions 36.
     return turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
-
-
-class ResponseProgram(Program):
-    """The smoothed cost of a frequency response."""
-
-    def __init__(self, part: ResponsePart, z: ca.MX) -> None:
-        self._part = part
-        self.unknowns = self.parameters = self.error = self.equations = ca.MX(0, 1)
-        self.cost = part.objective(z, SMOOTHING)
-
-    def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return the cost without smoothing, and w as it is."""
-        return float(self._part.objective(z, 0.0)), w, True

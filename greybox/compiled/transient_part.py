@@ -26,7 +26,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import NO_NODES, Information, Part, Program, Trajectory
+from greybox.compiled.part import NO_NODES, Information, Part, Trajectory
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
@@ -361,14 +361,7 @@ class TransientPart(Part):
         values = trajectory.detail.modeled / positive_or_one(size)
         return real_and_imaginary(values.ravel())
 
-    # --- for IPOPT and for the covariance of the estimate
-
-    def program(self, z: ca.MX) -> Program:
-        """Refuse: end terms are eliminated, and what remains is no expression for IPOPT."""
-        raise ValueError(
-            f"the method transcribes records for IPOPT and {self.name!r} is a TransientSpectrum: "
-            "leave out method, or use MultipleShooting()."
-        )
+    # --- for the covariance of the estimate
 
     @one_thread_at_a_time
     def information(
