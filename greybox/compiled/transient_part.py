@@ -373,11 +373,11 @@ class TransientPart(Part):
         dz_dx: Array,
     ) -> Information:
         """Return the information on the values (k,) for white errors, the end term fitted too."""
+        assert trajectory is not None
+        at: Along = trajectory.detail
         point = ca.SX.sym("x", len(values))
         place = _locate(self.problem, entries_by_name(names, point), point)
-        located, slope = (value.full() for value in place(values))
-        at = self.along(located.ravel())
-        assert at is not None
+        slope = place(values)[1].full()
         mean, _, change = self.derivatives(at, slope)
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
@@ -409,7 +409,7 @@ class TransientPart(Part):
             numbers,
             lambda correction: (1.0, meat),
             reach,
-            doubtful=() if trajectory is None else tuple(self.doubtful(trajectory)),
+            doubtful=tuple(self.doubtful(trajectory)),
         )
 
 
