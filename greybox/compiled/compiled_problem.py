@@ -188,8 +188,8 @@ class CompiledProblem(Portable):
 
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
-        points = np.shape(x)[:-1]
-        constants = np.broadcast_to(self.constant_values, (*points, len(self.constants)))
+        leading = np.shape(x)[:-1]
+        constants = np.broadcast_to(self.constant_values, (*leading, len(self.constants)))
         return np.concatenate([x, constants], axis=-1)
 
     def estimate_at(self, z: Array) -> Array:
