@@ -101,13 +101,7 @@ class RecordModel(Portable):
         if key not in self.steps:
             held = tuple(between.held for between in self.between)
             self.steps[key] = sample_step(
-                self.system,
-                held,
-                self.criterion,
-                self.outputs,
-                self.parameters,
-                integrator,
-                substeps,
+                self.system, held, self.criterion, self.parameters, integrator, substeps
             )
 
         return self.steps[key]
@@ -198,7 +192,7 @@ def _shared_functions(
 ) -> SharedFunctions:
     """Compile the functions that records of one kind share."""
     # Instants between the samples at which an input was read count as delays.
-    system = dynamics(problem.model, delay_order(problem.delay))
+    system = dynamics(problem.model, delay_order(problem.delay)).observed(outputs)
     system = system.later([intersample.late for intersample in between])
     symbol = ca.SX.sym("q", len(parameters))
     local = Names(
@@ -215,7 +209,7 @@ def _shared_functions(
         states[len(system.undelayed.states) :] = ca.vertsplit(system.delay_rest(ca.vertcat(*bias)))
 
     known = ca.Function("known", [symbol], [ca.vertcat(ca.SX(0, 1), *states)])
-    return system, known, InitialStates(system, outputs), {}
+    return system, known, InitialStates(system), {}
 
 
 def longest_delay(problem: Problem, system: Dynamics) -> Array:

@@ -119,8 +119,7 @@ class RecordPart(SegmentedPart):
         system = self.system
         result = dict[str, StringPair]()
         x, u, p = system.symbols
-        compared = zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)
-        outputs = [(name, output) for name, output in compared if name in self.outputs]
+        outputs = [*zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)]
         delay = system.delay(p)
         # Through states, and with interpolated inputs, the outputs are continuous in the delay.
         for i, j in itertools.product(range(u.numel()), range(p.numel())):

@@ -130,14 +130,14 @@ class TransientPart(Part):
         self.data = problem.data
         self.locate = _locate(problem, expressions, z)
         self.outputs = outputs_in_spectrum(problem.criterion, problem.model, problem.data)
-        system = dynamics(problem.model, delay_order(problem.delay))
+        system = dynamics(problem.model, delay_order(problem.delay)).observed(self.outputs)
         # A gust in every equation: as many gusts as outputs, with one time constant.
         colored = self.outputs if len(problem.declared) > len(problem.model.parameters) else ()
         gusts = tuple(f"gust_{name}" for name in colored)
         self.states, self.inputs = (*system.states, *gusts), system.inputs
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
-        self._matrices = _matrices(problem, system, self.outputs, gusts)
+        self._matrices = _matrices(problem, system, gusts)
         # A Padé approximation reaches the output at once, which a delay does not.
         held = self.data.held if problem.delay == "exact" else ()
         self._held = np.array([[name in held] for name in self.inputs])
@@ -419,7 +419,7 @@ def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
     return ca.Function("locate", [z], [q, dense_jacobian(q, z)])
 
 
-def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strings) -> ca.Function:
+def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function:
     """Return (all parameters) -> [A, B; C, D], delays, [C B, D], and derivatives of all entries.
 
     In [C B, D], D is zero for inputs with delays: how late a step is seen jumps with the delay, and
@@ -429,7 +429,7 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
     declared = ca.MX.sym("p", len(problem.declared))
     p, times = ca.vertsplit(declared, [0, len(model.parameters), declared.numel()])
     x, u, q = system.symbols
-    h = system.output(x, u, q)[[system.outputs.index(name) for name in outputs]]
+    h = system.output(x, u, q)
     rates, g, time = (
         system.derivative(x, u, q),
         ca.SX.sym("g", len(gusts)),

@@ -86,6 +86,13 @@ class Dynamics:
         result[tuple(slopes.sparsity().get_triplet())] = values
         return result
 
+    def observed(self, outputs: Strings) -> "Dynamics":
+        """Return the same dynamics with these of its outputs."""
+        rows = [self.outputs.index(name) for name in outputs]
+        values = self.output(*self.symbols)[rows]
+        output = ca.Function("output", self.symbols, [values])
+        return replace(self, outputs=outputs, output=output)
+
     def later(self, seconds: Sequence[float]) -> "Dynamics":
         """Return the same dynamics with inputs that act later by these seconds (m,)."""
         # The same object, so that its functions are compiled once.

@@ -127,7 +127,8 @@ class Simulator:
         self._is_automatic = integrator is None
         self._substeps = self._integrator.substeps or 0
         self._steps: dict[int, SampleStep] = {}
-        self._initial = InitialStates(model.system, outputs)
+        self._system = model.system.observed(outputs)
+        self._initial = InitialStates(self._system)
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,)."""
@@ -333,10 +334,9 @@ class Simulator:
         if substeps not in self._steps:
             model = self._model
             self._steps[substeps] = sample_step(
-                model.system,
+                self._system,
                 model.held,
                 model.criterion,
-                self._outputs,
                 model.names,
                 self._integrator,
                 substeps,
