@@ -188,10 +188,9 @@ class CompiledProblem(Portable):
 
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
-        values = np.empty((*np.shape(x)[:-1], len(self.names)))
-        values[..., : len(self.free)] = x
-        values[..., len(self.free) :] = self.constant_values
-        return values
+        leading = np.shape(x)[:-1]
+        constants = np.broadcast_to(self.constant_values, (*leading, len(self.constants)))
+        return np.concatenate([x, constants], axis=-1)
 
     def estimate_at(self, z: Array) -> Array:
         """Return the unknowns (..., p) at the solver's variables z (..., p), within the bounds."""

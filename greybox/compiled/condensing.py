@@ -104,7 +104,7 @@ def solve_continuity(
     coupled: BoolArray,
     stationarity: Array,
     continuity: Array,
-    variance: Array,
+    variance: Array | float = 0.0,
 ) -> ArrayPair:
     """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states.
 
@@ -121,7 +121,8 @@ def solve_continuity(
         H and A.
     coupled : (s,) bool array
     stationarity, continuity : (s, n, r) arrays
-    variance : (n,) array
+    variance : (n,) array, optional
+        Exact continuity by default.
 
     Returns
     -------
@@ -139,6 +140,7 @@ def solve_continuity(
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
+    variance = np.broadcast_to(variance, n)
     transition = np.where(linked, transition * size / size[:, None], 0.0)
     gaps = np.where(linked, continuity / size[:, None], 0.0)
 

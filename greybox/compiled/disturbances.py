@@ -104,11 +104,10 @@ class DisturbedRecord:
     @cached_property
     def _slopes_of_formulas(self) -> Array:
         """The slopes of derivatives and outputs (n + k, parameters and inputs, samples)."""
-        system, n = self.part.system, self.part.states
-        rows = [*range(n), *(n + system.outputs.index(name) for name in self.part.outputs)]
+        system = self.part.system
         # A gain that ended at zero would hide every term of its input.
         q = self._placed.q[: len(system.parameters)]
-        return system.slopes(self.states, self.inputs, np.where(q == 0, 1e-12, q))[rows]
+        return system.slopes(self.states, self.inputs, np.where(q == 0, 1e-12, q))
 
     def _by_formulas(self, slopes: Array, values: Array, is_held: bool = False) -> Effect:
         """Return the effect of values (c, samples) times the slopes (samples, n + k) of formulas.
@@ -164,10 +163,7 @@ class DisturbedRecord:
         coupled, nodes = self.part.data.coupled, np.zeros_like(ends)
         if self.growth > UNSTABLE:
             # Simulated from zero, they would lose their digits: fitted, they remain small.
-            exact = np.zeros(self.part.states)
-            return solve_continuity(
-                weighted @ J, transition, coupled, -weighted @ rows, -ends, exact
-            )[0]
+            return solve_continuity(weighted @ J, transition, coupled, -weighted @ rows, -ends)[0]
         for j in np.flatnonzero(coupled).tolist():
             nodes[j + 1] = transition[j] @ nodes[j] + ends[j]
         return nodes

@@ -17,7 +17,6 @@ from greybox.files.arrays import (
     BoolArray,
     ComplexArray,
     IntArray,
-    Strings,
     positive_or_one,
 )
 from greybox.modeling.realization import Dynamics
@@ -30,14 +29,14 @@ SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -1
 
 
 class InitialStates:
-    """The states of a model at some samples, for the outputs that are compared."""
+    """The states of a model at some samples, for the outputs that it has."""
 
-    def __init__(self, system: Dynamics, outputs: Strings) -> None:
+    def __init__(self, system: Dynamics) -> None:
         """Compile the model and its derivatives."""
         self._n = len(system.states)
         self._driven = len((system.undelayed or system).states)
         x, u, p = system.symbols
-        y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
+        y = system.output(x, u, p)
         f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
         slopes = ca.vertcat(ca.vec(dense_jacobian(f, x)), ca.vec(dense_jacobian(y, x)))
         self._model = Columns(

@@ -8,8 +8,8 @@ hidden unknowns within its cost. For these, `Part` has the answers: arrays over 
 gap is closed, and residuals need no weights.
 
 Callers: the Gauss-Newton driver (`trajectory` to `close_gaps`), the grouping of minima
-(`signature`), the check of the discretization (`refined`), IPOPT (`program`, where there are
-nodes), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
+(`signature`), the check of the discretization (`refined`), the covariance of the estimate
+(`information`), the diagnostics (the properties at the end).
 """
 
 from abc import ABC, abstractmethod
@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import field
 from typing import Any, ClassVar
 
-import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import (
@@ -232,47 +231,6 @@ class Information:
     doubtful: Strings = ()
 
 
-class Program(ABC):
-    """A part as expressions for a solver of nonlinear programs, at the solver's point z (p,).
-
-    Its hidden unknowns are variables of the program. Its parameters w are relaxed quantities, the
-    weights of residuals and the whole samples of delays, which follow from the last solution.
-
-    Attributes
-    ----------
-    unknowns, parameters : casadi.MX
-        The hidden unknowns, and w.
-    error : casadi.MX
-        Residuals; half the sum of their squares is a cost.
-    cost : casadi.MX
-        What adds to that cost.
-    equations : casadi.MX
-        What must be zero.
-    """
-
-    unknowns: ca.MX
-    parameters: ca.MX
-    error: ca.MX
-    cost: ca.MX
-    equations: ca.MX
-
-    def initial_unknowns(self, trajectory: Trajectory) -> Array:
-        """Return the hidden unknowns along a trajectory."""
-        return np.zeros(0)
-
-    def initial_parameters(self, z: Array) -> Array:
-        """Return w at z (p,) for residuals of `ASSUMED_ERROR` of each signal's spread."""
-        return np.zeros(0)
-
-    def products(self, z: Array, unknowns: Array, w: Array) -> Array:
-        """Return the products of residuals, see `Trajectory`."""
-        return np.zeros((0, 0))
-
-    @abstractmethod
-    def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return the cost of a solution, the following w, and whether no delay passed a sample."""
-
-
 class Portable:
     """A value that leaves the user's classes behind when it is pickled: solvers need none of them.
 
@@ -430,12 +388,6 @@ class Part(Portable, ABC):
     def with_bounded_errors(self, trajectory: Trajectory) -> "Part":
         """Return the part with pseudo-values as data, if its large errors are bounded."""
         return self
-
-    # --- what IPOPT asks
-
-    def program(self, z: ca.MX) -> Program:
-        """Return the part as expressions of the solver's point z (p,)."""
-        raise NotImplementedError
 
     # --- for the covariance of the estimate
 

@@ -101,13 +101,7 @@ class RecordModel(Portable):
         if key not in self.steps:
             held = tuple(between.held for between in self.between)
             self.steps[key] = sample_step(
-                self.system,
-                held,
-                self.criterion,
-                self.outputs,
-                self.parameters,
-                integrator,
-                substeps,
+                self.system, held, self.criterion, self.parameters, integrator, substeps
             )
 
         return self.steps[key]
@@ -153,7 +147,7 @@ def record_model(
     slope = ca.jacobian(q, z)
     # Gains that follow from process noise have no expression in z: the filter gives their slopes.
     following = range(len(problem.declared), q.numel())
-    active = [i for i in range(q.numel()) if slope[i, :].nnz() or i in following]
+    active = sorted({*slope.sparsity().row(), *following})
     delay = system.delay(q[: len(system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
     states = known(symbol)
@@ -185,7 +179,7 @@ def record_model(
         known_states=np.array([name in criterion.initial for name in system.states], dtype=bool),
         initial_states=initial_states,
         steps=steps,
-        expressions=tuple(str(q[i]) for i in range(q.numel())),
+        expressions=tuple(map(str, ca.vertsplit(q))),
     )
 
 
@@ -198,7 +192,7 @@ def _shared_functions(
 ) -> SharedFunctions:
     """Compile the functions that records of one kind share."""
     # Instants between the samples at which an input was read count as delays.
-    system = dynamics(problem.model, delay_order(problem.delay))
+    system = dynamics(problem.model, delay_order(problem.delay)).observed(outputs)
     system = system.later([intersample.late for intersample in between])
     symbol = ca.SX.sym("q", len(parameters))
     local = Names(
@@ -215,7 +209,7 @@ def _shared_functions(
         states[len(system.undelayed.states) :] = ca.vertsplit(system.delay_rest(ca.vertcat(*bias)))
 
     known = ca.Function("known", [symbol], [ca.vertcat(ca.SX(0, 1), *states)])
-    return system, known, InitialStates(system, outputs), {}
+    return system, known, InitialStates(system), {}
 
 
 def longest_delay(problem: Problem, system: Dynamics) -> Array:

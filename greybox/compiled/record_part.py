@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.compiled.colored_errors import colored_errors
 from greybox.compiled.initial_states import at_samples
-from greybox.compiled.part import ColoredErrors, Information, Program, Trajectory
+from greybox.compiled.part import ColoredErrors, Information, Trajectory
 from greybox.compiled.record_model import RecordModel, longest_delay, record_model
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
@@ -119,8 +119,7 @@ class RecordPart(SegmentedPart):
         system = self.system
         result = dict[str, StringPair]()
         x, u, p = system.symbols
-        compared = zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)
-        outputs = [(name, output) for name, output in compared if name in self.outputs]
+        outputs = [*zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)]
         delay = system.delay(p)
         # Through states, and with interpolated inputs, the outputs are continuous in the delay.
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
@@ -188,11 +187,7 @@ class RecordPart(SegmentedPart):
         outputs, inputs = self.at_nodes
         return self.model.initial_states.at(outputs, inputs, p, known).T
 
-    # --- for IPOPT and for the covariance of the estimate
-
-    def program(self, z: ca.MX) -> "RecordProgram":
-        """Return the record as its method transcribes it, at z (p,)."""
-        return RecordProgram(self, z)
+    # --- for the covariance of the estimate
 
     def information(
         self,
@@ -342,16 +337,27 @@ def compile_records(
     return [parts[k] for k in range(len(models))]
 
 
-class RecordProgram(Program):
-    """A record transcribed: continuity and known initial states are equations.
+class RecordProgram:
+    """A record transcribed for IPOPT: continuity and known initial states are equations.
 
-    Its parameters are the square root of the inverse residual covariance (k, k), then the data
-    (width, samples), both column by column.
+    Its parameters w are relaxed quantities, which follow from the last solution: the square root
+    of the inverse residual covariance (k, k), then the data (width, samples), both column by
+    column.
+
+    Attributes
+    ----------
+    part : SegmentedPart
+    unknowns, parameters : casadi.MX
+        The hidden unknowns, and w.
+    error : casadi.MX
+        Residuals; half the sum of their squares is the cost.
+    equations : casadi.MX
+        What must be zero.
     """
 
     def __init__(self, part: SegmentedPart, z: ca.MX) -> None:
-        """Transcribe the record."""
-        self._part = part
+        """Transcribe the record at the solver's point z (p,)."""
+        self.part = part
         if part.model.driven:
             raise ValueError(
                 f"{part.problem.name!r} has process_noise, whose gains "
@@ -366,7 +372,6 @@ class RecordProgram(Program):
         self.unknowns = self._transcribed.unknowns
         self.parameters = ca.vertcat(ca.vec(weight), ca.vec(data))
         self.error = ca.vec(weight @ residuals)
-        self.cost = ca.MX(0.0)
         self.equations = ca.vertcat(self._transcribed.equations, self._known_states(q))
         # Without weights: the covariance that follows must not depend on those in use.
         self._products = ca.Function(
@@ -375,7 +380,7 @@ class RecordProgram(Program):
 
     def _known_states(self, q: ca.MX) -> ca.MX:
         """Return the known states at the first samples of stretches less their known values."""
-        part = self._part
+        part = self.part
         begins = part.data.begins_stretch
         places = np.flatnonzero(part.known_states[begins]).tolist()
         if not places:
@@ -386,11 +391,11 @@ class RecordProgram(Program):
 
     def initial_unknowns(self, trajectory: Trajectory) -> Array:
         """Return the unknowns for the states along a trajectory."""
-        return self._transcribed.start(self._part.segments.in_order(trajectory.states))
+        return self._transcribed.start(self.part.segments.in_order(trajectory.states))
 
     def initial_parameters(self, z: Array) -> Array:
-        """Return the weights of small residuals, and the data at z (p,)."""
-        return self._joined(self._part.initial_weight(), self._part.place(z).data)
+        """Return w at z (p,): the weights of small residuals, and the data."""
+        return self._joined(self.part.initial_weight(), self.part.place(z).data)
 
     def products(self, z: Array, unknowns: Array, w: Array) -> Array:
         """Return the products of residuals."""
@@ -398,13 +403,13 @@ class RecordProgram(Program):
 
     def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost, the weights and data that follow, and whether the data stayed."""
-        covariance = self._part.covariance
-        following = self._joined(covariance.weight(products), self._part.place(z).data)
+        covariance = self.part.covariance
+        following = self._joined(covariance.weight(products), self.part.place(z).data)
         # The weights come first; what follows them changes only where a delay passes a sample.
-        size = len(self._part.outputs) ** 2
+        size = len(self.part.outputs) ** 2
         return covariance.cost(products), following, np.array_equal(following[size:], w[size:])
 
     def _joined(self, weight: Array, data: Array) -> Array:
         return np.concatenate(
-            [weight.ravel(order="F"), self._part.segments.in_order(data).ravel(order="F")]
+            [weight.ravel(order="F"), self.part.segments.in_order(data).ravel(order="F")]
         )

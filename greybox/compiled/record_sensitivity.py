@@ -125,8 +125,7 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
     # Any R of full rank is suitable; a fixed one makes the result reproducible.
     R = np.random.default_rng(0).normal(size=(s, n, n))
     R[given] = 0
-    exact = np.zeros(n)
-    X, _ = solve_continuity(b.node_hessian, b.transition, data.coupled, R, np.zeros_like(R), exact)
+    X, _ = solve_continuity(b.node_hessian, b.transition, data.coupled, R, np.zeros_like(R))
     X[given] = 0
 
     directions = np.zeros_like(X)

@@ -14,10 +14,9 @@ from greybox.compiled.part import (
     CorrelatedPoints,
     Information,
     Part,
-    Program,
     Trajectory,
 )
-from greybox.compiled.shared_response import SharedSystem, SineTest
+from greybox.compiled.vectorized import Remembering
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -47,35 +46,46 @@ class ResponseFunctions(Rebuilt):
     Attributes
     ----------
     objective : casadi.Function
-        (z, smoothing, data) -> cost, unweighted.
-    response : casadi.Function
-        (all values x) -> real and imaginary parts of the model's response, stacked (2 n,).
-    scaled_response : casadi.Function
-        (z, data) -> the same.
-    system : SharedSystem or SineTest or None
-        The state space of a large problem or the sine test, in numpy, at all values x: it takes a
-        quarter of the time of CasADi's functions, and its derivatives need not be built.
+        (z, smoothing, data) -> cost, unweighted, and real and imaginary parts of the model's
+        response, stacked (2 n,).
+    responses : function
+        (all values x) -> the responses of all parts and their derivatives, as those of
+        `CompiledResponses` or `StackedResponses`.
+    rows : slice
+        The place of this response among them.
     """
 
     objective: ca.Function
-    response: ca.Function
-    scaled_response: ca.Function
-    system: SharedSystem | SineTest | None = None
-
-    @cached_property
-    @one_thread_at_a_time
-    def slope(self) -> ca.Function:
-        """(all values x) -> derivatives of the response."""
-        [x] = input_symbols(self.response)
-        return ca.Function("slope", [x], [ca.jacobian(self.response(x), x)])
+    responses: Remembering
+    rows: slice
 
     @cached_property
     @one_thread_at_a_time
     def derivatives(self) -> ca.Function:
         """(z, smoothing, data) -> gradient and Hessian of the cost."""
         z, *others = input_symbols(self.objective)
-        hessian, gradient = ca.hessian(self.objective(z, *others), z)
+        hessian, gradient = ca.hessian(self.objective(z, *others)[0], z)
         return ca.Function("derivatives", [z, *others], [gradient, hessian])
+
+
+class CompiledResponses(Rebuilt):
+    """The responses of all parts, one after the other, by CasADi's functions."""
+
+    def __init__(self, function: ca.Function) -> None:
+        """Take (all values x) -> real parts of all responses, then imaginary parts."""
+        self._function = function
+
+    @cached_property
+    @one_thread_at_a_time
+    def _with_slopes(self) -> ca.Function:
+        [x] = input_symbols(self._function)
+        stacked = self._function(x)
+        return ca.Function("with_slopes", [x], [stacked, ca.jacobian(stacked, x)])
+
+    def stacked(self, x: Array) -> list[ComplexArray]:
+        """Return all responses at x (k, 1), (1, N, 1), and their derivatives (1, N, k)."""
+        halves = (np.split(value.full()[None], 2, axis=1) for value in self._with_slopes(x))
+        return [complex_array(*pair) for pair in halves]
 
 
 class ResponsePart(Part):
@@ -124,15 +134,15 @@ class ResponsePart(Part):
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""
-        return self._latest(False, values).copy()
+        return self._evaluated(values)[0].flatten()
 
     def scaled_response(self, z: Any) -> Any:
         """Return real and imaginary parts of the model's response at z (p,), stacked (2 n,)."""
-        return self.functions.scaled_response(z, self.inputs)
+        return self.functions.objective(z, 0.0, self.inputs)[1]
 
     def objective(self, z: Any, smoothing: float) -> Any:
         """Return the cost at z (p,), unweighted."""
-        return self.functions.objective(z, smoothing, self.inputs)
+        return self.functions.objective(z, smoothing, self.inputs)[0]
 
     def numbers_of(self, response: ComplexArray) -> Array:
         """Return the inputs of this part with another measured response (n,)."""
@@ -140,20 +150,12 @@ class ResponsePart(Part):
 
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
-        return self._latest(True, values).reshape(-1, len(values))
+        return self._evaluated(values)[1]
 
-    def _latest(self, is_slope: bool, values: Array) -> ComplexArray:
-        """Return the response at all values x (k,), or its derivatives."""
-        functions = self.functions
-        if (system := functions.system) is not None:
-            results = self.stored("both", values, lambda: system.responses(values[:, None]))
-            return results[is_slope][0]
-        function = functions.slope if is_slope else functions.response
-        return self.stored(
-            function.name(),
-            values,
-            lambda: complex_array(*np.asarray(ca.DM(function(values))).reshape(2, -1)),
-        )
+    def _evaluated(self, values: Array) -> list[ComplexArray]:
+        """Return the response at all values x (k,), and its derivatives."""
+        of_all = self.functions.responses(values[:, None])
+        return [numbers[0, self.functions.rows] for numbers in of_all]
 
     def stored(self, name: str, values: Array, compute: Callable[[], Any]) -> Any:
         """Return a result at all values x (k,), computed again only at other values."""
@@ -165,7 +167,7 @@ class ResponsePart(Part):
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
         """Return the squared residuals over the given variances, or else their mean."""
-        re, im = np.asarray(self.scaled_response(trajectory.z)).reshape(2, -1)
+        re, im = trajectory.detail.reshape(2, -1)
         return self.criterion.noise_ratio(re + 1j * im, self.data)
 
     # --- for Gauss-Newton
@@ -175,8 +177,9 @@ class ResponsePart(Part):
     ) -> Trajectory:
         """Return the point z, without nodes; its cost may not be finite."""
         # Smoothed already, because every iteration asks for this cost and rarely for another.
-        cost = self.objective(z, SMOOTHING).full()
-        return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True)
+        outputs = self.functions.objective(z, SMOOTHING, self.inputs)
+        cost, response = (value.full() for value in outputs)
+        return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True, detail=response)
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the cost."""
@@ -194,13 +197,9 @@ class ResponsePart(Part):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return the model's response over the measured magnitude: real, imaginary parts (2 n,)."""
-        return np.asarray(self.scaled_response(trajectory.z)).ravel() / np.tile(self.magnitude, 2)
+        return trajectory.detail.ravel() / np.tile(self.magnitude, 2)
 
-    # --- for IPOPT and for the covariance of the estimate
-
-    def program(self, z: ca.MX) -> "ResponseProgram":
-        """Return the cost at z (p,); there are no hidden unknowns."""
-        return ResponseProgram(self, z)
+    # --- for the covariance of the estimate
 
     def information(
         self,
@@ -226,12 +225,8 @@ class ResponsePart(Part):
             shift = bread * jacobian.T @ common
             return shift @ shift.T
 
-        @cache
-        def gradient_spread(correction: float) -> tuple[float, Array]:
-            return criterion.spread(response, data, correction)
-
         def spread(correction: float) -> tuple[float, Array]:
-            bread, meat = gradient_spread(correction)
+            bread, meat = criterion.spread(response, data, correction)
             weighted = (independent * meat)[:, None] * jacobian
             return bread, jacobian.T @ weighted + common_meat(bread)
 
@@ -243,7 +238,7 @@ class ResponsePart(Part):
             if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")
-            bread, meat = gradient_spread(correction)
+            bread, meat = criterion.spread(response, data, correction)
             # Neighbors in frequency are neighbors in correlation: the order matters here alone.
             halves = np.split(np.sqrt(independent * meat)[:, None] * jacobian, 2)
             scores = complex_array(*halves)[order]
@@ -314,16 +309,3 @@ def _own_directions(jacobian: Array) -> Array:
     # has on its best one. A single part has all information on every direction. With 0.5, 20 of 90
     # white responses of a helicopter count as correlated, with 0.1 17, with all directions 36.
     return turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
-
-
-class ResponseProgram(Program):
-    """The smoothed cost of a frequency response."""
-
-    def __init__(self, part: ResponsePart, z: ca.MX) -> None:
-        self._part = part
-        self.unknowns = self.parameters = self.error = self.equations = ca.MX(0, 1)
-        self.cost = part.objective(z, SMOOTHING)
-
-    def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
-        """Return the cost without smoothing, and w as it is."""
-        return float(self._part.objective(z, 0.0)), w, True

@@ -117,7 +117,6 @@ def sample_step(
     system: Dynamics,
     held: Sequence[bool],
     criterion: TimeCriterion,
-    outputs: Strings,
     names: Strings,
     integrator: Integrator,
     substeps: int,
@@ -127,7 +126,7 @@ def sample_step(
     `held` (m,) says which inputs keep their values until the next sample; the others are
     interpolated.
     """
-    measurement = _measurement(system, held, criterion, outputs, names)
+    measurement = _measurement(system, held, criterion, names)
     substep = substep_function(system, integrator)
     step = step_function(system, substep, substeps)
     symbols: Any = measurement.sx_in() if step.is_a("SXFunction") else measurement.mx_in()
@@ -140,14 +139,10 @@ def sample_step(
 
 
 def _measurement(
-    system: Dynamics,
-    held: Sequence[bool],
-    criterion: TimeCriterion,
-    outputs: Strings,
-    names: Strings,
+    system: Dynamics, held: Sequence[bool], criterion: TimeCriterion, names: Strings
 ) -> ca.Function:
     """Return the quantities before the step: delayed inputs, residuals, corrected states."""
-    n, m, k = len(system.states), len(system.inputs), len(outputs)
+    n, m, k = len(system.states), len(system.inputs), len(system.outputs)
     x, q = ca.SX.sym("x", n), ca.SX.sym("q", len(names))
     whole, window = ca.SX.sym("whole", m), ca.SX.sym("window", 3 * m)
     measured, present, step = ca.SX.sym("y", k), ca.SX.sym("present", k), ca.SX.sym("step")
@@ -166,16 +161,14 @@ def _measurement(
 
     mean, change, now = (ca.vertcat(ca.SX(0, 1), *values) for values in (means, changes, nows))
 
-    rows = [system.outputs.index(name) for name in outputs]
-    simulated = system.output(x, now, p)[rows] + ca.vertcat(
-        *[bias.get(name, 0) for name in outputs]
-    )
+    biases = ca.vertcat(*[bias.get(name, 0) for name in system.outputs])
+    simulated = system.output(x, now, p) + biases
     # Zero where nothing was measured: no correction, and no share in the cost.
     residual = present * (measured - simulated)
 
     corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol
     for i, state in enumerate(system.states if criterion.corrects_states else ()):
-        for j, output in enumerate(outputs):
+        for j, output in enumerate(system.outputs):
             if f"K_{state}_{output}" in names:
                 corrected[i] += q[names.index(f"K_{state}_{output}")] * residual[j]
 

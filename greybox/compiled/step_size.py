@@ -52,8 +52,8 @@ def substeps_and_segment(
     for declared in drawn:
         p = declared[: len(system.parameters)]
         # Gains of process noise are not drawn, and no initial state depends on them.
-        gains = np.zeros(len(model.parameters) - len(declared))
-        known = model.initial(np.concatenate([declared, gains]))[0].full().ravel()
+        with_gains = np.pad(declared, (0, len(model.parameters) - len(declared)))
+        known = model.initial(with_gains)[0].full().ravel()
         poles = initial_states.poles(initial_states.at(outputs, inputs, p, known), inputs, p)
         if poles.size:
             counts.append(

@@ -26,7 +26,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import NO_NODES, Information, Part, Program, Trajectory
+from greybox.compiled.part import NO_NODES, Information, Part, Trajectory
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
@@ -130,14 +130,14 @@ class TransientPart(Part):
         self.data = problem.data
         self.locate = _locate(problem, expressions, z)
         self.outputs = outputs_in_spectrum(problem.criterion, problem.model, problem.data)
-        system = dynamics(problem.model, delay_order(problem.delay))
+        system = dynamics(problem.model, delay_order(problem.delay)).observed(self.outputs)
         # A gust in every equation: as many gusts as outputs, with one time constant.
         colored = self.outputs if len(problem.declared) > len(problem.model.parameters) else ()
         gusts = tuple(f"gust_{name}" for name in colored)
         self.states, self.inputs = (*system.states, *gusts), system.inputs
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
-        self._matrices = _matrices(problem, system, self.outputs, gusts)
+        self._matrices = _matrices(problem, system, gusts)
         # A Padé approximation reaches the output at once, which a delay does not.
         held = self.data.held if problem.delay == "exact" else ()
         self._held = np.array([[name in held] for name in self.inputs])
@@ -230,11 +230,6 @@ class TransientPart(Part):
         """Return T times complex values (k, lines), as real ones (k, 2 lines)."""
         return self._real(np.einsum("lab,bl->al", transform, values))
 
-    def _at(self, z: Array) -> tuple[Along | None, Array]:
-        """Return what follows from z, and the derivatives of the parameters by it."""
-        q, slope = (value.full() for value in self.locate(z))
-        return self.along(q.ravel()), slope
-
     def derivatives(self, at: Along, by: Array) -> ArrayTriple:
         """Return the derivatives of the errors by x, with the end values held.
 
@@ -300,16 +295,16 @@ class TransientPart(Part):
 
         return projected.reshape(weighted.shape), variance, reach
 
-    def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
-        """Yield every output with its errors (lines,) at z and their derivatives by z and end term.
+    def errors_by_output(
+        self, trajectory: Trajectory
+    ) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
+        """Yield every output with its errors (lines,) and their derivatives by z and end term.
 
         They are turned by the phase of the modeled output, as those of a response are: what a
         model leaves out is smooth only then.
         """
-        at, slope = self._at(z)
-        if at is None:
-            return
-        _, total, change = self.derivatives(at, slope)
+        at: Along = trajectory.detail
+        _, total, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
         # The fitted size of an output's noise takes up what all its lines have in common.
         common = np.einsum("laax->alx", change).real.mean(axis=1, keepdims=True)
         errors = at.errors[..., None]
@@ -319,9 +314,9 @@ class TransientPart(Part):
         for name, values in zip(self.outputs, turned, strict=True):
             yield name, values[:, 0], values[:, 1:]
 
-    def doubtful(self, z: Array) -> Iterator[str]:
-        """Yield the outputs whose errors at z look like turbulence, or like a missing term."""
-        for output, errors, complex_slope in self.errors_by_output(z):
+    def doubtful(self, trajectory: Trajectory) -> Iterator[str]:
+        """Yield the outputs whose errors look like turbulence, or like a missing term."""
+        for output, errors, complex_slope in self.errors_by_output(trajectory):
             slope = real_and_imaginary(complex_slope)
             scores = scores_of_powers(real_and_imaginary(errors), slope, self.data.omega)
             neighbors = neighbor_correlation(errors, slope)
@@ -338,7 +333,7 @@ class TransientPart(Part):
         self, z: Array, nodes: Array | None = None, *, simulated: bool = False
     ) -> Trajectory:
         """Return the point z, with the best end term; not finite where the model is not."""
-        at, _ = self._at(z)
+        at = self.along(self.locate(z)[0].full().ravel())
         products = np.full((1, 1), np.nan) if at is None else at.errors @ at.errors.T
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, products, simulated=True, detail=at)
 
@@ -366,14 +361,7 @@ class TransientPart(Part):
         values = trajectory.detail.modeled / positive_or_one(size)
         return real_and_imaginary(values.ravel())
 
-    # --- for IPOPT and for the covariance of the estimate
-
-    def program(self, z: ca.MX) -> Program:
-        """Refuse: end terms are eliminated, and what remains is no expression for IPOPT."""
-        raise ValueError(
-            f"the method transcribes records for IPOPT and {self.name!r} is a TransientSpectrum: "
-            "leave out method, or use MultipleShooting()."
-        )
+    # --- for the covariance of the estimate
 
     @one_thread_at_a_time
     def information(
@@ -385,11 +373,11 @@ class TransientPart(Part):
         dz_dx: Array,
     ) -> Information:
         """Return the information on the values (k,) for white errors, the end term fitted too."""
+        assert trajectory is not None
+        at: Along = trajectory.detail
         point = ca.SX.sym("x", len(values))
         place = _locate(self.problem, entries_by_name(names, point), point)
-        located, slope = (value.full() for value in place(values))
-        at = self.along(located.ravel())
-        assert at is not None
+        slope = place(values)[1].full()
         mean, _, change = self.derivatives(at, slope)
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
@@ -421,7 +409,7 @@ class TransientPart(Part):
             numbers,
             lambda correction: (1.0, meat),
             reach,
-            doubtful=() if trajectory is None else tuple(self.doubtful(trajectory.z)),
+            doubtful=tuple(self.doubtful(trajectory)),
         )
 
 
@@ -431,7 +419,7 @@ def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
     return ca.Function("locate", [z], [q, dense_jacobian(q, z)])
 
 
-def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strings) -> ca.Function:
+def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function:
     """Return (all parameters) -> [A, B; C, D], delays, [C B, D], and derivatives of all entries.
 
     In [C B, D], D is zero for inputs with delays: how late a step is seen jumps with the delay, and
@@ -441,7 +429,7 @@ def _matrices(problem: Problem, system: Dynamics, outputs: Strings, gusts: Strin
     declared = ca.MX.sym("p", len(problem.declared))
     p, times = ca.vertsplit(declared, [0, len(model.parameters), declared.numel()])
     x, u, q = system.symbols
-    h = system.output(x, u, q)[[system.outputs.index(name) for name in outputs]]
+    h = system.output(x, u, q)
     rates, g, time = (
         system.derivative(x, u, q),
         ca.SX.sym("g", len(gusts)),

@@ -55,14 +55,6 @@ class NormalPrior:
             for name, m, s in zip(self.names, self.mean, sigma, strict=True)
         }
 
-    def same_as(self, other: "NormalPrior") -> bool:
-        """Return whether both are the same density."""
-        return (
-            self.names == other.names
-            and np.array_equal(self.mean, other.mean)
-            and np.array_equal(self.covariance, other.covariance)
-        )
-
 
 def normal_priors(
     declared: Parameters,

@@ -31,21 +31,19 @@ def with_priors(problem: Problem | Sum[Problem]) -> Problem | Sum[Problem]:
 
 def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
     """Return the priors of the parts of a problem, each once."""
-    priors: list[NormalPrior] = []
-    for part in problem.parts:
-        for prior in part.priors:
-            if any(prior.same_as(known_prior) for known_prior in priors):
-                continue
-            named = {name for known_prior in priors for name in known_prior.names}
-            twice = [name for name in prior.names if name in named]
-            if twice:
-                raise ValueError(
-                    f"two parts have different priors of {twice[0]!r}: give it in one of them, or "
-                    f"give one parameter another name, rename={{{twice[0]!r}: ...}}."
-                )
-            priors.append(prior)
-
-    return priors
+    priors = {
+        (prior.names, prior.mean.tobytes(), prior.covariance.tobytes()): prior
+        for part in problem.parts
+        for prior in part.priors
+    }
+    names = [name for prior in priors.values() for name in prior.names]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise ValueError(
+            f"two parts have different priors of {twice[0]!r}: give it in one of them, or give one "
+            f"parameter another name, rename={{{twice[0]!r}: ...}}."
+        )
+    return [*priors.values()]
 
 
 def _part(priors: list[NormalPrior], parameters: Parameters) -> Problem:

@@ -15,9 +15,9 @@ from greybox.modeling.function_of_s import FunctionOfS, is_casadi
 g = 9.80665  # m/s², standard acceleration of free fall, as in greybox.data.units
 
 
-def _function(
-    name: str, casadi: Callable[..., Any], numpy: Callable[..., Any], doc: str
-) -> Callable[..., Any]:
+def _function(casadi: Callable[..., Any], numpy: np.ufunc, doc: str) -> Callable[..., Any]:
+    name = numpy.__name__
+
     def apply(x: Any) -> Any:
         # A function of s has its own method; those without a rational form lack it.
         if isinstance(x, FunctionOfS):
@@ -35,18 +35,18 @@ def _function(
     return apply
 
 
-exp = _function("exp", ca.exp, np.exp, "Exponential; `exp(-s * T)` is a delay")
-log = _function("log", ca.log, np.log, "Natural logarithm (of flights: `logs`)")
-sqrt = _function("sqrt", ca.sqrt, np.sqrt, "Square root")
-sin = _function("sin", ca.sin, np.sin, "Sine")
-cos = _function("cos", ca.cos, np.cos, "Cosine")
-tan = _function("tan", ca.tan, np.tan, "Tangent")
-arcsin = _function("arcsin", ca.asin, np.arcsin, "Inverse sine")
-arccos = _function("arccos", ca.acos, np.arccos, "Inverse cosine")
-arctan = _function("arctan", ca.atan, np.arctan, "Inverse tangent")
-tanh = _function("tanh", ca.tanh, np.tanh, "Hyperbolic tangent")
-ceil = _function("ceil", ca.ceil, np.ceil, "Whole number from above")
-sign = _function("sign", ca.sign, np.sign, "Sign, 0 at 0")
+exp = _function(ca.exp, np.exp, "Exponential; `exp(-s * T)` is a delay")
+log = _function(ca.log, np.log, "Natural logarithm (of flights: `logs`)")
+sqrt = _function(ca.sqrt, np.sqrt, "Square root")
+sin = _function(ca.sin, np.sin, "Sine")
+cos = _function(ca.cos, np.cos, "Cosine")
+tan = _function(ca.tan, np.tan, "Tangent")
+arcsin = _function(ca.asin, np.arcsin, "Inverse sine")
+arccos = _function(ca.acos, np.arccos, "Inverse cosine")
+arctan = _function(ca.atan, np.arctan, "Inverse tangent")
+tanh = _function(ca.tanh, np.tanh, "Hyperbolic tangent")
+ceil = _function(ca.ceil, np.ceil, "Whole number from above")
+sign = _function(ca.sign, np.sign, "Sign, 0 at 0")
 
 
 def arctan2(y: Any, x: Any) -> Any:

@@ -41,8 +41,8 @@ from greybox.modeling.one_thread import once, one_thread_at_a_time, traced_once
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import start_values
 from greybox.modeling.sine import MOST_HARMONICS, Sine, as_sine
-from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import symbols, traced_column
+from greybox.modeling.state_space import StateSpace, input_delays
+from greybox.modeling.symbolic_reading import parameter_names, symbols, traced_column
 from greybox.modeling.trim import trim_of
 
 # Numbers of harmonics to try in turn: each about doubles the previous one.
@@ -288,9 +288,8 @@ def _equations(
         means.insert(0, per_amplitude[held, 0])
 
     response = _first(balanced[n, :]) / _first(series[driven, :])
-    if input in model.delays:
-        place = list(model.parameters).index(model.delays[input])
-        response *= exp(-Complex(ca.SX(0), omega, pade) * p[place])
+    delay = input_delays(model, parameter_names(model, p))[input]
+    response *= exp(-Complex(ca.SX(0), omega, pade) * delay)
 
     # Per amplitude, so that one tolerance suits sines of any size.
     equations = ca.vertcat(ca.vertcat(*balance) / amplitude, *means)

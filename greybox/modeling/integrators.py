@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.parameter import require_whole
 from greybox.modeling.realization import Dynamics
 
 
@@ -49,11 +50,8 @@ class Integrator(ABC):
 
     def __post_init__(self) -> None:
         """Check the number of substeps."""
-        if self.substeps is not None and (not isinstance(self.substeps, int) or self.substeps < 1):
-            raise ValueError(
-                f"substeps {self.substeps!r} must be a whole number of at least 1, or None for an "
-                "automatic choice."
-            )
+        if self.substeps is not None:
+            require_whole("substeps", self.substeps, 1)
 
     @property
     def name(self) -> str:

@@ -22,7 +22,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import start_values
 from greybox.modeling.rational import Rational, as_rational
-from greybox.modeling.state_space import StateSpace
+from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, symbols, traced
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.modeling.trim import Trimmed, trim_of
@@ -61,12 +61,11 @@ def frequency_response(
     pade = delay_order(delay)
     # At a pole the response is infinite, which is refused below with its frequency.
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        # Plain complex numbers if possible: tests compare them with those of `Complex`.
+        s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
         if isinstance(model, TransferFunction):
             require_operating_point(model, at)
-            # Plain complex numbers if possible: tests compare them with those of `Complex`.
-            s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
-            re, im = _parts(model.response(s, model.values(values)), model.label, omega.size)
-            response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
+            result = model.response(s, model.values(values))
         else:
             assert isinstance(model, StateSpace)
             system = linearize(model, values, at)
@@ -74,8 +73,9 @@ def frequency_response(
             pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
             b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
             plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
-            delayed = exp(-system.delays[i] * Complex(np.zeros_like(omega), omega, pade)) * plant
-            response = delayed.re + 1j * delayed.im
+            result = exp(-system.delays[i] * s) * plant
+        re, im = _parts(result, model.label, omega.size)
+        response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
 
     if not all_finite(response):
         worst = omega[np.argmin(np.isfinite(response))]
@@ -143,10 +143,11 @@ def response_formulas(
     at_point = Trimmed(trim.root, ca.Function("system", [p, w], [system]))
     order = _elimination_order(model, at_point, omega, len(k))
     solved = cache(lambda line: eliminated(entries, line, order))
+    delays = input_delays(model, parameter_names(model, p))
 
     def formula(input: str, output: str) -> Trimmed:
         row, column = outputs.index(output), inputs.index(input)
-        delay = p[list(model.parameters).index(model.delays[input])] if input in model.delays else 0
+        delay = delays[input]
         result = solved(s)[row][column]
         if hold:
             result += _beside(lambda q: solved(q)[row][column], s, hold, delay)

@@ -6,7 +6,7 @@ import numpy as np
 from greybox.files.arrays import Array, ComplexArray, Strings, Values, all_finite, by_name, frozen
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
-from greybox.modeling.state_space import StateSpace
+from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_column
 from greybox.modeling.trim import trim_of
 
@@ -90,12 +90,11 @@ def linearize(
         )
 
     blocks = [np.asarray(b) for b in jacobians(model)(vector, x, u)]
-    delays = [p[model.delays[name]] if name in model.delays else 0.0 for name in model.inputs]
     return LinearSystem(
         *blocks,
         states=model.state_names,
         inputs=model.input_names,
         outputs=model.output_names,
-        delays=np.array(delays, dtype=float),
+        delays=np.array([*input_delays(model, p).values()], dtype=float),
         point=by_name(model.resting_signals, point.tolist()),
     )

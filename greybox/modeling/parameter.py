@@ -163,10 +163,12 @@ def is_finite_number(value: Any) -> bool:
     return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value)
 
 
-def require_whole(name: str, value: Any, least: int) -> None:
-    """Raise ValueError for anything but a whole number of at least this much."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ValueError(f"{name} is {value!r}: give a whole number of at least {least}.")
+def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> None:
+    """Raise ValueError for anything but a whole number within these limits."""
+    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not is_whole or not least <= value <= most:
+        limits = f"of at least {least}" if math.isinf(most) else f"from {least} to {most}"
+        raise ValueError(f"{name} is {value!r}: give a whole number {limits}.")
 
 
 def number_pair(value: object, what: str) -> Interval:

@@ -14,7 +14,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
 from greybox.modeling.parameter import start_values
 from greybox.modeling.rational import Rational, as_rational
-from greybox.modeling.state_space import StateSpace
+from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import (
     parameter_names,
     require_no_nan,
@@ -86,6 +86,13 @@ class Dynamics:
         result[tuple(slopes.sparsity().get_triplet())] = values
         return result
 
+    def observed(self, outputs: Strings) -> "Dynamics":
+        """Return the same dynamics with these of its outputs."""
+        rows = [self.outputs.index(name) for name in outputs]
+        values = self.output(*self.symbols)[rows]
+        output = ca.Function("output", self.symbols, [values])
+        return replace(self, outputs=outputs, output=output)
+
     def later(self, seconds: Sequence[float]) -> "Dynamics":
         """Return the same dynamics with inputs that act later by these seconds (m,)."""
         # The same object, so that its functions are compiled once.
@@ -122,10 +129,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
 
     assert isinstance(model, StateSpace)
     x, u = z[: len(model.states)], z[len(model.states) :]
-    names = list(model.parameters)
-    delays = [
-        p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs
-    ]
+    delays = input_delays(model, parameter_names(model, p)).values()
     f = traced_column(model, "derivative", z, p)
 
     return _with_pade_states(
@@ -133,7 +137,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
             states=model.state_names,
             inputs=model.input_names,
             outputs=model.output_names,
-            parameters=tuple(names),
+            parameters=tuple(model.parameters),
             **_functions(x, u, p, f, traced_column(model, "output", z, p), ca.vertcat(*delays)),
         ),
         pade,

@@ -8,6 +8,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import counted, one_line
+from greybox.modeling.parameter import require_whole
 
 # Five times the number that a strong kink needs, see `Sine`.
 MOST_HARMONICS = 50
@@ -55,12 +56,7 @@ class Sine:
         amplitude.setflags(write=False)
         vars(self)["amplitude"] = amplitude if amplitude.ndim else float(amplitude)
         if self.harmonics is not None:
-            is_whole = isinstance(self.harmonics, int | np.integer) and self.harmonics is not True
-            if not is_whole or not 1 <= self.harmonics <= MOST_HARMONICS:
-                raise ValueError(
-                    f"harmonics={self.harmonics!r} must be a whole number from 1 to "
-                    f"{MOST_HARMONICS}."
-                )
+            require_whole("harmonics", self.harmonics, 1, MOST_HARMONICS)
 
     def __repr__(self) -> str:
         low, high = np.min(self.amplitude), np.max(self.amplitude)

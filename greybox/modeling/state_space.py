@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.files.arrays import Labels, NamedStrings, Strings
+from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings
 from greybox.modeling.model import Model, require_known, require_signal_names
 
 
@@ -98,3 +98,8 @@ class StateSpace(Model):
     def output_names(self) -> Strings:
         """Names of the outputs."""
         return tuple(self.outputs)
+
+
+def input_delays(model: StateSpace, p: Named) -> Fields:
+    """Return the delay of every input, s, at parameters by name; zero where it has none."""
+    return {i: p[model.delays[i]] if i in model.delays else 0.0 for i in model.inputs}

@@ -331,25 +331,19 @@ def cut(
     return Windows(record, rows, lead_samples, horizon_samples)
 
 
-def sample_data(
-    windows: Windows, inputs: Strings, outputs: Strings, delays: Array
-) -> dict[str, Array]:
-    """Return ``whole, around, measured, step`` of all samples in the windows, (rows, w, samples).
+def sample_data(windows: Windows, inputs: Strings, outputs: Strings, delays: Array) -> Array:
+    """Return the data of all samples in the windows, (width, w, samples), see `SampledData.rows`.
 
     The inputs before a window are those of its stretch. Outputs are left out as long as the delayed
     inputs are unknown, see `gapless`.
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
-    data = SampledData(tuple(stretches))
-    delayed, around = data.delayed_inputs(delays)
-
     # Windows index the record, the data its stretches without gaps.
     column = np.full(len(record), -1)
-    column[np.concatenate([s.rows for s in stretches])] = np.arange(delayed.shape[1])
-    places = column[windows.rows]
-    named = {"whole": delayed, "around": around, "measured": data.measured, "step": data.steps}
-    return {name: values[:, places] for name, values in named.items()}
+    rows = np.concatenate([s.rows for s in stretches])
+    column[rows] = np.arange(rows.size)
+    return SampledData(tuple(stretches)).rows(delays)[:, column[windows.rows]]
 
 
 def require_signals(record: Record, inputs: Labels, label: str = "the model") -> None:

@@ -64,7 +64,7 @@ class WindowSimulations:
     slopes : (w, samples, k, n + a) array
         Derivatives of the outputs by the window's first state and by the active values.
     segments : Segments
-    data : mapping of name to (rows, w, samples) array
+    data : (width, w, samples) array
         See `sample_data`.
     """
 
@@ -75,7 +75,7 @@ class WindowSimulations:
     in_lead: BoolArray
     slopes: Array
     segments: Segments
-    data: NamedArrays
+    data: Array
 
     @property
     def not_finite(self) -> BoolArray:
@@ -127,7 +127,8 @@ class Simulator:
         self._is_automatic = integrator is None
         self._substeps = self._integrator.substeps or 0
         self._steps: dict[int, SampleStep] = {}
-        self._initial = InitialStates(model.system, outputs)
+        self._system = model.system.observed(outputs)
+        self._initial = InitialStates(self._system)
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,)."""
@@ -146,11 +147,9 @@ class Simulator:
         """
         model = self._model
         count = len(stretch)
-        delayed, around = SampledData((stretch,)).delayed_inputs(model.delays)
-
         # A free run has no measurements that could correct its states.
-        nothing_measured = np.zeros((2 * len(self._outputs), count))
-        data = np.vstack([delayed, around, nothing_measured, stretch.steps[None]])
+        nothing_measured = np.full((len(self._outputs), count), np.nan)
+        data = SampledData((replace(stretch, outputs=nothing_measured),)).rows(model.delays)
 
         def run(step: SampleStep) -> _Run:
             return _Run(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
@@ -189,10 +188,14 @@ class Simulator:
         # Rows have no states, but a noise, to which all of their errors belong.
         lead = windows.lead or length
         data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
+        k = len(self._outputs)
+        _, values, present, _ = np.split(data, [-1 - 2 * k, -1 - k, -1])
+        measured = np.moveaxis(np.where(present, values, np.nan), 0, -1)
         # Innovations correct the states in the lead-in only: the rest is a prediction.
-        present = np.isfinite(data["measured"]) & (np.arange(length) < lead)
-        measured = np.moveaxis(data["measured"], 0, -1)
-        in_lead = np.moveaxis(present, 0, -1)
+        correcting = present * (np.arange(length) < lead)
+        predicting = data.copy()
+        predicting[-1 - k : -1] = correcting
+        in_lead = np.moveaxis(correcting > 0, 0, -1)
         past = measured[:, :lead]
         informing = in_lead[:, :lead, :, None]
         guess = self._first_states(windows, past)
@@ -202,7 +205,7 @@ class Simulator:
         def run(step: SampleStep) -> _Run:
             # States are estimated at given values: no derivatives with respect to these are needed.
             segments = Segments(step, w, lead, np.zeros(0, dtype=int))
-            columns = _columns(segments, data, present)
+            columns = _columns(segments, predicting)
 
             def outputs(x: Array) -> Array:
                 return segments.by_segment(_Run(segments, x, model.q, columns).outputs)
@@ -214,7 +217,7 @@ class Simulator:
             noise = model.noise(self._outputs)
             estimates = estimate_states(outputs, sensitivities, past, guess, noise, spread)
             whole = Segments(step, w, length, active)
-            return _Run(whole, estimates.states, model.q, _columns(whole, data, present), estimates)
+            return _Run(whole, estimates.states, model.q, _columns(whole, predicting), estimates)
 
         result = self._accurate(windows.record.step, run)
         assert result.estimates is not None
@@ -246,7 +249,7 @@ class Simulator:
         if self._model.criterion.corrects_states:
             # One step ahead, the corrections continue after the lead-in.
             segments, q = simulated.segments, self._model.q
-            data = _columns(segments, simulated.data, np.isfinite(simulated.data["measured"]))
+            data = _columns(segments, simulated.data)
             corrected = _Run(segments, estimates.states, q, data)
             outputs = segments.by_segment(corrected.outputs)
             by_state = corrected.sensitivities()[..., : by_state.shape[-1]]
@@ -331,10 +334,9 @@ class Simulator:
         if substeps not in self._steps:
             model = self._model
             self._steps[substeps] = sample_step(
-                model.system,
+                self._system,
                 model.held,
                 model.criterion,
-                self._outputs,
                 model.names,
                 self._integrator,
                 substeps,
@@ -347,19 +349,9 @@ def diverged(signals: NamedArrays) -> BoolArray:
     return ~np.all([np.abs(values) < DIVERGED for values in signals.values()], axis=0)
 
 
-def _columns(segments: Segments, data: NamedArrays, present: BoolArray) -> Array:
-    """Return the data of all windows, up to the length of the segments; `present` are measured."""
-    rows = [
-        data["whole"],
-        data["around"],
-        np.where(present, data["measured"], 0.0),
-        present,
-        data["step"],
-    ]
-    cut = [row[:, :, : segments.length] for row in rows]
-    # Without inputs there are no rows, from which `reshape` with -1 could not infer the length.
-    joined = [row.reshape(len(row), row.shape[1] * row.shape[2]) for row in cut]
-    return segments.columns(np.concatenate(joined))
+def _columns(segments: Segments, data: Array) -> Array:
+    """Return the data (width, w, samples) of all windows, up to the length of the segments."""
+    return segments.columns(data[:, :, : segments.length].reshape(len(data), -1))
 
 
 def with_implied_states(

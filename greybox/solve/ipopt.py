@@ -121,14 +121,11 @@ class Ipopt:
     """
 
     def __init__(
-        self,
-        statement: Named,
-        options: Named,
-        derivatives: dict[str, ca.Function] | None = None,
+        self, statement: Named, options: Named, derivatives: dict[str, ca.Function]
     ) -> None:
         self._statement = dict(statement)
         self._options = options
-        self._derivatives = {} if derivatives is None else derivatives
+        self._derivatives = derivatives
         self._variants: dict[tuple[Any, ...], Ipopt] = {}
         self._check = StopCheck(statement)  # a reference, since CasADi holds only its address
 
@@ -141,7 +138,7 @@ class Ipopt:
             z, smoothing, data = input_symbols(program.function)
             f, g = program.function(z, smoothing, data)
             statement = {"x": z, "p": ca.vertcat(smoothing, data), "f": f, "g": g}
-            program.solvers[key] = cls(statement, options)
+            program.solvers[key] = cls(statement, options, {})
         return program.solvers[key]
 
     @cached_property

@@ -7,12 +7,17 @@ whole samples of estimated delays follow in the same way.
 
 import math
 import time
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.part import SMOOTHING
 from greybox.compiled.record_group import shared_products
+from greybox.compiled.record_part import RecordPart, RecordProgram
+from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.transient_part import TransientPart
 from greybox.files.arrays import Array, Arrays, Named
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -31,15 +36,23 @@ class TranscribedProgram(LocalSolver):
         self._nlp = nlp
         self._gauss_newton = GaussNewton(nlp)  # gives states to begin with
         z = ca.MX.sym("z", len(nlp.free))
-        self._programs = [part.program(z) for part in nlp.parts]
-        self._weights = [part.weight for part in nlp.parts]
-        weighted = list(zip(self._weights, self._programs, strict=True))
+        self._programs = [RecordProgram(part, z) for part in nlp.parts_of(RecordPart)]
+        self._responses = nlp.parts_of(ResponsePart)
+        spectra = nlp.parts_of(TransientPart)
+        # End terms are eliminated, and what remains is no expression for IPOPT.
+        if spectra:
+            raise ValueError(
+                f"the method transcribes records for IPOPT and {spectra[0].name!r} is a "
+                "TransientSpectrum: leave out method, or use MultipleShooting()."
+            )
 
         # The parameters come first: they are all that the parts share.
         unknowns = ca.vertcat(z, *[program.unknowns for program in self._programs])
         parameters = ca.vertcat(*[program.parameters for program in self._programs])
-        error = ca.vertcat(*[math.sqrt(weight) * program.error for weight, program in weighted])
-        cost = sum((weight * program.cost for weight, program in weighted), ca.MX(0.0))
+        error = ca.vertcat(
+            *[math.sqrt(program.part.weight) * program.error for program in self._programs]
+        )
+        cost = ca.MX(self._cost_of_responses(z, SMOOTHING))
         equations = ca.vertcat(*[program.equations for program in self._programs])
         limits = nlp.limits_at(z)
         constraints = ca.vertcat(equations, limits)
@@ -104,8 +117,8 @@ class TranscribedProgram(LocalSolver):
         iterations = 0
         last = math.inf
         cost = math.inf
-        pairs = zip(self._programs, first, strict=True)
-        solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in pairs]])
+        pairs = zip(self._programs, self._nlp.rows_of(RecordPart, first), strict=True)
+        solution = np.concatenate([z, *[program.initial_unknowns(t) for program, (_, t) in pairs]])
         w = np.concatenate([program.initial_parameters(z) for program in self._programs])
         # Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful
         # rate needs far fewer.
@@ -142,10 +155,15 @@ class TranscribedProgram(LocalSolver):
         parameters = np.split(w, self._parameter_ends)
         values = zip(self._programs, unknowns, parameters, strict=True)
         products = [program.products(z, states, ws) for program, states, ws in values]
-        values = zip(
-            self._programs, shared_products(self._nlp.parts, products), parameters, strict=True
-        )
+        products = shared_products([program.part for program in self._programs], products)
+        values = zip(self._programs, products, parameters, strict=True)
         outcomes = [program.outcome(z, each, ws) for program, each, ws in values]
         costs, following, same_data = zip(*outcomes, strict=True)
-        cost = sum(w * c for w, c in zip(self._weights, costs, strict=True))
-        return float(cost), np.concatenate(following), all(same_data)
+        pairs = zip(self._programs, costs, strict=True)
+        cost = sum(program.part.weight * record_cost for program, record_cost in pairs)
+        cost += float(self._cost_of_responses(z, 0.0))
+        return cost, np.concatenate(following), all(same_data)
+
+    def _cost_of_responses(self, z: Any, smoothing: float) -> Any:
+        """Return the weighted cost of the frequency responses, which have no hidden unknowns."""
+        return sum(part.weight * part.objective(z, smoothing) for part in self._responses)

@@ -25,7 +25,7 @@ class Jet(gb.StateSpace):
 @pytest.mark.parametrize("level", [0.01, 1.0, 100.0])
 def test_a_hidden_state_has_the_size_that_comes_closest_to_what_was_measured(level):
     measured = np.full((1, 5), 1.1 * np.sqrt(level))
-    found = InitialStates(dynamics(Jet()), ("v",)).at(
+    found = InitialStates(dynamics(Jet()).observed(("v",))).at(
         measured, np.zeros((1, 5)), np.ones(1), np.full(1, np.nan)
     )
     assert found == pytest.approx(np.full((1, 5), level))
@@ -42,7 +42,7 @@ class Scale(Jet):
 
 def test_a_state_that_an_output_shows_begins_as_measured():
     level = np.array([[0.5, 1.0, 4.0]])
-    states = InitialStates(dynamics(Scale()), ("w",))
+    states = InitialStates(dynamics(Scale()).observed(("w",)))
     found = states.at(2 * level + 3, np.zeros((1, 3)), np.ones(1), np.full(1, np.nan))
     assert found == pytest.approx(level)
 
@@ -61,7 +61,7 @@ class Chain(gb.StateSpace):
 
 
 def chain(outputs=("y", "sum", "z")):
-    return InitialStates(dynamics(Chain()), outputs)
+    return InitialStates(dynamics(Chain()).observed(outputs))
 
 
 UNKNOWN = np.full(3, np.nan)
@@ -109,11 +109,11 @@ def test_sizes_are_tried_together_and_then_of_each_state():
     """
     inputs = np.array([[1.0, 1.0, 0.0, 1.0]])
     measured = np.array([[0.1] * 4, [1000.0] * 4])
-    found = InitialStates(dynamics(Levels()), ("v", "w")).at(
+    found = InitialStates(dynamics(Levels()).observed(("v", "w"))).at(
         measured, inputs, np.ones(1), UNKNOWN[:2]
     )
     assert found == pytest.approx(np.array([[0.01] * 4, [100.0] * 4]))
-    nowhere = InitialStates(dynamics(Levels()), ("v", "w"))
+    nowhere = InitialStates(dynamics(Levels()).observed(("v", "w")))
     assert not nowhere.at(measured, 0 * inputs, np.ones(1), UNKNOWN[:2]).any()
 
 
@@ -129,7 +129,7 @@ def test_samples_without_a_finite_model_take_the_states_of_the_nearest():
             return (x.h,)
 
     level = np.array([[2.0, 3.0, -1.0, -1.0, 5.0]])
-    found = InitialStates(dynamics(Seen()), ("h",)).at(
+    found = InitialStates(dynamics(Seen()).observed(("h",))).at(
         level, np.zeros((1, 5)), np.ones(1), UNKNOWN[:1]
     )
     assert found.tolist() == [[2.0, 3.0, 3.0, 5.0, 5.0]]
@@ -175,7 +175,7 @@ def test_what_is_missed_counts_in_units_of_the_output_on_either_side_of_zero(sig
         h: (np.sqrt(h) / 2 - 1) ** 2 + (np.log(h) / np.log(100) - 1) ** 2 for h in (1, 10, 100)
     }
     assert min(missed, key=missed.get) == 10
-    found = InitialStates(dynamics(Gauge()), ("v", "log")).at(
+    found = InitialStates(dynamics(Gauge()).observed(("v", "log"))).at(
         measured, np.zeros((1, 3)), np.array([1.0, sign]), UNKNOWN[:1]
     )
     assert found.tolist() == [[10.0] * 3]
@@ -190,7 +190,7 @@ def test_a_hidden_state_that_is_best_at_zero_returns_there():
             return (u.u - gb.sqrt(x.h), -x.g)
 
     measured = np.full((2, 3), np.log(10.0))
-    found = InitialStates(dynamics(Offset()), ("v", "w")).at(
+    found = InitialStates(dynamics(Offset()).observed(("v", "w"))).at(
         measured, np.zeros((1, 3)), np.ones(1), UNKNOWN[:2]
     )
     assert found.tolist() == [[10.0] * 3, [0.0] * 3]

@@ -15,6 +15,7 @@ from spring_lag_tilt import HELD, SPRING, Spring, spring
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.record_part import RecordProgram
 from greybox.compiled.record_sensitivity import sensitivity
 
 
@@ -550,7 +551,7 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     (part,), values = nlp.parts, SPRING | {"d": 0.035}
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     symbol = ca.MX.sym("z", len(z))
-    program = part.program(symbol)
+    program = RecordProgram(part, symbol)
     trajectory = part.trajectory(z, part.trajectory(z).nodes, simulated=True)
     unknowns, w = program.initial_unknowns(trajectory), program.initial_parameters(z)
     measured = part.data.measured

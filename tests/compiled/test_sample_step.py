@@ -35,7 +35,8 @@ VALUES = np.array([2.0, 0.13, 0.5, 0.25, -0.2, 0.3, 0.7])
 
 def made(held=(False, False), outputs=("y", "z")):
     criterion = gb.PredictionError(biases=["u", "w", "z"])
-    return sample_step(dynamics(Chain()), held, criterion, outputs, NAMES, gb.RungeKutta(), 4)
+    system = dynamics(Chain()).observed(outputs)
+    return sample_step(system, held, criterion, NAMES, gb.RungeKutta(), 4)
 
 
 def data(y=1.5, z=-0.4, present=(1, 1)):

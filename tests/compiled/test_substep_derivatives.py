@@ -46,7 +46,7 @@ def test_derivatives_are_differences(own):
     system = dynamics(model)
     criterion = gb.PredictionError(corrected=("T0",))
     names = (*model.parameters, "K_T0_hot", "K_T0_cold")
-    step = sample_step(system, [False], criterion, system.outputs, names, gb.RungeKutta(), 9)
+    step = sample_step(system, [False], criterion, names, gb.RungeKutta(), 9)
     assert step.repeats
     random = np.random.default_rng(0)
     count, length, active = 2, 3, np.array([1, 0, 3, 4])

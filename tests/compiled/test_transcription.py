@@ -140,14 +140,14 @@ def test_constraints_ties_bounds_and_known_states_hold_for_all(method, constrain
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: gb.MultipleShooting(segment=0), "segment 0 must be a whole number of samples"),
+        (lambda: gb.MultipleShooting(segment=0), "segment is 0: give a whole number"),
         (
             lambda: gb.SingleShooting(hessian="newton"),
             "hessian 'newton' is not known: use 'gauss-newton' or 'exact'",
         ),
-        (lambda: gb.Collocation(degree=12), "degree 12 must be a whole number from 1 to 9"),
+        (lambda: gb.Collocation(degree=12), "degree is 12: give a whole number from 1 to 9"),
         (lambda: gb.MultipleShooting(integrator="rk4"), "integrator is 'rk4': give RungeKutta"),
-        (lambda: gb.RungeKutta(substeps=0), "substeps 0 must be a whole number"),
+        (lambda: gb.RungeKutta(substeps=0), "substeps is 0: give a whole number"),
     ],
 )
 def test_bad_options_are_named(make, words):

@@ -184,7 +184,7 @@ def test_errors_by_output_follow_the_parameters(made):
         return (fixed_ends(part, v, held.ends) / size).ravel()
 
     slopes = numeric_jacobian(errors_of_one_size, z).reshape(len(part.outputs), 2 * lines, -1)
-    found = list(part.errors_by_output(z))
+    found = list(part.errors_by_output(trajectory))
     assert [name for name, *_ in found] == list(part.outputs)
     for k, (_, errors, by) in enumerate(found):
         own = trajectory.detail.errors[k]

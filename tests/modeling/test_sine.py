@@ -43,7 +43,7 @@ def test_amplitudes_are_finite_and_above_zero(amplitude):
 
 @pytest.mark.parametrize("harmonics", [0, 51, 2.0, True, "3"])
 def test_harmonics_are_a_whole_number(harmonics):
-    with pytest.raises(ValueError, match="must be a whole number from 1 to 50"):
+    with pytest.raises(ValueError, match="give a whole number from 1 to 50"):
         gb.modeling.Sine("u", 1.0, harmonics)
 
 

@@ -118,17 +118,17 @@ def test_the_input_must_be_there():
 def test_the_data_of_a_window_are_those_of_its_stretch():
     data = record(missing=[30])
     windows = cut(data, ["u"], ["y"], lead=0.5, horizon=1.0)
-    found = sample_data(windows, ("u",), ("y",), np.array([0.2]))
-    assert_allclose(found["step"], 0.1)
-    assert_allclose(found["whole"], 2)
+    whole, *around, measured, present, step = sample_data(windows, ("u",), ("y",), np.array([0.2]))
+    assert_allclose(step, 0.1)
+    assert_allclose(whole, 2)
     # whole samples of the delay, and the inputs before, at and after the delayed one; held before a
     # stretch
     first = np.where(windows.rows < 30, 0, 31)
     for row, shift in enumerate((-3, -2, -1)):
-        assert_allclose(found["around"][row], data["u"][np.maximum(windows.rows + shift, first)])
+        assert_allclose(around[row], data["u"][np.maximum(windows.rows + shift, first)])
     late = windows.rows - first < 2  # where the delayed input is that of before the stretch
-    assert_array_equal(np.isnan(found["measured"][0]), late)
-    assert_allclose(found["measured"][0][~late], data["y"][windows.rows][~late])
+    assert_array_equal(present == 0, late)
+    assert_allclose(measured[~late], data["y"][windows.rows][~late])
 
 
 def test_of_rows_without_a_time_each_that_has_its_inputs_and_some_output_is_a_window():

@@ -130,7 +130,7 @@ def test_the_cost_of_a_solution_is_the_weighted_sum_of_the_parts():
         def outcome(z, products, own):
             return products.item(), own + 1, same
 
-        return SimpleNamespace(products=products, outcome=outcome)
+        return SimpleNamespace(products=products, outcome=outcome, part=nlp.parts[k])
 
     for same in (True, False):
         seen.clear()

@@ -10,6 +10,7 @@ from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.transcription.method import Transcribed, Transcription
 from greybox.modeling.integrators import ImplicitIntegrator, Radau
+from greybox.modeling.parameter import require_whole
 
 # What CasADi tabulates.
 MOST_POINTS = 9
@@ -36,10 +37,7 @@ class Collocation(Transcription):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if not isinstance(self.degree, int) or not 1 <= self.degree <= MOST_POINTS:
-            raise ValueError(
-                f"degree {self.degree!r} must be a whole number from 1 to {MOST_POINTS}."
-            )
+        require_whole("degree", self.degree, 1, MOST_POINTS)
 
     @property
     def scheme(self) -> ImplicitIntegrator:

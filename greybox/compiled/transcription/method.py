@@ -12,6 +12,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import counted
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta
+from greybox.modeling.parameter import require_whole
 
 
 @frozen
@@ -63,10 +64,8 @@ class Transcription(ABC):
 
     def __post_init__(self) -> None:
         """Check the options."""
-        if self.segment is not None and (not isinstance(self.segment, int) or self.segment < 1):
-            raise ValueError(
-                f"segment {self.segment!r} must be a whole number of samples, at least 1, or None."
-            )
+        if self.segment is not None:
+            require_whole("segment", self.segment, 1)
         if self.hessian not in ("gauss-newton", "exact"):
             raise ValueError(
                 f"hessian {self.hessian!r} is not known: use 'gauss-newton' or 'exact'."
