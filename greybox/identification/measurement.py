@@ -425,10 +425,8 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
     # SIDD logs the injected signal itself, whatever axis it was added to.
     if used[0].source == "SIDS":
         return next(iter(present(recording, ["SIDD.Targ"])), settings.setpoint)
-    for start in ("setpoint ", INJECTED):
-        if used[0].source.startswith(start):
-            return used[0].source.removeprefix(start)
-    return settings.setpoint
+    # Other tests were found in a setpoint, or in an injected signal.
+    return used[0].source.removeprefix("setpoint ").removeprefix(INJECTED)
 
 
 def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> float | None:
