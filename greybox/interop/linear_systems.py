@@ -101,17 +101,11 @@ def given_model(thing: Any, values: Values | None, at: Values | None, part: int 
                 "values were given with a Fit, which has its own: leave them out, or give the "
                 "model."
             )
-        estimate = thing.at_estimate(part=part)
-        fitted = thing.parts[part]
+        thing.require_estimate()
         model = thing.model_of(part)
-        values = {
-            name: float(v)
-            for name, v in zip(estimate.names, estimate.q, strict=True)
-            if name in model.parameters
-        }
-        if at is None:
-            at = dict(fitted.at)
-        return GivenModel(model, values, at, thing.name)
+        fitted = thing.parts[part]
+        values = {name: thing.estimate[fitted.outside(name)] for name in model.parameters}
+        return GivenModel(model, values, fitted.at if at is None else at, thing.name)
 
     if isinstance(thing, Model):
         return GivenModel(thing, dict(thing.values(values)), at or {})
