@@ -87,9 +87,8 @@ def next_command(
     if not any(segment.usable for segment in segments) and not announcing(recording):
         return ""
     words = ["greybox", "identify", options.log]
-    if not any(
-        map(axis_of, recording.signal_names)
-    ):  # the names of a table do not tell input from output
+    # The names of a table do not tell input from output.
+    if not any(map(axis_of, recording.signal_names)):
         words = ["greybox", "response", options.log, "--input", "SIGNAL", "--output", "SIGNAL"]
 
     reading = attributes(options, "announced", "setpoint", "fields", "columns")

@@ -132,6 +132,7 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
 
 def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
     """Return the largest standard deviation of a signal in a test; 0 if the log lacks it."""
+    # Stretches of a heading have no jumps by a whole turn at north, which are no motions.
     parts = stretches(recording, signal)[1] if present(recording, [signal]) else []
     spreads = [
         float(np.std(values[inside]))
