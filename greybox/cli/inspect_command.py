@@ -86,9 +86,9 @@ def next_command(
     """Return the command to type next, if there is something to identify."""
     if not any(segment.usable for segment in segments) and not announcing(recording):
         return ""
-    names = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
     words = ["greybox", "identify", options.log]
-    if not any(map(axis_of, names)):  # the names of a table do not tell input from output
+    # The names of a table do not tell input from output.
+    if not any(map(axis_of, recording.signal_names)):
         words = ["greybox", "response", options.log, "--input", "SIGNAL", "--output", "SIGNAL"]
 
     reading = attributes(options, "announced", "setpoint", "fields", "columns")

@@ -391,6 +391,11 @@ class Recording(Mapping[str, Record]):
         return len(self.records)
 
     @property
+    def signal_names(self) -> Strings:
+        """Every signal, as ``"RATE.POut"``."""
+        return tuple(f"{key}.{name}" for key, record in self.items() for name in record.signals)
+
+    @property
     def parameters(self) -> Values:
         """Last value of every parameter of the vehicle; empty if they were not logged."""
         return self.metadata.get("parameters", {})

@@ -56,7 +56,7 @@ def drawn_loops(
     has_hold = isinstance(fitted, FittedResponse) and not fitted.data.divided_hold
     return sampled_loop(
         model,
-        _plants(plant, [fitted.rename.get(name, name) for name in model.parameters]),
+        _plants(plant, [*map(fitted.outside, model.parameters)]),
         controller,
         at=at or fitted.at,
         has_hold=has_hold,

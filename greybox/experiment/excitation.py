@@ -16,14 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.data.checked_array import finite_numbers
-from greybox.data.record import Record
+from greybox.data.record import NOT_STORED, Record
 from greybox.files.arrays import (
     Array,
     IntArray,
     Labels,
     Named,
-    NamedArrays,
-    NamedStrings,
     Values,
     frozen,
 )
@@ -51,42 +49,19 @@ class Maneuver(NamedTuple):
 
 
 @frozen
-class Excitation:
-    """A test signal to be flown, or several at once.
+class Excitation(Record):
+    """A test signal to be flown, or several at once: a `Record` with its schedule.
 
     Attributes
     ----------
-    time : (n,) array, s, from 0 and uniform
-    signals : mapping of name to (n,) array
-    units : mapping of name to str
-    rate : float, Hz
     schedule : tuple of Maneuver
     settings : mapping
         Parameters of the signal; for a multisine also its ``harmonics`` (name to multiples of
         2π / ``period``).
     """
 
-    time: Array
-    signals: NamedArrays
-    units: NamedStrings
-    rate: float
-    schedule: tuple[Maneuver, ...]
-    settings: Named = field(default_factory=dict, repr=False)
-
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        # Plans and records share these arrays.
-        for values in (self.time, *self.signals.values()):
-            values.setflags(write=False)
-        for name in ("signals", "units", "settings"):
-            vars(self)[name] = MappingProxyType(dict(getattr(self, name)))
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self.signals:
-            raise KeyError(
-                f"the excitation has no signal {name!r}; it has {', '.join(self.signals)}."
-            )
-        return self.signals[name]
+    schedule: tuple[Maneuver, ...] = field(default=(), metadata=NOT_STORED)
+    settings: Named = field(default_factory=dict, repr=False, metadata=NOT_STORED)
 
     @property
     def peak_factors(self) -> dict[str, float]:
@@ -95,16 +70,6 @@ class Excitation:
             name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v)))
             for name, v in self.signals.items()
         }
-
-    def record(self) -> Record:
-        """Return the signals as a `Record`, e.g. for a simulation."""
-        return Record(
-            self.time,
-            self.signals,
-            self.units,
-            name="excitation",
-            metadata={"schedule": self.schedule},
-        )
 
     def __repr__(self) -> str:
         return one_line(self, str(self))
@@ -199,8 +164,9 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     for s in schedule:
         inside = (time >= s.start) & (time < s.end)
         values[inside] += s.amplitude * np.sin(s.low * (time[inside] - s.start))
+    settings = {"pause": pause}
     return Excitation(
-        time, {signal: values}, {signal: unit}, rate, tuple(schedule), {"pause": pause}
+        time, {signal: values}, {signal: unit}, schedule=tuple(schedule), settings=settings
     )
 
 
@@ -283,7 +249,9 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
         "dwell": dwell,
     }
     maneuver = Maneuver(signal, "logarithmic sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
-    return Excitation(time, {signal: values}, {signal: unit}, rate, (maneuver,), settings)
+    return Excitation(
+        time, {signal: values}, {signal: unit}, schedule=(maneuver,), settings=settings
+    )
 
 
 def _half_cosine(elapsed: Array, length: float) -> Array:
@@ -360,7 +328,8 @@ def multisine(
         "harmonics": {n: tuple(map(int, h)) for n, h in zip(signals, assigned, strict=True)},
     }
     repeated = {name: np.tile(v, periods) for name, v in zip(signals, values, strict=True)}
-    return Excitation(time, repeated, dict.fromkeys(signals, unit), rate, schedule, settings)
+    units = dict.fromkeys(signals, unit)
+    return Excitation(time, repeated, units, schedule=schedule, settings=settings)
 
 
 def _phases(harmonics: IntArray) -> Array:

@@ -17,7 +17,7 @@ FLOWN_AXES: Labels = SYSTEMID_AXES[:13]
 def write_excitation(excitation: Excitation, path: str | Path) -> None:
     """Write time in s and the signals to a CSV file, atomically."""
     columns = {
-        f"{name} [{unit}]" if (unit := excitation.units[name]) else name: values
+        f"{name} [{unit}]" if (unit := excitation.units.get(name)) else name: values
         for name, values in excitation.signals.items()
     }
     write_delimited(Path(path), {}, {"time_s": excitation.time, **columns})

@@ -13,12 +13,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import require
 from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import in_periods, measured_signal
-from greybox.files.arrays import Array, Labels, Strings, Values, all_finite, frozen
+from greybox.files.arrays import Array, Labels, Strings, Values, frozen
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -85,7 +86,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         them); by default zero. ``gb.modeling.linearize(model, values, at).point`` begins at an
         operating point.
     rate : float, Hz, optional
-        Sampling rate of arrays in open loop.
+        Rate of the loop without a controller; by default that of the excitation. Arrays need it.
     seed : int
         Seed of the noise; sensors and process noise have random streams of their own.
     name : str
@@ -121,8 +122,9 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     system = dynamics(model)
     truth = model.values(values)
     controllers = connected(controller, model.label, system)
-    test = _as_excitation(excitation, controllers[0].rate if controllers else rate)
-    clock = float(controllers[0].rate if controllers else test.rate)
+    clock = controllers[0].rate if controllers else rate
+    test = _as_excitation(excitation, clock)
+    clock = float(clock or test.rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
     require_known(test.signals, places, "place for", model.label)
     # A controller may run faster than the test signal is sampled.
@@ -327,18 +329,11 @@ def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | No
             f"rate is {rate!r}, and arrays alone have no sampling rate: give samples per second "
             "above 0, or an Excitation."
         )
-    # Copies: an excitation makes its arrays read-only.
-    arrays = {n: np.array(v, dtype=float) for n, v in given.items()}
-    shapes = {v.shape for v in arrays.values()}
-    if len(shapes) != 1 or any(
-        v.ndim != 1 or not (v.size and all_finite(v)) for v in arrays.values()
-    ):
-        raise ValueError(
-            "the arrays of the excitation have the shapes "
-            f"{', '.join(map(str, shapes)) or 'none'}: give arrays of one length with finite "
-            "numbers."
-        )
-    return Excitation(np.arange(*shapes.pop()) / rate, arrays, dict.fromkeys(arrays, ""), rate, ())
+    size = max(map(np.size, given.values()), default=0)
+    test = Excitation(np.arange(size) / rate, given)  # type: ignore[arg-type]  (it converts them)
+    for name, values in test.signals.items():
+        require(name, values, np.isfinite(values), "give finite numbers")
+    return test
 
 
 def _checked(what: str, given: Values, places: Labels, low: float = -math.inf) -> Values:

@@ -183,18 +183,17 @@ def parameter_table(fit: Fit) -> Element:
     if fit.converged:
         header = [*header[:3], "95 % interval", "CR, %", "insensitivity, %", *header[3:]]
         intervals = fit.interval(0.95)
-        errors = {}
-        insensitivities = {}
+        shares = {}
         with suppress(ValueError):  # the fit has no standard errors
             judged = fit.identifiability
-            errors = by_name(judged.names, judged.error.tolist())
-            insensitivities = by_name(judged.names, judged.insensitivity.tolist())
+            shares = by_name(judged.names, np.array([judged.error, judged.insensitivity]).T)
         for row, (name, *_) in zip(cells, rows, strict=True):
             low, high = intervals.get(name, (math.nan, math.nan))
+            error, insensitivity = shares.get(name, (math.nan, math.nan))
             row[3:3] = [
                 Cell(_interval(low, high), low),
-                _share(errors.get(name, math.nan), ERROR_GUIDELINE),
-                _share(insensitivities.get(name, math.nan), INSENSITIVITY_GUIDELINE),
+                _share(error, ERROR_GUIDELINE),
+                _share(insensitivity, INSENSITIVITY_GUIDELINE),
             ]
     return table(header, cells)
 

@@ -17,7 +17,7 @@ from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.injected_tests import INJECTED
-from greybox.logs.segment_detection import announcing, present
+from greybox.logs.segment_detection import announcing, present, stretches
 
 
 @dataclass(frozen=True)
@@ -132,17 +132,15 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
 
 def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
     """Return the largest standard deviation of a signal in a test; 0 if the log lacks it."""
-    if not present(recording, [signal]):
-        return 0.0
-    record, field = recording.locate(signal)
-    # A heading jumps by a whole turn at north, which is not a motion.
-    turn = 2 * np.pi if record.units.get(field) == "rad" else 360
-    spreads = [0.0]
-    for test in tests:
-        values = record[field][record.during(test.start, test.end)]
-        values = np.unwrap(values[np.isfinite(values)], period=turn)
-        spreads += [float(np.std(values))] if values.size else []
-    return max(spreads)
+    # Stretches of a heading have no jumps by a whole turn at north, which are no motions.
+    parts = stretches(recording, signal)[1] if present(recording, [signal]) else []
+    spreads = [
+        float(np.std(values[inside]))
+        for time, values in parts
+        for test in tests
+        if np.any(inside := (time >= test.start) & (time <= test.end))
+    ]
+    return max(spreads, default=0.0)
 
 
 def _chosen_axis(usable: Sequence[Segment], axes: dict[str, str], wanted: str) -> str:

@@ -265,8 +265,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     judged = [segment for segment in tests if segment in used or not segment.usable]
 
     def quality_of(response: FrequencyResponse | None) -> Quality:
-        quality = check(record, response, judged, input=u, output=y)
-        return Quality((*quality.findings, *jitter(during)))
+        return check(record, response, judged, input=u, output=y).with_findings(*jitter(during))
 
     quality = quality_of(None)
     response = None
@@ -297,7 +296,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
                 response = _without_warned(response, quality)
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
-            quality = Quality((refused, *quality.findings))
+            quality = quality.with_findings(refused)
     filters = named_filters(recording, axis_of(control))
     if response is not None:
         about = _about(recording, record, response, signals, filters, used, settings)
@@ -425,10 +424,8 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
     # SIDD logs the injected signal itself, whatever axis it was added to.
     if used[0].source == "SIDS":
         return next(iter(present(recording, ["SIDD.Targ"])), settings.setpoint)
-    for start in ("setpoint ", INJECTED):
-        if used[0].source.startswith(start):
-            return used[0].source.removeprefix(start)
-    return settings.setpoint
+    # Other tests were found in a setpoint, or in an injected signal.
+    return used[0].source.removeprefix("setpoint ").removeprefix(INJECTED)
 
 
 def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> float | None:

@@ -14,6 +14,7 @@ from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import pick_signals
+from greybox.modeling.state_space import StateSpace
 
 
 def to_control(
@@ -90,22 +91,20 @@ def to_control(
         return to_control(loop)
 
     source = given_model(thing, values, at, part)
-    linear = source.converted(kind, pade, input, output)
     name = _named(source.name or source.model.label)
-    if isinstance(linear, tuple):
+    kinds = ("transfer-function", "state-space")
+    # As declared: a conversion would lose the meaning of states, or the form of a ratio.
+    kind = kind or kinds[isinstance(source.model, StateSpace)]
+    if kind not in kinds:
+        raise ValueError(f"kind is {kind!r:.40}: give 'transfer-function' or 'state-space'.")
+    if kind == "transfer-function":
         u, y = pick_signals(source.model, input, output)
-        return control.TransferFunction(*linear, inputs=[u], outputs=[y], **name)
+        ratio = source.polynomials(pade, u, y)
+        return control.TransferFunction(*ratio, inputs=[u], outputs=[y], **name)
 
-    return control.StateSpace(
-        linear.A,
-        linear.B,
-        linear.C,
-        linear.D,
-        states=list(linear.states),
-        inputs=list(linear.inputs),
-        outputs=list(linear.outputs),
-        **name,
-    )
+    system, matrices = source.matrices(pade)
+    x, u, y = map(list, (system.states, system.inputs, system.outputs))
+    return control.StateSpace(*matrices, states=x, inputs=u, outputs=y, **name)
 
 
 def from_control(

@@ -145,7 +145,7 @@ def prepare(
     grid = _grid(sources, rate, start, end)
     sampled = {name: _on_grid(source, grid, rate) for name, source in sources.items()}
     # A gap in one signal is a gap of the record, because a model needs all signals at once.
-    keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
+    keep = np.isfinite([*sampled.values()]).all(axis=0)
     if keep.sum() < 2:
         raise ValueError(
             f"{', '.join(sources)} are never present at the same time from {grid[0]:.1f} to "

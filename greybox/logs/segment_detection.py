@@ -271,7 +271,7 @@ def present(data: Recording | Record, names: Iterable[str]) -> list[str]:
     records = [data] if isinstance(data, Record) else [*data.values()]
     fields = set(records[0].signals) if len(records) == 1 else set()
     if isinstance(data, Recording):
-        fields |= {f"{key}.{name}" for key, record in data.items() for name in record.signals}
+        fields |= {*data.signal_names}
     # Beside p or q, a column r is a yaw rate, and no setpoint.
     return [name for name in names if name in fields and not (name == "r" and fields & {"p", "q"})]
 

@@ -102,7 +102,7 @@ def recording(
     TypeError, ValueError
         If there is no signal, or for a wrong number of axes.
     """
-    signals = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
+    signals = recording.signal_names
     names = [
         [name for name in pair if name in signals] for pair in ATTITUDE if pair[1] in signals
     ] or [[name] for name in signals[:PANELS]]

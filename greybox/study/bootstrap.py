@@ -21,7 +21,7 @@ from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.progress import bar
@@ -63,18 +63,13 @@ class Bootstrap(Printed):
     about : str
         Description of the draws.
     seed : int
-    names, units : tuple of str
-        Free and tied parameters, then derived quantities.
-    estimate, fit_error : (q,) arrays
-        Estimates and standard errors of the fit; NaN where it has no standard error.
+    quantities : tuple of Quantity
+        Free and tied parameters, then derived quantities, with their estimates and standard errors
+        of the fit.
     values : (b, q) array
         One row for each replicate; NaN where it failed.
     statuses : tuple of str
         Why each replicate failed; empty for the others.
-    bounds : (q, 2) array
-        Bounds of the parameters; infinite for other quantities.
-    dof : (q,) array
-        Degrees of freedom of the standard errors of the fit.
     warnings : tuple of str
     seconds : float
     """
@@ -82,16 +77,16 @@ class Bootstrap(Printed):
     name: str
     about: str
     seed: int
-    names: Strings
-    units: Strings
-    estimate: Array
-    fit_error: Array
+    quantities: tuple[Quantity, ...]
     values: Array
     statuses: Strings
-    bounds: Array
-    dof: Array
     warnings: Strings = ()
     seconds: float = 0.0
+
+    @property
+    def names(self) -> Strings:
+        """Names of the quantities."""
+        return tuple(q.name for q in self.quantities)
 
     @cached_property
     def columns(self) -> dict[str, Array]:
@@ -122,10 +117,9 @@ class Bootstrap(Printed):
     @property
     def bias(self) -> dict[str, float]:
         """Means of the replicates minus the estimates, by name; NaN without replicates."""
-        estimates = zip(self.columns.items(), self.estimate, strict=True)
         return {
-            name: float(values.mean() - estimate) if values.size else math.nan
-            for (name, values), estimate in estimates
+            q.name: float(self[q.name].mean() - q.value) if len(self._successful) else math.nan
+            for q in self.quantities
         }
 
     def interval(self, level: float = 0.95) -> dict[str, Interval]:
@@ -138,13 +132,13 @@ class Bootstrap(Printed):
         # Replicates do not show how well the size of the errors is known. The quantiles therefore
         # lie as far out as those of Student's t with the degrees of freedom of the fit.
         intervals = {}
-        for k, name in enumerate(self.names):
-            values, share = self._successful[:, k], tail(level, float(self.dof[k]))
+        for q in self.quantities:
+            values, share = self[q.name], tail(level, q.dof)
             low = high = math.nan
             if values.size and math.isfinite(share):
                 low, high = np.quantile(values, [share, 1 - share]).tolist()
-            lower, upper = self.bounds[k]
-            intervals[name] = (
+            lower, upper = q.bounds
+            intervals[q.name] = (
                 # IPOPT's barrier keeps an estimate this far from its bound.
                 -math.inf if math.isclose(low, lower, rel_tol=1e-4) else low,
                 math.inf if math.isclose(high, upper, rel_tol=1e-4) else high,
@@ -158,12 +152,10 @@ class Bootstrap(Printed):
         # the other, those of lags and of the tilt model at most 2.1 times
         # (`benchmarks/bootstrap_coverage.py`).
         names = []
-        for estimate, (name, (low, high)) in zip(
-            self.estimate, self.interval().items(), strict=True
-        ):
-            shorter, longer = sorted((estimate - low, high - estimate))
+        for q, (low, high) in zip(self.quantities, self.interval().values(), strict=True):
+            shorter, longer = sorted((q.value - low, high - q.value))
             if longer > 2.5 * max(shorter, 0.0):
-                names.append(name)
+                names.append(q.name)
         if not names:
             return ()
         return (
@@ -221,15 +213,15 @@ class Bootstrap(Printed):
             "statuses": Counter(status for status in self.statuses if status),
             "level": level,
             "quantities": {
-                name: {
-                    "unit": self.units[k],
-                    "estimate": self.estimate[k],
-                    "standard_error": error[name],
-                    "fit_standard_error": self.fit_error[k],
-                    "bias": bias[name],
-                    "interval": _ends(intervals[name]),
+                q.name: {
+                    "unit": q.unit,
+                    "estimate": q.value,
+                    "standard_error": error[q.name],
+                    "fit_standard_error": q.standard_error,
+                    "bias": bias[q.name],
+                    "interval": _ends(intervals[q.name]),
                 }
-                for k, name in enumerate(self.names)
+                for q in self.quantities
             },
             "warnings": self.warnings,
             "notes": self.notes,
@@ -363,14 +355,9 @@ def bootstrap(
         name=fit.name,
         about=runner.draws.about,
         seed=seed,
-        names=tuple(q.name for q in lines),
-        units=tuple(q.unit for q in lines),
-        estimate=np.array([q.value for q in lines]),
-        fit_error=np.array([q.standard_error for q in lines]),
+        quantities=tuple(lines),
         values=values,
         statuses=statuses,
-        bounds=np.array([q.bounds if q.kind == "free" else (-math.inf, math.inf) for q in lines]),
-        dof=np.array([q.dof for q in lines]),
         warnings=tuple(replicate_warnings(statuses, min(q.dof for q in lines))),
         seconds=time.perf_counter() - began,
     )

@@ -69,7 +69,7 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
             f"{place} has no {attribute!r}: define {attribute}() that returns a gb.Problem"
             f"{''.join(models[:1])}."
         )
-    if callable(problem) and not isinstance(problem, Problem | Sum):
+    if callable(problem):
         problem = problem()
     if not isinstance(problem, Problem | Sum):
         raise ValueError(

@@ -19,6 +19,7 @@ import greybox as gb
 from greybox.cli.main import main
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
+from greybox.estimate.result import Quantity
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
 from greybox.study.replicates import response_draws
@@ -229,27 +230,22 @@ def replicates():
         [np.clip(random.normal(2.0, 2.0, 40), 1e-9, 10 * (1 - 2e-5)), random.normal(size=40)]
     )
     values[[3, 7]] = np.nan
-    given = {
-        "about": "residuals drawn",
-        "seed": 3,
-        "names": ("a", "b"),
-        "units": ("s", ""),
-    }
-    given |= {
-        "estimate": np.array([1.8, 0.1]),
-        "fit_error": np.array([0.5, np.nan]),
-    }
-    given |= {
-        "statuses": tuple("stagnated" if k in (3, 7) else "" for k in range(40)),
-        "dof": np.array([5.0, np.inf]),
-    }
+    first = Quantity("a", 1.8, 0.5, "free", "s", bounds=(1e-9, 10.0), dof=5.0)
     return Bootstrap(
         "made",
+        about="residuals drawn",
+        seed=3,
+        quantities=(first, Quantity("b", 0.1, np.nan, "derived")),
         values=values,
-        bounds=np.array([[1e-9, 10.0], [-np.inf, np.inf]]),
+        statuses=tuple("stagnated" if k in (3, 7) else "" for k in range(40)),
         seconds=1.25,
-        **given,
     )
+
+
+def with_first(replicates, **changes):
+    """Return replicates whose first quantity is another one."""
+    first, *others = replicates.quantities
+    return replace(replicates, quantities=(replace(first, **changes), *others))
 
 
 def test_errors_and_biases_are_those_of_the_replicates_that_did_not_fail(replicates):
@@ -267,18 +263,14 @@ def test_errors_and_biases_are_those_of_the_replicates_that_did_not_fail(replica
 
 def test_an_interval_is_open_where_replicates_reach_the_bound(replicates):
     done = np.delete(replicates.values, [3, 7], axis=0)
-    normal = replace(replicates, dof=np.full(2, np.inf))
+    normal = with_first(replicates, dof=np.inf)
     assert normal.interval(0.5)["a"] == pytest.approx(np.quantile(done[:, 0], [0.25, 0.75]))
     wide = replicates.interval(0.95)
     assert wide["a"][0] == -math.inf
     assert wide["a"][1] < 10
-    held = replace(
-        replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 0.5e-4)], [-np.inf, np.inf]])
-    )
+    held = with_first(replicates, bounds=(1e-9, done[:, 0].max() * (1 + 0.5e-4)))
     assert held.interval(0.9999999)["a"] == (-math.inf, math.inf)
-    apart = replace(
-        replicates, bounds=np.array([[1e-9, done[:, 0].max() * (1 + 3e-4)], [-np.inf, np.inf]])
-    )
+    apart = with_first(replicates, bounds=(1e-9, done[:, 0].max() * (1 + 3e-4)))
     assert apart.interval(0.9999999)["a"][1] == pytest.approx(done[:, 0].max())
 
 
@@ -291,9 +283,7 @@ def test_intervals_that_reach_farther_to_one_side_are_told(replicates, stretched
     made = replace(
         replicates,
         values=values,
-        estimate=np.zeros(2),
-        bounds=np.full((2, 2), [-np.inf, np.inf]),
-        dof=np.full(2, np.inf),
+        quantities=tuple(Quantity(name, 0.0, 0.1, "derived") for name in "ab"),
     )
     assert bool(made.notes) is said
     assert ("note: the replicates of a reach" in str(made)) is said
@@ -307,7 +297,7 @@ def test_a_bootstrap_is_printed_with_its_numbers(replicates):
     (row,) = [line.split() for line in text if line.split()[:1] == ["a"]]
     error, bias = replicates.standard_error["a"], replicates.bias["a"]
     assert [float(x) for x in row[1:5]] == pytest.approx([1.8, error, 0.5, bias], rel=0.05)
-    exact = replace(replicates, fit_error=np.array([1 / 3, np.nan]))
+    exact = with_first(replicates, standard_error=1 / 3)
     (row,) = [line.split() for line in str(exact).splitlines() if line.split()[:1] == ["a"]]
     assert [float(x) for x in row[2:5]] == [float(f"{error:.3g}"), 0.333, float(f"{bias:.2g}")]
     said = replicates.summary(0.8)
@@ -426,18 +416,14 @@ def test_what_has_no_replicates_is_named(replicates):
 def test_intervals_are_quantiles_as_far_out_as_those_of_students_t():
     """Normal replicates of deviation 1, as a bootstrap of a mean gives them."""
     values = norm.ppf((np.arange(100_000) + 0.5) / 100_000)[:, None]
-    infinite = np.array([[-np.inf, np.inf]])
-    names = {"names": ("a",), "units": ("",), "about": "", "seed": 0}
     for dof in (5.0, np.inf):
         made = Bootstrap(
             "made",
-            **names,
-            estimate=np.zeros(1),
-            fit_error=np.ones(1),
+            about="",
+            seed=0,
+            quantities=(Quantity("a", 0.0, 1.0, "free", dof=dof),),
             values=values,
             statuses=("",) * len(values),
-            bounds=infinite,
-            dof=np.array([dof]),
         )
         assert_allclose(
             made.interval()["a"], np.array([-1, 1]) * student.ppf(0.975, dof), rtol=2e-3

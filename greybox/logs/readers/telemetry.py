@@ -174,19 +174,14 @@ INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 class Heartbeats(NamedTuple):
     """The heartbeats of the first autopilot: its sender, fields, and which of all they are.
 
-    The sender is 256 · system + component, or -1 without a heartbeat.
+    The sender is 256 · system + component, or -1 without a heartbeat; `autopilot` is its
+    MAV_AUTOPILOT, or that of no autopilot.
     """
 
     sender: int
+    autopilot: int
     fields: NamedArrays
     rows: BoolArray
-
-    @property
-    def autopilot(self) -> int:
-        """MAV_AUTOPILOT of the sender; that of no autopilot without a heartbeat."""
-        return (
-            int(self.fields["autopilot"][0]) if self.rows.any() else mavlink.MAV_AUTOPILOT_INVALID
-        )
 
 
 def metadata(kinds: Mapping[str, Kind], times: NamedArrays, beats: Heartbeats) -> Fields:
@@ -207,7 +202,7 @@ def metadata(kinds: Mapping[str, Kind], times: NamedArrays, beats: Heartbeats) -
 
 def heartbeats(kinds: Mapping[str, Kind]) -> Heartbeats:
     """Return the heartbeats of the first autopilot in the log."""
-    nobody = Heartbeats(-1, {}, np.zeros(0, dtype=bool))
+    nobody = Heartbeats(-1, mavlink.MAV_AUTOPILOT_INVALID, {}, np.zeros(0, dtype=bool))
     if "HEARTBEAT" not in kinds:
         return nobody
     senders = np.asarray(kinds["HEARTBEAT"].senders)
@@ -218,11 +213,13 @@ def heartbeats(kinds: Mapping[str, Kind]) -> Heartbeats:
     )
     if not flying.any():
         return nobody
-    sender = int(senders[flying.argmax()])
+    first = flying.argmax()
+    sender = int(senders[first])
     # Modes of another vehicle on the same link are not those of this one.
     rows = flying & (senders == sender)
 
-    return Heartbeats(sender, {name: x[rows] for name, x in fields.items()}, rows)
+    autopilot = int(fields["autopilot"][first])
+    return Heartbeats(sender, autopilot, {name: x[rows] for name, x in fields.items()}, rows)
 
 
 def _firmware(beats: Heartbeats, texts: Labels) -> dict[str, str]:
