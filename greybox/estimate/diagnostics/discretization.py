@@ -25,6 +25,7 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import MOST_HARMONICS
 from greybox.solve.discretization_error import DiscretizationError, discretization_error
 from greybox.statistics.metrics import rms
@@ -77,6 +78,32 @@ def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
             yield (
                 f"the phase error of {part.delay} reaches {part.pade_error:.2g}° in the band of "
                 f"{part.name!r}: use a higher order or delay='exact'."
+            )
+
+
+def delays_within_a_sample(nlp: CompiledProblem, x: Array) -> Iterator[str]:
+    """Name held responses of outputs that a delayed input reaches at once, at `x` (p,).
+
+    Samples show this path alike for all delays between two samples: the model has its average, and
+    is off by up to half a sample of it.
+    """
+    values = nlp.all_values(x)
+    named = by_name(nlp.names, values.tolist())
+    for part in nlp.parts_of(ResponsePart):
+        problem, data, hold = part.problem, part.data, part.problem.sampled_hold
+        if not hold or not dynamics(problem.model).delayed:
+            continue
+        local, fitted = dict(problem.local_values(named)), part.response(values)
+        # Far above the sampling rate, only this path is left.
+        path = frequency_response(problem.model, local, [1e3 / hold], **problem.signals).response
+        size = part.criterion.error_size(fitted, data)
+        shift = np.abs(path) * data.omega * hold / 2
+        if np.linalg.norm(shift / size) > rms(np.abs(data.response - fitted) / size):
+            yield (
+                f"the delayed input of {part.name!r} reaches its output at once, and held samples "
+                "show this path alike for all delays between two samples: the delay is known to "
+                "half a sample and other parameters may be biased, which the standard errors do "
+                "not show. Fit the record itself."
             )
 
 

@@ -7,6 +7,7 @@ from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.discretization import (
     coarse_pade,
+    delays_within_a_sample,
     discretization_warnings,
     harmonic_warnings,
 )
@@ -32,7 +33,11 @@ from greybox.estimate.diagnostics.noise_level import (
     unlikely_noise,
 )
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
-from greybox.estimate.diagnostics.outlying_points import outlying_points, outlying_samples
+from greybox.estimate.diagnostics.outlying_points import (
+    outlying_points,
+    outlying_samples,
+    unequal_sizes,
+)
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import (
     finding_warnings,
@@ -104,10 +109,12 @@ def warnings(
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(answer.responses),
+        *delays_within_a_sample(nlp, best.estimate),
         *unlikely_noise(nlp, trajectories),
         *(manoeuvre_warnings(accuracy, answer) if answer.spectra else ()),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
         *(() if exact else outlying_points(nlp, best.estimate)),
+        *(unequal_sizes(nlp, best.estimate) if errors else ()),
         *(once(outlying_samples(answer.records)) if errors else ()),
     )
