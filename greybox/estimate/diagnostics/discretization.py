@@ -90,15 +90,15 @@ def delays_within_a_sample(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     values = nlp.all_values(x)
     named = by_name(nlp.names, values.tolist())
     for part in nlp.parts_of(ResponsePart):
-        problem, data, hold = part.problem, part.data, part.problem.sampled_hold
-        if not hold or not dynamics(problem.model).delayed:
+        problem, data = part.problem, part.data
+        if not problem.sampled_hold or not dynamics(problem.model).delayed:
             continue
         local, fitted = dict(problem.local_values(named)), part.response(values)
         # Far above the sampling rate, only this path is left.
-        path = frequency_response(problem.model, local, [1e3 / hold], **problem.signals).response
-        size = part.criterion.error_size(fitted, data)
-        shift = np.abs(path) * data.omega * hold / 2
-        if np.linalg.norm(shift / size) > rms(np.abs(data.response - fitted) / size):
+        far = [1e3 / problem.sampled_hold]
+        path = frequency_response(problem.model, local, far, **problem.signals).response
+        shift = path * data.omega * problem.sampled_hold / 2
+        if np.linalg.norm(shift / fitted) > rms(np.abs(data.response / fitted - 1)):
             yield (
                 f"the delayed input of {part.name!r} reaches its output at once, and held samples "
                 "show this path alike for all delays between two samples: the delay is known to "

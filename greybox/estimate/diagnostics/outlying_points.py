@@ -101,10 +101,8 @@ def unequal_sizes(nlp: CompiledProblem, x: Array) -> Iterator[str]:
         known = criterion.known_noise
         ratio = max(criterion.noise_ratio(model, data) if known else np.mean(squares), TINY)
         squares /= ratio
-        score = squares - 1
-        if known and data.dof is not None:
-            score = data.dof * score / (data.dof + 2 * squares) * np.sqrt(1 + 4 / data.dof)
-
+        dof = data.dof if known and data.dof is not None else math.inf
+        score = (squares - 1) / (1 + 2 * squares / dof) * np.sqrt(1 + 4 / dof)
         order = np.argsort(data.omega)
         trends, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, len(order)), 3, increasing=True))
         probability = math.exp(-np.sum((score[order] @ trends[:, 1:]) ** 2) / 2)
