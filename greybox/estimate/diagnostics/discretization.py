@@ -19,6 +19,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Values, by_name
 from greybox.files.text_table import counted
 from greybox.formulation.problem import Problem
@@ -81,24 +82,20 @@ def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
             )
 
 
-def delays_within_a_sample(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Name held responses of outputs that a delayed input reaches at once, at `x` (p,).
+def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
+    """Name held responses of outputs that a delayed input reaches at once.
 
     Samples show this path alike for all delays between two samples: the model has its average, and
     is off by up to half a sample of it.
     """
-    values = nlp.all_values(x)
-    named = by_name(nlp.names, values.tolist())
-    for part in nlp.parts_of(ResponsePart):
-        problem, data = part.problem, part.data
-        if not problem.sampled_hold or not dynamics(problem.model).delayed:
+    for k, (problem, part) in enumerate(zip(nlp.problem.parts, answer.parts, strict=True)):
+        hold = problem.sampled_hold if isinstance(part, FittedResponse) else 0.0
+        if not hold or not dynamics(problem.model).delayed:
             continue
-        local, fitted = dict(problem.local_values(named)), part.response(values)
         # Far above the sampling rate, only this path is left.
-        far = [1e3 / problem.sampled_hold]
-        path = frequency_response(problem.model, local, far, **problem.signals).response
-        shift = path * data.omega * problem.sampled_hold / 2
-        if np.linalg.norm(shift / fitted) > rms(np.abs(data.response / fitted - 1)):
+        path = answer.response([1e3 / hold], k).response
+        shift = path * part.data.omega * hold / 2
+        if np.linalg.norm(shift / part.response) > rms(part.relative_residuals):
             yield (
                 f"the delayed input of {part.name!r} reaches its output at once, and held samples "
                 "show this path alike for all delays between two samples: the delay is known to "

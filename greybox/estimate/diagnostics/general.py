@@ -109,7 +109,7 @@ def warnings(
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(answer.responses),
-        *delays_within_a_sample(nlp, best.estimate),
+        *delays_within_a_sample(nlp, answer),
         *unlikely_noise(nlp, trajectories),
         *(manoeuvre_warnings(accuracy, answer) if answer.spectra else ()),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),

@@ -28,7 +28,7 @@ from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number, p_text, percent
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.huber import bounded, robust_deviation
-from greybox.statistics.metrics import is_resolved
+from greybox.statistics.metrics import is_resolved, size_test
 
 # Share of fits to clean data in which any point is called an outlier.
 SIZE = 0.01
@@ -83,12 +83,7 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
 
 
 def unequal_sizes(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Name responses of which a part of the band has larger errors at `x` (p,) than assumed.
-
-    The size may change as a parabola over the points. Its score is judged, by the likelihood of
-    normal errors, or of Student's t where given variances are estimates (Cook and Weisberg (1983),
-    Biometrika 70). Ranks found a third or less of such errors of 8 to 12 points.
-    """
+    """Name responses with larger errors in a part of the band at `x` (p,) than assumed."""
     values = nlp.all_values(x)
     responses = nlp.parts_of(ResponsePart)
     for part in responses:
@@ -96,24 +91,20 @@ def unequal_sizes(nlp: CompiledProblem, x: Array) -> Iterator[str]:
         # The parameters take most of the errors of fewer points.
         if len(data) < 6:
             continue
+        order, known = np.argsort(data.omega), criterion.known_noise
         size = np.maximum(criterion.error_size(model, data), TINY)
-        squares = np.abs((data.response - model) / size) ** 2
-        known = criterion.known_noise
+        squares = (np.abs(data.response - model) / size)[order] ** 2
         ratio = max(criterion.noise_ratio(model, data) if known else np.mean(squares), TINY)
-        squares /= ratio
-        dof = data.dof if known and data.dof is not None else math.inf
-        score = (squares - 1) / (1 + 2 * squares / dof) * np.sqrt(1 + 4 / dof)
-        order = np.argsort(data.omega)
-        trends, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, len(order)), 3, increasing=True))
-        probability = math.exp(-np.sum((score[order] @ trends[:, 1:]) ** 2) / 2)
-        thirds = [np.mean(third) for third in np.array_split(squares[order], 3)]
+        dof = math.inf if data.dof is None or not known else data.dof[order]
+        probability = size_test(squares / ratio, dof)
+        thirds = [np.mean(third) for third in np.array_split(squares, 3)]
         place = ("low", "medium", "high")[int(np.argmax(thirds))]
         cure = "give variances and MaximumLikelihood()"
         if known:
             # Below this factor on the variances of half a band, intervals of 95 % contain the truth
             # in 89 % and more. Variances that are too large do no harm, and those of a spectrum
             # include more than the scatter where leakage matters.
-            if max(thirds) < 1.5 * max(1.0, 1 / ratio):
+            if max(thirds) < 1.5 * max(ratio, 1.0):
                 continue
             cure = f"give larger variances at {place} frequencies"
         if probability < SIZE / len(responses):
