@@ -45,7 +45,7 @@ LAGS /= LAGS[:, :1]
 # Some of them with as large white errors, as of a slow effect beneath noise: parameters take most
 # of such an effect, and exponential correlations do not show the rest. Where half of the errors of
 # 40 points are a random walk, it is reported in 57 % of fits (44 % without), and intervals cover
-# 67 % (59 %); those of independent errors are 2 % wider.
+# 65 % (59 %); those of independent errors are 2 % wider.
 LAGS = np.vstack([LAGS, (LAGS[2::2] + np.eye(1, 16)) / 2])
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)

@@ -8,7 +8,6 @@ from scipy.stats import t
 
 import greybox as gb
 from greybox.statistics.neighbor_correlation import (
-    SLOW,
     NeighborCorrelation,
     averaged_meat,
     neighbor_correlation,
@@ -58,12 +57,12 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
         score = (2 * n - 4) * (np.log(size) + inflation * squares / size)
     score = score + scores
     assert not found.powers[0, 1:].any()
-    # 200 that fall exponentially, then those of means that end within half of the points, then slow
-    # errors beside as large white ones.
-    means, slow = found.powers[200:-3], found.powers[-3:]
+    # 200 that fall exponentially, then those of means that end within half of the points, then some
+    # of these with as large white errors.
+    means = found.powers[200:]
     assert_allclose(means[:, 7:], 0, atol=1e-5)
-    assert_allclose(slow[:, 1:], np.exp(-np.arange(1, n) / (n * np.array(SLOW)[:, None])) / 2)
-    prior = np.repeat([0.25 / 199, 0.23 / len(means), 0.02 / 3], [200, len(means), 3])
+    assert_allclose(means[-3:, 1:], means[[2, 4, 7], 1:] / 2, atol=1e-5)
+    prior = np.repeat([0.25 / 200, 0.25 / len(means)], [200, len(means)])
     prior[0] = 0.5
     weight = prior * np.exp(-(score - score.min()) / 2)
     assert_allclose(found.weight, weight / weight.sum(), rtol=1e-6)
@@ -251,4 +250,4 @@ def test_slow_errors_beside_white_ones_widen_intervals():
             covariance = inverse @ meat @ inverse
         covered.append(np.abs(estimate) < t.ppf(0.975, dof) * np.sqrt(np.diag(covariance)))
     # 0.58 to 0.6 without these correlations.
-    assert np.mean(covered) > 0.66
+    assert np.mean(covered) > 0.62

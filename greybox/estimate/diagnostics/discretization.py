@@ -92,10 +92,10 @@ def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
         hold = problem.sampled_hold if isinstance(part, FittedResponse) else 0.0
         if not hold or not dynamics(problem.model).delayed:
             continue
-        # Far above the sampling rate, only this path is left.
+        # Far above the sampling rate, this path is left, and a hundredth of any other one at most.
         path = answer.response([1e3 / hold], k).response
         shift = path * part.data.omega * hold / 2
-        if np.linalg.norm(shift / part.response) > rms(part.relative_residuals):
+        if np.linalg.norm(shift / part.response) > max(rms(part.relative_residuals), 0.01):
             yield (
                 f"the delayed input of {part.name!r} reaches its output at once, and held samples "
                 "show this path alike for all delays between two samples: the delay is known to "
