@@ -161,7 +161,10 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         rest = products[:, first:, first:] - half.swapaxes(1, 2) @ half
         left = of_diagonal(rest)
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
-        logarithms = _squares_of_lengths(triangles), np.log(np.vstack([slow, SIZES[:, places]]))
+        logarithms = (
+            2 * np.log(of_diagonal(triangles)),
+            np.log(np.vstack([slow, SIZES[:, places]])),
+        )
         scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)
         most += len(values) - first
 
@@ -194,11 +197,6 @@ def _variances(n: int) -> Array:
     slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * rows))
     slow /= slow.mean(axis=1, keepdims=True)
     return np.vstack([np.ones(n), *(1 + VARIANCES * slow)])
-
-
-def _squares_of_lengths(triangles: Array) -> Array:
-    """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
-    return 2 * np.log(np.maximum(np.abs(of_diagonal(triangles)), TINY))
 
 
 def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:

@@ -33,11 +33,7 @@ from greybox.estimate.diagnostics.noise_level import (
     unlikely_noise,
 )
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
-from greybox.estimate.diagnostics.outlying_points import (
-    outlying_points,
-    outlying_samples,
-    unequal_sizes,
-)
+from greybox.estimate.diagnostics.outlying_points import outlying_points, outlying_samples
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import (
     finding_warnings,
@@ -114,7 +110,6 @@ def warnings(
         *(manoeuvre_warnings(accuracy, answer) if answer.spectra else ()),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
-        *(() if exact else outlying_points(nlp, best.estimate)),
-        *(unequal_sizes(nlp, best.estimate) if errors else ()),
+        *(() if exact else outlying_points(nlp, best.estimate, explained=explained)),
         *(once(outlying_samples(answer.records)) if errors else ()),
     )

@@ -65,8 +65,11 @@ class Deviation:
     relative: float
 
 
-def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Name outliers of responses at `x` (p,)."""
+def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool = True) -> Iterator[str]:
+    """Name outliers of responses at `x` (p,), and errors whose sizes are not as assumed.
+
+    The sizes are judged only if the model explains the data.
+    """
     values = nlp.all_values(x)
     responses = nlp.parts_of(ResponsePart)
     points = sum(len(part.data) for part in responses)
@@ -80,40 +83,36 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
                 f"{percent(deviation.relative)} % from the model: fewer than one in {one_in} fits "
                 "to clean data have such a point. Fit again without it to see its effect."
             )
-
-
-def unequal_sizes(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Name responses with larger errors in a part of the band at `x` (p,) than assumed."""
-    values = nlp.all_values(x)
-    responses = nlp.parts_of(ResponsePart)
-    for part in responses:
-        model, data, criterion = part.response(values), part.data, part.criterion
         # The parameters take most of the errors of fewer points.
-        if len(data) < 6:
-            continue
-        order, known = np.argsort(data.omega), criterion.known_noise
-        size = np.maximum(criterion.error_size(model, data), TINY)
-        squares = (np.abs(data.response - model) / size)[order] ** 2
-        ratio = max(criterion.noise_ratio(model, data) if known else np.mean(squares), TINY)
-        dof = math.inf if data.dof is None or not known else data.dof[order]
-        probability = size_test(squares / ratio, dof)
-        thirds = [np.mean(third) for third in np.array_split(squares, 3)]
-        place = ("low", "medium", "high")[int(np.argmax(thirds))]
+        if explained and len(part.data) > 5:
+            yield from _unequal_sizes(part, values, SIZE / len(responses))
+
+
+def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[str]:
+    """Say whether errors are larger in a part of the band than assumed."""
+    model, data, criterion = part.response(values), part.data, part.criterion
+    order, known = np.argsort(data.omega), criterion.known_noise
+    size = np.maximum(criterion.error_size(model, data), TINY)
+    squares = (np.abs(data.response - model) / size)[order] ** 2
+    ratio = max(criterion.noise_ratio(model, data) if known else np.mean(squares), TINY)
+    dof = math.inf if data.dof is None or not known else data.dof[order]
+    probability = size_test(squares / ratio, dof)
+    thirds = [np.mean(third) for third in np.array_split(squares, 3)]
+    place = ("low", "medium", "high")[int(np.argmax(thirds))]
+    cure = f"give larger variances at {place} frequencies"
+    if not known:
         cure = "give variances and MaximumLikelihood()"
-        if known:
-            # Below this factor on the variances of half a band, intervals of 95 % contain the truth
-            # in 89 % and more. Variances that are too large do no harm, and those of a spectrum
-            # include more than the scatter where leakage matters.
-            if max(thirds) < 1.5 * max(ratio, 1.0):
-                continue
-            cure = f"give larger variances at {place} frequencies"
-        if probability < SIZE / len(responses):
-            yield (
-                f"the size of the errors of {part.name!r} changes with frequency beyond what "
-                f"the criterion assumes (they are largest at {place} frequencies, "
-                f"{p_text(probability)}), so that intervals may be wrong: {cure}, or fit a part of "
-                "the band."
-            )
+    # Below this factor on the variances of half a band, intervals of 95 % contain the truth in
+    # 89 % and more. Given variances that are too large do no harm, and those of a spectrum
+    # include more than the scatter where leakage matters.
+    is_louder = max(thirds) > 1.5 * max(ratio, 1.0 if known else 0.0)
+    if is_louder and probability < level:
+        yield (
+            f"the size of the errors of {part.name!r} changes with frequency beyond what "
+            f"the criterion assumes (they are largest at {place} frequencies, "
+            f"{p_text(probability)}), so that intervals may be wrong: {cure}, or fit a part of "
+            "the band."
+        )
 
 
 def outlying_samples(records: Sequence[FittedRecord]) -> Findings:
