@@ -300,37 +300,22 @@ class TransientPart(Part):
 
         return projected.reshape(weighted.shape), variance, reach
 
-    def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
-        """Yield every output with its errors (lines,) at z and their derivatives by z and end term.
-
-        They are turned by the phase of the modeled output, as those of a response are: what a
-        model leaves out is smooth only then.
-        """
-        at, slope = self._at(z)
-        if at is None:
-            return
-        _, total, change = self.derivatives(at, slope)
-        # The fitted size of an output's noise takes up what all its lines have in common.
-        common = np.einsum("laax->alx", change).real.mean(axis=1, keepdims=True)
-        errors = at.errors[..., None]
-        columns = np.concatenate([total - errors * common, at.basis], axis=-1)
-        # A parameter in the equation of another output leaves rounding in this one, in a direction
-        # that decided on intervals of 10 of 32 fits.
-        lengths = np.linalg.norm(columns, axis=1) / positive_or_one(np.linalg.norm(errors, axis=1))
-        columns *= (lengths > 1e-9 * lengths.max(axis=0))[:, None]
-        real, imaginary = np.split(np.concatenate([errors, columns], axis=-1), 2, axis=1)
-        turned = (real + 1j * imaginary) * np.exp(-1j * np.angle(at.modeled))[..., None]
-        for name, values in zip(self.outputs, turned, strict=True):
-            yield name, values[:, 0], values[:, 1:]
-
     def doubtful(self, z: Array) -> Iterator[str]:
         """Yield the outputs whose errors at z look like turbulence, or like a missing term."""
-        for output, errors, slope in self.errors_by_output(z):
-            neighbors = neighbor_correlation(errors, real_and_imaginary(slope))
+        at, _ = self._at(z)
+        if at is None:
+            return
+        for output, modeled, (re, im) in zip(
+            self.outputs, at.modeled, at.errors.reshape(len(self.outputs), 2, -1), strict=True
+        ):
+            # Turned by the phase of the modeled output, as those of a response are: what a model
+            # leaves out is smooth only then. What the parameters took hardly changes it.
+            errors = (re + 1j * im) * np.exp(-1j * np.angle(modeled))
+            neighbors = neighbor_correlation(errors, np.zeros((2 * errors.size, 0)))
             is_correlated = neighbors is not None and neighbors.independent < UNLIKELY
             squares = np.abs(errors) ** 2 / max(np.mean(np.abs(errors) ** 2), 1e-300)
-            # Below 0.003, 3 of 200 manoeuvres of 10 s with right models are named, and all of 170
-            # in gusts, or with drift or a trend.
+            # Of manoeuvres of 10 s, 1 of 200 with right models is named, and all of 170 in gusts,
+            # with drift or a trend.
             if is_correlated or size_test(squares) < 0.002:
                 yield output
 
