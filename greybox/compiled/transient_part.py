@@ -230,11 +230,6 @@ class TransientPart(Part):
         """Return T times complex values (k, lines), as real ones (k, 2 lines)."""
         return self._real(np.einsum("lab,bl->al", transform, values))
 
-    def _at(self, z: Array) -> tuple[Along | None, Array]:
-        """Return what follows from z, and the derivatives of the parameters by it."""
-        q, slope = (value.full() for value in self.locate(z))
-        return self.along(q.ravel()), slope
-
     def derivatives(self, at: Along, by: Array) -> ArrayTriple:
         """Return the derivatives of the errors by x, with the end values held.
 
@@ -300,11 +295,8 @@ class TransientPart(Part):
 
         return projected.reshape(weighted.shape), variance, reach
 
-    def doubtful(self, z: Array) -> Iterator[str]:
-        """Yield the outputs whose errors at z look like turbulence, or like a missing term."""
-        at, _ = self._at(z)
-        if at is None:
-            return
+    def doubtful(self, at: Along) -> Iterator[str]:
+        """Yield the outputs whose errors look like turbulence, or like a missing term."""
         for output, modeled, (re, im) in zip(
             self.outputs, at.modeled, at.errors.reshape(len(self.outputs), 2, -1), strict=True
         ):
@@ -313,10 +305,9 @@ class TransientPart(Part):
             errors = (re + 1j * im) * np.exp(-1j * np.angle(modeled))
             neighbors = neighbor_correlation(errors, np.zeros((2 * errors.size, 0)))
             is_correlated = neighbors is not None and neighbors.independent < UNLIKELY
-            squares = np.abs(errors) ** 2 / max(np.mean(np.abs(errors) ** 2), 1e-300)
             # Of manoeuvres of 10 s, 1 of 200 with right models is named, and all of 170 in gusts,
             # with drift or a trend.
-            if is_correlated or size_test(squares) < 0.002:
+            if is_correlated or size_test(np.abs(errors) ** 2) < 0.002:
                 yield output
 
     # --- for Gauss-Newton
@@ -325,7 +316,7 @@ class TransientPart(Part):
         self, z: Array, nodes: Array | None = None, *, simulated: bool = False
     ) -> Trajectory:
         """Return the point z, with the best end term; not finite where the model is not."""
-        at, _ = self._at(z)
+        at = self.along(self.locate(z)[0].full().ravel())
         products = np.full((1, 1), np.nan) if at is None else at.errors @ at.errors.T
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, products, simulated=True, detail=at)
 
@@ -408,7 +399,7 @@ class TransientPart(Part):
             numbers,
             lambda correction: (1.0, meat),
             reach,
-            doubtful=() if trajectory is None else tuple(self.doubtful(trajectory.z)),
+            doubtful=() if trajectory is None else tuple(self.doubtful(at)),
         )
 
 

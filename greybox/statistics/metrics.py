@@ -146,13 +146,14 @@ def size_test(squares: Array, dof: Array | float = math.inf) -> float:
     Parameters
     ----------
     squares : (n,) array
-        Squared magnitudes of errors over their sizes, by frequency, with mean one.
+        Squared magnitudes of errors over their sizes, by frequency.
     dof : (n,) array, optional
         Degrees of freedom of sizes that are estimates.
 
     Source: Cook and Weisberg (1983), Diagnostics for heteroscedasticity in regression, Biometrika
     70.
     """
+    squares = squares / (np.mean(squares) or 1.0)
     score = (squares - 1) / (1 + 2 * squares / dof) * np.sqrt(1 + 4 / dof)
     trends, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, len(squares)), 3, increasing=True))
     # The statistic has the chi-squared distribution with two degrees of freedom.

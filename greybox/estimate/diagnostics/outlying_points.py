@@ -65,7 +65,7 @@ class Deviation:
     relative: float
 
 
-def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool = True) -> Iterator[str]:
+def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool) -> Iterator[str]:
     """Name outliers of responses at `x` (p,), and errors whose sizes are not as assumed.
 
     The sizes are judged only if the model explains the data.
@@ -94,24 +94,20 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
     order, known = np.argsort(data.omega), criterion.known_noise
     size = np.maximum(criterion.error_size(model, data), TINY)
     squares = (np.abs(data.response - model) / size)[order] ** 2
-    ratio = max(criterion.noise_ratio(model, data) if known else np.mean(squares), TINY)
     dof = math.inf if data.dof is None or not known else data.dof[order]
-    probability = size_test(squares / ratio, dof)
+    probability = size_test(squares, dof)
     thirds = [np.mean(third) for third in np.array_split(squares, 3)]
     place = ("low", "medium", "high")[int(np.argmax(thirds))]
-    cure = f"give larger variances at {place} frequencies"
-    if not known:
-        cure = "give variances and MaximumLikelihood()"
     # Below this factor on the variances of half a band, intervals of 95 % contain the truth in
     # 89 % and more. Given variances that are too large do no harm, and those of a spectrum
     # include more than the scatter where leakage matters.
-    is_louder = max(thirds) > 1.5 * max(ratio, 1.0 if known else 0.0)
+    is_louder = max(thirds) > 1.5 * max(np.mean(squares), float(known))
     if is_louder and probability < level:
         yield (
             f"the size of the errors of {part.name!r} changes with frequency beyond what "
             f"the criterion assumes (they are largest at {place} frequencies, "
-            f"{p_text(probability)}), so that intervals may be wrong: {cure}, or fit a part of "
-            "the band."
+            f"{p_text(probability)}), so that intervals may be wrong: give larger "
+            f"variances at {place} frequencies to MaximumLikelihood(), or fit a part of the band."
         )
 
 
