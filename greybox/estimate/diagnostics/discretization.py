@@ -89,7 +89,9 @@ def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
     is off by up to half a sample of it.
     """
     for k, (problem, part) in enumerate(zip(nlp.problem.parts, answer.parts, strict=True)):
-        hold = problem.sampled_hold if isinstance(part, FittedResponse) else 0.0
+        if not isinstance(part, FittedResponse):
+            continue
+        hold = problem.sampled_hold
         if not hold or not dynamics(problem.model).delayed:
             continue
         # Far above the sampling rate, this path is left, and a hundredth of any other one at most.

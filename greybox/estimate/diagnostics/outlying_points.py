@@ -43,7 +43,6 @@ FOLLOWS = 0.2
 
 # Share of a point's residual that is a rounding error.
 ROUNDING = 1e-9
-TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -83,17 +82,20 @@ def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool) -> Itera
                 f"{percent(deviation.relative)} % from the model: fewer than one in {one_in} fits "
                 "to clean data have such a point. Fit again without it to see its effect."
             )
-        # The parameters take most of the errors of fewer points.
-        if explained and len(part.data) > 5:
+        if explained:
             yield from _unequal_sizes(part, values, SIZE / len(responses))
 
 
 def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[str]:
     """Say whether errors are larger in a part of the band than assumed."""
     model, data, criterion = part.response(values), part.data, part.criterion
-    order, known = np.argsort(data.omega), criterion.known_noise
-    size = np.maximum(criterion.error_size(model, data), TINY)
-    squares = (np.abs(data.response - model) / size)[order] ** 2
+    size, known = criterion.error_size(model, data), criterion.known_noise
+    order = np.argsort(data.omega)
+    order = order[size[order] > ROUNDING * size.max()]
+    # The parameters take most of the errors of fewer points.
+    if len(order) < 6:
+        return
+    squares = (np.abs(data.response - model)[order] / size[order]) ** 2
     dof = math.inf if data.dof is None or not known else data.dof[order]
     probability = size_test(squares, dof)
     thirds = [np.mean(third) for third in np.array_split(squares, 3)]
