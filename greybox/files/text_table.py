@@ -86,6 +86,12 @@ def probability(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else number(p, 2)
 
 
+def p_text(p: float) -> str:
+    """Return a p-value as text for a sentence."""
+    text = probability(p)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
+
+
 def counted(count: float, singular: str, plural: str = "") -> str:
     """Return "1 record" or "2 records"; `plural` is an irregular one."""
     amount = f"{count:g}" if isinstance(count, float) else f"{count}"

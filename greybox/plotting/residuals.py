@@ -7,12 +7,11 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, NamedArrays
-from greybox.files.text_table import in_greek
+from greybox.files.text_table import in_greek, p_text
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit, with_unit
 from greybox.statistics.metrics import CorrelationTest, whiteness
-from greybox.validation.comparison import p_text
 
 PARTS = 10  # of the range of a signal, and of a record
 

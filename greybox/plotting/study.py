@@ -9,14 +9,14 @@ from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fits
 from greybox.files.arrays import Array, StringPair, Values
-from greybox.files.text_table import number, some
+from greybox.files.text_table import number, p_text, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
 from greybox.plotting.signals import distinct_labels, with_unit
 from greybox.study.ranking import EVIDENCE
 from greybox.study.store import StudyMember
 from greybox.study.study import Study, names_by_difference, shown
-from greybox.validation.comparison import Comparison, p_text
+from greybox.validation.comparison import Comparison
 
 NAMED = 40  # members up to which each has its name
 

@@ -136,6 +136,30 @@ def _alike(series: Arrays, shifts: int) -> float:
     return 1 + max(2 * float((1 - np.arange(1, shifts) / shifts) @ squares), 0.0)
 
 
+def size_test(squares: Array, dof: Array | float = math.inf) -> float:
+    """Return the probability that chance makes errors so much larger in a part of the band.
+
+    A variance that is a parabola over the points is judged by its score, by the likelihood of
+    circular normal errors, or of Student's t. Ranks found a third or less of such errors of 8 to 12
+    points.
+
+    Parameters
+    ----------
+    squares : (n,) array
+        Squared magnitudes of errors over their sizes, by frequency.
+    dof : (n,) array, optional
+        Degrees of freedom of sizes that are estimates.
+
+    Source: Cook and Weisberg (1983), Diagnostics for heteroscedasticity in regression, Biometrika
+    70.
+    """
+    squares = squares / (np.mean(squares) or 1.0)
+    score = (squares - 1) / (1 + 2 * squares / dof) * np.sqrt(1 + 4 / dof)
+    trends, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, len(squares)), 3, increasing=True))
+    # The statistic has the chi-squared distribution with two degrees of freedom.
+    return math.exp(-np.sum((score @ trends[:, 1:]) ** 2) / 2)
+
+
 def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     """Return the mean of a correlated series and its standard error.
 

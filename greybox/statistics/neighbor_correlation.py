@@ -3,9 +3,9 @@
 The correlation is the same for real and imaginary parts. It falls exponentially with the distance
 in points, rho^|i - j|, as that of a smooth effect that the model omits; or the errors are means of
 neighbors, or means of such means, as those of a transform whose resolution is coarser than the
-points. Twenty points determine rho to about 0.15 only. So standard errors and intervals are
-averaged over all these correlations, weighted by their restricted likelihoods, which take account
-of what the fitted parameters took from the errors.
+points, with or without white errors beside them. Twenty points determine rho to about 0.15 only. So
+standard errors and intervals are averaged over all these correlations, weighted by their restricted
+likelihoods, which take account of what the fitted parameters took from the errors.
 Before the data, independent errors are as likely as correlated ones. If they are four times as
 likely afterwards, the errors count as independent. Errors that are independent are recognized in
 nine of ten fits of 48 points, and in two of three fits of 12. Errors of another shape get intervals
@@ -42,6 +42,11 @@ UNLIKELY = 0.1
 _POWER = np.abs(np.fft.rfft(np.tri(8)[1:], 32)) ** 2
 LAGS = np.fft.irfft([*_POWER, *_POWER**2 + 1e-5])[:, :16]
 LAGS /= LAGS[:, :1]
+# Some of them with as large white errors, as of a slow effect beneath noise: parameters take most
+# of such an effect, and exponential correlations do not show the rest. Where half of the errors of
+# 40 points are a random walk, it is reported in 57 % of fits (44 % without), and intervals cover
+# 65 % (59 %); those of independent errors are 2 % wider.
+LAGS = np.vstack([LAGS, (LAGS[2::2] + np.eye(1, 16)) / 2])
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)
 

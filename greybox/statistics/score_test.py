@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, ArrayTriple, of_diagonal
-from greybox.statistics.column_space import column_basis, outside, triangle_of
+from greybox.statistics.column_space import column_basis, outside
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
 # integration, or the effect of another parameter.
@@ -42,9 +42,6 @@ RATIOS = np.array([0.02, 50.0])[:, None]
 TWELFTHS = np.arange(12)
 BANDS = itertools.combinations(range(13), 2)
 SIZES = np.vstack([RATIOS ** np.isin(TWELFTHS, range(*band)) for band in BANDS])
-# Powers of frequency by which errors fall: none, those of a gust through up to two lags, and those
-# of one that acts where the input does, through zeros.
-POWERS = np.array([0, 1, 2, 4, 6, -2, -4])[:, None, None]
 
 Fits = ArrayTriple  # see `correlated_fits`
 
@@ -164,7 +161,10 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         rest = products[:, first:, first:] - half.swapaxes(1, 2) @ half
         left = of_diagonal(rest)
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
-        logarithms = _squares_of_lengths(triangles), np.log(np.vstack([slow, SIZES[:, places]]))
+        logarithms = (
+            2 * np.log(of_diagonal(triangles)),
+            np.log(np.vstack([slow, SIZES[:, places]])),
+        )
         scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)
         most += len(values) - first
 
@@ -197,26 +197,6 @@ def _variances(n: int) -> Array:
     slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * rows))
     slow /= slow.mean(axis=1, keepdims=True)
     return np.vstack([np.ones(n), *(1 + VARIANCES * slow)])
-
-
-def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
-    """Return -2 log likelihood of residuals (2n,) whose power falls with frequency by `POWERS`.
-
-    Residuals at `omega` (n,) are real parts, then imaginary parts. It is the restricted likelihood:
-    the columns `fitted` (2n, p) are projected out.
-    Source: Patterson and Thompson (1971), Recovery of inter-block information when block sizes are
-    unequal, Biometrika 58.
-    """
-    size = np.tile(omega, 2)[:, None] ** (-POWERS / 2)
-    columns = np.column_stack([column_basis(fitted), residuals]) / size
-    logarithms = _squares_of_lengths(triangle_of(columns))
-    scores = logarithms.sum(axis=1) + 2 * np.log(size).sum(axis=(1, 2))
-    return scores + (len(residuals) - logarithms.shape[1]) * logarithms[:, -1]
-
-
-def _squares_of_lengths(triangles: Array) -> Array:
-    """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
-    return 2 * np.log(np.maximum(np.abs(of_diagonal(triangles)), TINY))
 
 
 def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:

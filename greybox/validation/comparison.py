@@ -138,9 +138,3 @@ class Comparison(Printed):
         cells = [[r.measure, r.unit, *r.texts] for r in rows]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]
-
-
-def p_text(p: float) -> str:
-    """Return a p-value as text for a sentence."""
-    text = probability(p)
-    return f"p {text}" if text.startswith("<") else f"p = {text}"

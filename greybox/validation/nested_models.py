@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, StringPair, Strings, Values, all_finite, by_name
-from greybox.files.text_table import listed, number, one_line
+from greybox.files.text_table import listed, number, one_line, p_text
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
 from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace
-from greybox.validation.comparison import SIGNIFICANT, p_text
+from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.same_data import (
     check_fits,
     count_unknowns,

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from greybox.files.text_table import listed, number
-from greybox.validation.comparison import SIGNIFICANT, p_text
+from greybox.files.text_table import listed, number, p_text
+from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.nested_models import NestedTest
 
 # Difference of BIC that is "not worth more than a bare mention" (Kass and Raftery (1995), Journal

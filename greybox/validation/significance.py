@@ -9,10 +9,10 @@ import numpy as np
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Arrays, ArrayTriple, Labels, StringPair, Strings
-from greybox.files.text_table import counted, listed, number
+from greybox.files.text_table import counted, listed, number, p_text
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
-from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT, p_text
+from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT
 from greybox.validation.held_out import Predictions
 from greybox.validation.measures import Likelihoods
 from greybox.validation.nested_models import (

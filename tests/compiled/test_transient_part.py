@@ -171,36 +171,6 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
     assert_allclose(found.spread(2.0)[1], meat)
 
 
-def test_errors_by_output_follow_the_parameters(made):
-    """Turned by the phase of the modelled output, which is held, without a factor of all its errors."""
-    _, part, z, trajectory = made
-    turn = np.exp(-1j * np.angle(trajectory.detail.modeled))
-    lines, held = len(part.data), trajectory.detail
-    inverse = np.linalg.inv(held.transform)
-
-    def errors_of_one_size(v):
-        change = part.along(part.locate(v)[0].full().ravel()).transform @ inverse
-        size = np.einsum("laa->al", change).real.mean(axis=1, keepdims=True)
-        return (fixed_ends(part, v, held.ends) / size).ravel()
-
-    slopes = numeric_jacobian(errors_of_one_size, z).reshape(len(part.outputs), 2 * lines, -1)
-    found = list(part.errors_by_output(trajectory))
-    assert [name for name, *_ in found] == list(part.outputs)
-    for k, (_, errors, by) in enumerate(found):
-        own = trajectory.detail.errors[k]
-        assert_allclose(errors, turn[k] * (own[:lines] + 1j * own[lines:]))
-        wanted = turn[k][:, None] * (slopes[k, :lines] + 1j * slopes[k, lines:])
-        assert_allclose(by[:, : len(z)], wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
-        basis = trajectory.detail.basis[k]
-        assert_allclose(by[:, len(z) :], turn[k][:, None] * (basis[:lines] + 1j * basis[lines:]))
-
-
-def fixed_ends(part, z, ends):
-    """The errors with these end terms."""
-    at = part.along(part.locate(z)[0].full().ravel())
-    return at.errors + at.basis @ (at.ends - ends)
-
-
 def test_the_spread_follows_the_size_of_the_errors_over_the_band(made, equation_error):
     nlp, part, z, trajectory = made
     x = nlp.scaling.to_parameters(z)

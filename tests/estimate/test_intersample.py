@@ -285,6 +285,26 @@ def test_the_fraction_of_a_sample_decides_what_is_folded_back(late):
         assert_allclose(values, [20, 2.5, 0.05 * late], rtol=1e-3, atol=5e-5)
 
 
+class LateAcceleration(gb.TransferFunction):
+    input, output = "aileron", "acceleration"
+    L, Lp, T = LateRoll.L, LateRoll.Lp, LateRoll.T
+
+    def response(self, s, p):
+        return p.L * s / (s + p.Lp) * gb.exp(-s * p.T)
+
+
+def test_a_delay_of_an_output_that_the_input_reaches_at_once_is_known_to_half_a_sample():
+    """Samples show the aileron that acted before them: they are the same for 0.2 and 0.9 holds."""
+    [rate, _] = late_responses(0.2)
+    samples = 20 * np.exp(-1j * rate.omega * 0.05) - 2.5 * rate.response
+    data = gb.FrequencyResponse(rate.omega, samples, "aileron", "acceleration", about=rate.about)
+    fit = gb.fit(gb.Problem(LateAcceleration(), data), starts=2, progress=False)
+    assert abs(fit.estimate["T"] - 0.01) > 3 * fit.standard_error["T"]
+    assert any("Fit the record itself" in text for text in fit.warnings)
+    fit = gb.fit(gb.Problem(LateRate(), rate), starts=2, progress=False)
+    assert not any("Fit the record itself" in text for text in fit.warnings)
+
+
 def test_a_figure_shows_the_samples_that_were_fitted():
     [rate, _] = late_responses(1.0)
     fit = gb.fit(gb.Problem(LateRate(), rate), starts=1, progress=False)

@@ -57,9 +57,11 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
         score = (2 * n - 4) * (np.log(size) + inflation * squares / size)
     score = score + scores
     assert not found.powers[0, 1:].any()
-    # 200 that fall exponentially, then those of means that end within half of the points.
+    # 200 that fall exponentially, then those of means that end within half of the points, then some
+    # of these with as large white errors.
     means = found.powers[200:]
     assert_allclose(means[:, 7:], 0, atol=1e-5)
+    assert_allclose(means[-3:, 1:], means[[2, 4, 7], 1:] / 2, atol=1e-5)
     prior = np.repeat([0.25 / 200, 0.25 / len(means)], [200, len(means)])
     prior[0] = 0.5
     weight = prior * np.exp(-(score - score.min()) / 2)
@@ -224,3 +226,28 @@ def test_two_points_that_are_alike_are_enough_and_what_is_not_finite_tells_nothi
             neighbor_correlation(np.where(np.arange(12) == 5, spoiled, long), np.zeros((24, 1)))
             is None
         )
+
+
+def test_slow_errors_beside_white_ones_widen_intervals():
+    """Parameters take most of the slow errors: exponential correlations do not show these."""
+    n = 40
+    random = np.random.default_rng(7)
+    J = design(n)
+    X = stacked(J)
+    inverse = np.linalg.inv(X.T @ X)
+    root = np.linalg.cholesky(inverse)
+    covered = []
+    for _ in range(100):
+        white, steps = random.standard_normal((2, n, 2)) @ [1, 1j]
+        y = stacked(0.6 * white + 1.2 * np.cumsum(steps) / np.sqrt(n))
+        estimate = inverse @ X.T @ y
+        left = y - X @ estimate
+        s = np.sqrt(left @ left / (2 * n - 4))
+        known = neighbor_correlation(left[:n] + 1j * left[n:], X)
+        covariance, dof = s**2 * inverse, 2 * n - 4
+        if known is not None:
+            meat, dof, _ = averaged_meat(s * J, root, known, lambda c: c, dof)
+            covariance = inverse @ meat @ inverse
+        covered.append(np.abs(estimate) < t.ppf(0.975, dof) * np.sqrt(np.diag(covariance)))
+    # 0.58 to 0.6 without these correlations.
+    assert np.mean(covered) > 0.62

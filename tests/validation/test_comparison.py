@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from greybox.validation.comparison import Comparison, Row, p_text
+from greybox.files.text_table import p_text
+from greybox.validation.comparison import Comparison, Row
 
 ROWS = (
     Row("fit", "", "AIC", "", (3.0, None)),

@@ -8,8 +8,8 @@ from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 from scipy.stats import ttest_1samp
 
 import greybox as gb
+from greybox.files.text_table import p_text
 from greybox.validation import significance
-from greybox.validation.comparison import p_text
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,14 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Values, by_name
 from greybox.files.text_table import counted
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import MOST_HARMONICS
 from greybox.solve.discretization_error import DiscretizationError, discretization_error
 from greybox.statistics.metrics import rms
@@ -77,6 +79,30 @@ def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
             yield (
                 f"the phase error of {part.delay} reaches {part.pade_error:.2g}° in the band of "
                 f"{part.name!r}: use a higher order or delay='exact'."
+            )
+
+
+def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
+    """Name held responses of outputs that a delayed input reaches at once.
+
+    Samples show this path alike for all delays between two samples: the model has its average, and
+    is off by up to half a sample of it.
+    """
+    for k, (problem, part) in enumerate(zip(nlp.problem.parts, answer.parts, strict=True)):
+        if not isinstance(part, FittedResponse):
+            continue
+        hold = problem.sampled_hold
+        if not hold or not dynamics(problem.model).delayed:
+            continue
+        # Far above the sampling rate, this path is left, and a hundredth of any other one at most.
+        path = answer.response([1e3 / hold], k).response
+        shift = path * part.data.omega * hold / 2
+        if np.linalg.norm(shift / part.response) > max(rms(part.relative_residuals), 0.01):
+            yield (
+                f"the delayed input of {part.name!r} reaches its output at once, and held samples "
+                "show this path alike for all delays between two samples: the delay is known to "
+                "half a sample and other parameters may be biased, which the standard errors do "
+                "not show. Fit the record itself."
             )
 
 

@@ -7,6 +7,7 @@ from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.discretization import (
     coarse_pade,
+    delays_within_a_sample,
     discretization_warnings,
     harmonic_warnings,
 )
@@ -104,10 +105,11 @@ def warnings(
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(answer.responses),
+        *delays_within_a_sample(nlp, answer),
         *unlikely_noise(nlp, trajectories),
         *(manoeuvre_warnings(accuracy, answer) if answer.spectra else ()),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
-        *(() if exact else outlying_points(nlp, best.estimate)),
+        *(() if exact else outlying_points(nlp, best.estimate, explained=explained)),
         *(once(outlying_samples(answer.records)) if errors else ()),
     )

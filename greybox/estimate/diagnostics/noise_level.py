@@ -237,8 +237,8 @@ def manoeuvre_warnings(accuracy: Accuracy, answer: Fit) -> Iterator[str]:
         if information.doubtful:
             yield (
                 f"the errors of {some(information.doubtful)} of {information.part.name!r} "
-                "are larger at low or at high frequencies, or correlated along frequency, like "
-                "those of turbulence, of noise of the outputs in equation error, or of a model "
+                "are larger in a part of the band, or correlated along frequency, like those of "
+                "turbulence, of noise of the outputs in equation error, or of a model "
                 "that misses something. Intervals would be too narrow, so there are none. For "
                 "noise of the outputs, use OutputError(); in turbulence, EquationError(gusts=True) "
                 "or, if that says the same, the record itself with "

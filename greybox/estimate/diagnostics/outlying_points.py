@@ -25,10 +25,10 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Findings
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
-from greybox.files.text_table import listed, number, percent
+from greybox.files.text_table import listed, number, p_text, percent
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.huber import bounded, robust_deviation
-from greybox.statistics.metrics import is_resolved
+from greybox.statistics.metrics import is_resolved, size_test
 
 # Share of fits to clean data in which any point is called an outlier.
 SIZE = 0.01
@@ -43,7 +43,6 @@ FOLLOWS = 0.2
 
 # Share of a point's residual that is a rounding error.
 ROUNDING = 1e-9
-TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,11 @@ class Deviation:
     relative: float
 
 
-def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Name outliers of responses at `x` (p,), and errors whose sizes are not as assumed."""
+def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool) -> Iterator[str]:
+    """Name outliers of responses at `x` (p,), and errors whose sizes are not as assumed.
+
+    The sizes are judged only if the model explains the data.
+    """
     values = nlp.all_values(x)
     responses = nlp.parts_of(ResponsePart)
     points = sum(len(part.data) for part in responses)
@@ -80,30 +82,34 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
                 f"{percent(deviation.relative)} % from the model: fewer than one in {one_in} fits "
                 "to clean data have such a point. Fit again without it to see its effect."
             )
-        yield from _unequal_sizes(part, values, SIZE / len(responses))
+        if explained:
+            yield from _unequal_sizes(part, values, SIZE / len(responses))
 
 
 def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[str]:
-    """Say whether errors grow or shrink with frequency more than assumed, by their ranks."""
-    model = part.response(values)
-    criterion = part.criterion
-    size = np.maximum(criterion.error_size(model, part.data), TINY)
-    ratio = (np.abs(part.data.response - model) / size)[np.argsort(part.data.omega)]
-    r, _ = _rank_correlation(np.sort(part.data.omega), ratio)
-    cure = "give variances and MaximumLikelihood()"
-    if criterion.known_noise:
-        louder = np.array_split(ratio, 2)[int(r > 0)]
-        # Below this factor on the variances of half a band, intervals of 95 % contain the truth in
-        # 89 % and more. Variances that are too large do no harm, and those of a spectrum include
-        # more than the scatter where leakage matters.
-        if np.mean(louder**2) < 1.5 * max(np.mean(ratio**2), 1.0):
-            return
-        cure = f"give larger variances at {'high' if r > 0 else 'low'} frequencies"
-    if math.erfc(abs(r) * math.sqrt((len(ratio) - 1) / 2)) < level:
+    """Say whether errors are larger in a part of the band than assumed."""
+    model, data, criterion = part.response(values), part.data, part.criterion
+    size, known = criterion.error_size(model, data), criterion.known_noise
+    order = np.argsort(data.omega)
+    order = order[size[order] > ROUNDING * size.max()]
+    # The parameters take most of the errors of fewer points.
+    if len(order) < 6:
+        return
+    squares = (np.abs(data.response - model)[order] / size[order]) ** 2
+    dof = math.inf if data.dof is None or not known else data.dof[order]
+    probability = size_test(squares, dof)
+    thirds = [np.mean(third) for third in np.array_split(squares, 3)]
+    place = ("low", "medium", "high")[int(np.argmax(thirds))]
+    # Below this factor on the variances of half a band, intervals of 95 % contain the truth in
+    # 89 % and more. Given variances that are too large do no harm, and those of a spectrum
+    # include more than the scatter where leakage matters.
+    is_louder = max(thirds) > 1.5 * max(np.mean(squares), float(known))
+    if is_louder and probability < level:
         yield (
             f"the size of the errors of {part.name!r} changes with frequency beyond what "
-            f"the criterion assumes (rank correlation {r:.2f}), so that intervals may be wrong: "
-            f"{cure}, or fit a part of the band."
+            f"the criterion assumes (they are largest at {place} frequencies, "
+            f"{p_text(probability)}), so that intervals may be wrong: give larger "
+            f"variances at {place} frequencies to MaximumLikelihood(), or fit a part of the band."
         )
 
 
