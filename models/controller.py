@@ -6,6 +6,7 @@ import greybox as gb
 from greybox.experiment.controller import sensors_of
 from greybox.experiment.sampled_loop import linear_controller
 from greybox.files.optional_package import required
+from greybox.modeling.parameter import is_finite_number
 
 
 def _limited(value, limit):
@@ -132,6 +133,9 @@ class LinearLaw(gb.Controller):
                 "your own, derived from it, whose constructor passes on control.tf(...)."
             )
 
+        # The rate makes the system discrete before the base class checks it.
+        if not (is_finite_number(rate) and rate > 0):
+            raise ValueError(f"LinearLaw cannot run {rate!r} times per second: give a rate in Hz.")
         # A model is converted, which refuses delays.
         if not hasattr(system, "isdtime"):
             system = gb.interop.to_control(system, kind="state-space")

@@ -72,6 +72,14 @@ def test_the_repr_is_one_short_line():
         assert text.startswith((f"<{kind}", f"{kind}(")), kind
 
 
+def test_what_prints_itself_has_its_first_line_and_is_shown_in_notebooks():
+    signal = gb.experiment.sweep(1, 10, 30, 100)
+    assert repr(signal).startswith("<Excitation logarithmic sweep on u: 30.0 s")
+    assert f"<pre>{signal}</pre>" == signal._repr_html_()
+    # Other values have their fields, those of a derived class, too.
+    assert repr(gb.OutputError(errors="huber")).endswith("errors='huber')")
+
+
 def test_the_repr_says_what_it_is():
     assert repr(RECORD) == "<Record 'flight 1', 200 samples, 9.95 s, theta, v>"
     assert repr(drag_fits()[0]).startswith("<Fit 'flight 1', converged, cost ")

@@ -20,7 +20,11 @@ TIMES = ("time", "t", "timestamp", "timestamps", "tout", "second", "seconds")
 # As ArduPilot's tools, MAVLink's messages and Arduino's functions name them.
 COUNTERS = {"timeus": 1e-6, "timems": 1e-3, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
-IN_NAME = re.compile(rf"(?:{'|'.join(TIMES)})_(s|sec|ms|us|ns)|.+_(deg|rad|rpm)")
+# Other names end in "_in", "_min" or "_T" without meaning inches, minutes or tesla.
+UNITS = "mV|kV|mA|uA|kN|kW|mm|cm|km|ft|kPa|hPa|mbar|degC|degF|kts|mph|kmh"
+IN_NAME = re.compile(
+    rf"(?i:(?:{'|'.join(TIMES)})_(s|sec|ms|us|ns)|.+_(deg|dps|rad|rpm))|.+_({UNITS})"
+)
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
 # Hz: no logger of flights or of motor stands is slower or faster, but a wrong unit is.
@@ -47,8 +51,10 @@ def seconds(name: str, unit: str = "") -> float | None:
 
 def unit_in_name(name: str) -> str:
     """Return the unit at the end of a name, as in ``t_ms`` or ``pitch_deg``; empty without one."""
-    match = IN_NAME.fullmatch(name.lower())
-    return (match[1] or match[2]) if match else ""
+    match = IN_NAME.fullmatch(name)
+    if match is None:
+        return ""
+    return match[3] or (match[1] or match[2]).lower()
 
 
 def tick(unit: str) -> float | None:

@@ -20,11 +20,11 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
-    one_line,
     some,
     text_table,
 )
 from greybox.modeling.model import Names
+from greybox.modeling.parameter import require_whole
 from greybox.solve.gauss_newton.driver import GaussNewton
 
 # Factor on a step: for a lag with an error of half its value, the upper error is that much larger.
@@ -94,9 +94,6 @@ class Draws(Printed):
             write_text(paths[-1], text.substitute(numbers))
         return paths
 
-    def __repr__(self) -> str:
-        return one_line(self, repr(self.name), counted(len(self), "draw"))
-
     def __str__(self) -> str:
         rows = [
             (name, *(number(value, 4) for value in np.quantile(column, (0.5, 0.025, 0.975))))
@@ -125,7 +122,8 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     Raises
     ------
     ValueError
-        If the fit has no estimate or no covariance, or its data do not determine a parameter.
+        If the fit has no estimate or no covariance, its data do not determine a parameter, or for
+        less than one set.
     LookupError
         If a loaded fit does not know its model, whose derived quantities are needed.
 
@@ -139,6 +137,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     >>> draws.to_pandas().shape
     (100, 8)
     """
+    require_whole("count", count, 1)
     if fit.known_directions(fit.names).unseen.size:
         unknown = [q.name for q in fit.quantities if math.isnan(q.standard_error)]
         raise ValueError(

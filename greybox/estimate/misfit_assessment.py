@@ -371,8 +371,10 @@ def _on_knots(
 def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
     """Return for every term the texts of those whose effects (M, c) are nearly the same."""
     unit = effects / np.linalg.norm(effects, axis=0)
-    is_alike = np.abs(unit.T @ unit) - np.eye(len(texts)) > 0.95
-    return [tuple(texts[j][0] for j in np.flatnonzero(row).tolist()) for row in is_alike]
+    is_alike = np.abs(unit.T @ unit) > 0.95
+    names = np.array([name for name, _ in texts], dtype=object)
+    # Terms of one name are one cause.
+    return [(*names[row & (names != name)],) for row, name in zip(is_alike, names, strict=True)]
 
 
 def _ranked(group: Group, keys: Sequence[Key]) -> tuple[Counter[Any], list[Tested]]:

@@ -37,7 +37,8 @@ def misfit(
     Raises
     ------
     ValueError, LookupError
-        If the problem does not follow from the fit, or is another one.
+        If the problem does not follow from the fit, or is another one, or for candidates without a
+        record of a `StateSpace`.
 
     Examples
     --------
@@ -47,6 +48,11 @@ def misfit(
     True
     """
     fit.require_estimate()
+    if candidates and not fit.records:
+        raise ValueError(
+            f"candidates are terms in the equations of a record, and {fit.name!r} has no record: "
+            "leave them out, or fit the time history."
+        )
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate
     trajectories = solver_for(nlp).profile(x).trajectories

@@ -126,9 +126,6 @@ class Profiles(Printed):
         """The intervals by name; infinite on an open side."""
         return {profile.name: profile.interval for profile in self.profiles}
 
-    def __repr__(self) -> str:
-        return one_line(self, self.name, ", ".join(profile.name for profile in self.profiles))
-
     def __str__(self) -> str:
         width = max((len(profile.name) for profile in self.profiles), default=0)
         lines = [f"  {p.name:<{width}}  {number(p.estimate):>10}   {p}" for p in self.profiles]

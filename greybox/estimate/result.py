@@ -431,9 +431,12 @@ class Fit(Printed):
 
         Raises
         ------
+        ValueError
+            If the fit does not have this part.
         LookupError
             If a loaded fit does not know it.
         """
+        part = part_index(self, None, part, None)
         return self.models[part] if self.models else resolve(self.parts[part].model, self.given)
 
     def response(self, omega: ArrayLike, part: int = 0) -> FrequencyResponse:
@@ -489,6 +492,7 @@ class Fit(Printed):
 
     def _response_part(self, part: int) -> tuple[FittedResponse, Model, dict[str, float]]:
         """Return a frequency response, its model, and the model's parameters."""
+        model = self.model_of(part)
         fitted = self.parts[part]
         if not isinstance(fitted, FittedResponse):
             raise ValueError(
@@ -496,7 +500,6 @@ class Fit(Printed):
                 "gb.frequency_response(model, fit.estimate, omega), or gb.simulate for time "
                 "histories."
             )
-        model = self.model_of(part)
         return (
             fitted,
             model,

@@ -32,7 +32,7 @@ from greybox.files.arrays import (
     frozen,
     positive_or_one,
 )
-from greybox.files.text_table import as_names, counted, listed, one_line
+from greybox.files.text_table import Printed, as_names, counted, listed
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError
@@ -52,7 +52,7 @@ SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 
 
 @frozen
-class StructuralIdentifiability:
+class StructuralIdentifiability(Printed):
     """Which parameters a structure can determine. Printing it names those that it cannot separate.
 
     Attributes
@@ -80,11 +80,6 @@ class StructuralIdentifiability:
         """The parameters that the structure determines."""
         lost = {name for group in self.groups for name in group.names}
         return tuple(name for name in self.names if name not in lost)
-
-    def __repr__(self) -> str:
-        return one_line(
-            self, self.model, f"{len(self.identifiable)} of {counted(len(self.names), 'parameter')}"
-        )
 
     def __str__(self) -> str:
         return "\n".join(self._lines())

@@ -25,7 +25,7 @@ from greybox.files.arrays import (
     Values,
     frozen,
 )
-from greybox.files.text_table import one_line
+from greybox.files.text_table import Printed
 
 NOTHING: Values = MappingProxyType({})  # where no noise, limit or start is given
 
@@ -49,7 +49,7 @@ class Maneuver(NamedTuple):
 
 
 @frozen
-class Excitation(Record):
+class Excitation(Printed, Record):
     """A test signal to be flown, or several at once: a `Record` with its schedule.
 
     Attributes
@@ -70,9 +70,6 @@ class Excitation(Record):
             name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v)))
             for name, v in self.signals.items()
         }
-
-    def __repr__(self) -> str:
-        return one_line(self, str(self))
 
     def __str__(self) -> str:
         kinds = sorted({maneuver.kind for maneuver in self.schedule})
@@ -220,10 +217,13 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
         dwell and fades.
     """
     checked_band([low, high], rate)
+    finite_numbers("amplitude", amplitude)
     if low >= high:
         raise ValueError(f"a sweep from {low:g} to {high:g} rad/s: the frequency must rise.")
     hold = dwell * 2 * math.pi / low
-    if min(fade_in, fade_out) < 0 or duration < fade_in + fade_out or duration <= hold:
+    # NaN fails every comparison.
+    is_long = duration >= fade_in + fade_out and duration > hold
+    if not (is_long and min(fade_in, fade_out) >= 0):
         raise ValueError(
             f"{duration:g} s are too short for {dwell} periods at {low:g} rad/s ({hold:.1f} s) and "
             f"fades of {fade_in:g} and {fade_out:g} s: raise the duration or the lowest frequency, "

@@ -27,8 +27,9 @@ from greybox.experiment.loop_numbers import (
 from greybox.experiment.sampled_loop import DOT, SampledLoop
 from greybox.files.arrays import Array, ComplexArray, Fields, StringPair, Strings, Values, frozen
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import listed, number, one_line, text_table
+from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Model
+from greybox.modeling.parameter import number_pair
 
 UNITS = {
     "phase margin": "deg",
@@ -58,6 +59,7 @@ LEAST = ("modulus margin", "disturbance rejection peak")
 
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
 MAIN = ("phase margin", "gain margin", "delay margin", "crossover")  # of a table of many loops
+SPARSE = 3.0  # ratio of neighboring frequencies; sines at 0.6, 1.7 and 4.5 rad/s stay below it
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
@@ -91,7 +93,7 @@ class Margin:
 
 
 @frozen
-class Margins:
+class Margins(Printed):
     """The margins of a loop broken at one signal. It prints itself, the verdict first.
 
     Attributes
@@ -190,9 +192,6 @@ class Margins:
                 "margins": {m.name: m for m in self.margins},
             }
         )
-
-    def __repr__(self) -> str:
-        return one_line(self, self.verdict)
 
     def __str__(self) -> str:
         rows, group = [], ""
@@ -319,7 +318,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     56°
     """
     if isinstance(plant, FrequencyResponse):
-        if controller or values or broken_at or tracking or at or part:
+        if controller or values or broken_at or tracking or at or part or boundary:
             raise TypeError(
                 "a measured response is the broken loop itself: give no argument but the level."
             )
@@ -331,7 +330,18 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     fit, model = (plant, plant.model_of(part)) if isinstance(plant, Fit) else (None, plant)
     controllers = [controller] if isinstance(controller, Controller) else controller
     signal = broken_at or loop.inputs[0]
+    if tracking and (isinstance(tracking, str) or len(tracking) != 2):
+        raise ValueError(
+            f"tracking is {tracking!r}: give two names, a setpoint and the signal that follows it."
+        )
     setpoint, response = tracking or _tracking(controllers)
+    unit = _unit(response, model, controllers)
+    integrals = _INTEGRALS.get(unit)
+    if boundary and integrals is None:
+        raise ValueError(
+            f"boundary needs an angle or its rate, and {response!r} has the unit {unit!r}: declare "
+            "it in `units` of the model or the controller, or leave the boundary out."
+        )
 
     answer = Margins(
         fit.name if fit else model.label,
@@ -361,8 +371,10 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
             closed_loop_numbers,
             setpoint=setpoint,
             response=response,
-            integrals=_INTEGRALS.get(_unit(response, model, controllers)),
-            boundary=np.array(sorted(boundary), dtype=float).T,
+            integrals=integrals,
+            boundary=np.array(
+                sorted(number_pair(corner, "a corner of the boundary") for corner in boundary)
+            ).T,
         )
     fitted = fit.parts[part] if fit else None
     band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None
@@ -509,6 +521,12 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
         )
     if "phase margin 2" in numbers:
         notes.append("The gain is one at several frequencies; the smallest margin counts.")
+    widest = math.exp(np.diff(points).max(initial=0.0))
+    if widest > SPARSE:
+        notes.append(
+            f"Neighboring points differ by up to a factor of {number(widest, 2)} in frequency, and "
+            "lines are assumed between them: measure more of them near the crossings."
+        )
     plant = loop.name or "the measured response"
     # There are no plants whose loops could be evaluated elsewhere.
     level = level if has_errors else math.nan

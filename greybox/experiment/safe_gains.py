@@ -31,7 +31,7 @@ from greybox.files.arrays import (
     frozen,
 )
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import listed, number, one_line, text_table
+from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Names, require_known
 from greybox.spectral import spectral_response
 
@@ -53,7 +53,7 @@ PROMISE = (
 
 
 @frozen
-class SafeGains:
+class SafeGains(Printed):
     """Sets of gains on a grid, and whether they meet the requirements. It prints its verdict first.
 
     Attributes
@@ -119,9 +119,6 @@ class SafeGains:
         """Return the numbers as plain values."""
         more = {"verdict": self.verdict, "best": self.best, "promise": PROMISE}
         return plain(self) | more | {"allowed": self.allowed.tolist()}
-
-    def __repr__(self) -> str:
-        return one_line(self, self.verdict)
 
     def __str__(self) -> str:
         rows = []

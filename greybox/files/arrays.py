@@ -32,9 +32,10 @@ Kind = TypeVar("Kind")
 def frozen(kind: type[Kind]) -> type[Kind]:
     """Make a class a frozen dataclass without an equality of its own.
 
-    Values with arrays have none: whether two arrays are equal is an array, too.
+    Values with arrays have none: whether two arrays are equal is an array, too. Those that print
+    themselves have the `repr` of `Printed`.
     """
-    return dataclass(frozen=True, eq=False)(kind)
+    return dataclass(frozen=True, eq=False, repr=not hasattr(kind, "_repr_html_"))(kind)
 
 
 def by_name(names: Iterable[Any], values: Iterable[Any]) -> dict[Any, Any]:

@@ -147,7 +147,7 @@ def with_error(value: float, error: float) -> StringPair:
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
         return number(value), "-"
     # With the digits of such an error, the value would have none, or more than a person reads.
-    if error > 1e3 * abs(value) or error < 1e-9 * abs(value):
+    if error > 1e9 * abs(value) or error < 1e-9 * abs(value):
         return number(value if error < abs(value) else 0.0), number(error, 2)
     # Rounded first: 0.0996 has its two digits in 0.10, one place further left.
     decimals = 1 - math.floor(math.log10(float(f"{error:.1e}")))
@@ -206,7 +206,10 @@ def preformatted(text: str) -> str:
 
 
 class Printed:
-    """A value that a notebook shows as its printed text, not as one line."""
+    """A value that a notebook shows as its printed text; its `repr` is the first line of it."""
+
+    def __repr__(self) -> str:
+        return one_line(self, str(self).partition("\n")[0])
 
     def _repr_html_(self) -> str:
         return preformatted(str(self))

@@ -18,7 +18,7 @@ from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings, Values, frozen
-from greybox.files.text_table import as_names
+from greybox.files.text_table import as_names, number
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, ParameterFormula, require_known
@@ -66,7 +66,7 @@ def described_inputs(inputs: Inputs, names: Labels, record: Record) -> dict[str,
         who = "as the record says"
         if inputs != "record" or name not in record.hold:
             who = "as assumed without a hold" if inputs == "record" else "as stated"
-            who += f"; if wrong, delays change by half a step, {500 * record.step:.5g} ms"
+            who += f"; if wrong, delays change by half a step, {number(500 * record.step)} ms"
         result[name] = f"{between}, {who}"
 
     return result

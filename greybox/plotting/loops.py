@@ -14,7 +14,8 @@ from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Ser
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.nyquist import CIRCLES, in_plane
 
-SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
+# Gains of the broken loop that are drawn, over its gain nearest to one
+SHOWN = (1e-2, 1e2)
 
 
 def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -> AxesArray:
@@ -46,7 +47,8 @@ def loop_figures(margins: Margins) -> list[Figure]:
     signal = margins.signal
     omega = loop_frequencies(loops)
     size = np.abs(loops.first.broken_at(signal, omega)[0])
-    omega = omega[(size > SHOWN[0]) & (size < SHOWN[1])]
+    middle = np.clip(1.0, size.min(), size.max())
+    omega = omega[(size > SHOWN[0] * middle) & (size < SHOWN[1] * middle)]
     gain = loops.broken_at(signal, omega)
     decibel, phase = 20 * np.log10(np.abs(gain)), np.degrees(np.unwrap(np.angle(gain)))
     phase -= 360 * np.round((phase - phase[0]).mean(axis=1, keepdims=True) / 360)

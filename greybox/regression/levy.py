@@ -22,7 +22,7 @@ from greybox.files.arrays import (
     positive_or_one,
     real_and_imaginary,
 )
-from greybox.files.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import Printed, counted, number, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.modeling.parameter import require_whole
 from greybox.modeling.rational import factored, upper_half
@@ -34,7 +34,7 @@ RANK = 1e-12
 
 
 @frozen
-class RationalFit:
+class RationalFit(Printed):
     """A rational function (2.13) fitted by `levy`.
 
     Attributes
@@ -108,9 +108,6 @@ class RationalFit:
         return FrequencyResponse(
             omega, values, input=self.data.input, output=self.data.output, name=name, source="model"
         )
-
-    def __repr__(self) -> str:
-        return one_line(self, f"n = {self.n}, m = {self.m}", f"cost {number(self.cost)}")
 
     def __str__(self) -> str:
         how = "not reweighted"

@@ -14,7 +14,7 @@ import numpy as np
 from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, Labels, Strings, frozen
-from greybox.files.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import Printed, counted, number, text_table
 from greybox.modeling.parameter import is_finite_number
 from greybox.statistics.metrics import fit_percent, rms
 
@@ -34,7 +34,7 @@ def reported_shares(horizon: int) -> list[float]:
 
 
 @frozen
-class Prediction:
+class Prediction(Printed):
     """Predictions of k outputs over w windows of h samples; printing it shows their quality.
 
     Attributes
@@ -171,9 +171,6 @@ class Prediction:
                 f"{output!r} was not predicted: give one of {', '.join(self.outputs)}."
             )
         return self.outputs.index(output)
-
-    def __repr__(self) -> str:
-        return one_line(self, self.title, counted(len(self), self.window), ", ".join(self.outputs))
 
     def __str__(self) -> str:
         # Rows without a time have no lead-in, and no error that grows.

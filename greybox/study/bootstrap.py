@@ -30,7 +30,6 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
-    one_line,
     some,
     text_table,
 )
@@ -167,9 +166,6 @@ class Bootstrap(Printed):
     @cached_property
     def _successful(self) -> Array:
         return self.values[np.isfinite(self.values).all(axis=1)]
-
-    def __repr__(self) -> str:
-        return one_line(self, self.name, counted(len(self.values), "replicate"))
 
     def __str__(self) -> str:
         return self.text()

@@ -110,7 +110,8 @@ def compare(
     different = data_difference(fits, names)
     if different and not held_out:
         raise ValueError(
-            f"{different}: fit them to the same data, or give records=[...] on which to judge them."
+            f"{different}: fit them to the same data, or judge them on others, records=[...] or "
+            "--held-out."
         )
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)

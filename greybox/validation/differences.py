@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Labels, StringPair, frozen
-from greybox.files.text_table import counted, listed, one_line, probability, text_table, with_error
+from greybox.files.text_table import Printed, counted, listed, probability, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.same_data import check_fits, labels_of
@@ -43,7 +43,7 @@ class Difference:
 
 
 @frozen
-class Differences:
+class Differences(Printed):
     """All parameters that two fits share. Printing it gives the verdict and the table."""
 
     labels: StringPair
@@ -67,10 +67,6 @@ class Differences:
         if name not in by_name:
             raise KeyError(f"there is no {name!r}; there are {', '.join(by_name)}.")
         return by_name[name]
-
-    def __repr__(self) -> str:
-        count = counted(sum(q.differs for q in self.quantities), "difference")
-        return one_line(self, " and ".join(self.labels), count)
 
     def __str__(self) -> str:
         rows = []

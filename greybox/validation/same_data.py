@@ -37,7 +37,8 @@ def data_difference(fits: Fits, names: Labels) -> str:
     for fit, name in zip(fits[1:], names[1:], strict=True):
         if len(fit.parts) != len(first):
             return (
-                f"{name} was fitted to {len(fit.parts)} sets of data and {names[0]} to {len(first)}"
+                f"{name} was fitted to {len(fit.parts)} sets of data and {names[0]} to "
+                f"{len(first)} (a prior counts as one)"
             )
         for a, b in zip(first, fit.parts, strict=True):
             if type(a.data) is not type(b.data) or not a.data.is_same_as(b.data):  # type: ignore[arg-type]

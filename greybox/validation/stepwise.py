@@ -20,7 +20,7 @@ from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Labels, Strings, Values, frozen
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, listed, number, one_line, text_table
+from greybox.files.text_table import Printed, counted, listed, number, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.added_terms import AddedTerms
@@ -62,7 +62,7 @@ class Trial:
 
 
 @frozen
-class StepwiseSelection:
+class StepwiseSelection(Printed):
     """The terms that the data support. Printing it shows every step.
 
     Attributes
@@ -104,9 +104,6 @@ class StepwiseSelection:
                 f"{listed(list(self.doubtful))} may be there by chance."
             )
         return text
-
-    def __repr__(self) -> str:
-        return one_line(self, self.fit.name, ", ".join(self.terms) or "no term")
 
     def __str__(self) -> str:
         rows = [

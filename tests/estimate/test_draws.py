@@ -115,6 +115,9 @@ def test_mistakes_are_named(fit, tmp_path):
     template.write_text("<a/>")
     with pytest.raises(ValueError, match="no \\$name"):
         gb.draws(fit, 3).write(template, tmp_path)
+    for count in (0, -1, 2.5):
+        with pytest.raises(ValueError, match=f"count is {count}: give a whole number"):
+            gb.draws(fit, count)
 
 
 def test_directions_without_information_are_refused():

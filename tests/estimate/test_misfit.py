@@ -505,6 +505,37 @@ def test_terms_of_the_user_are_tried():
     assert cubic.share == pytest.approx(by_fit[cubic.text], rel=0.1)
 
 
+def test_terms_of_the_user_need_the_equations_of_a_record():
+    omega = np.geomspace(1, 20, 12)
+    data = gb.frequency_response(Lag(), {}, omega)
+    fit = gb.fit(gb.Problem(Lag(), data), starts=1)
+    with pytest.raises(ValueError, match="has no record"):
+        gb.misfit(fit, candidates={"drag": lambda x, u, p: abs(x.v) * x.v})
+
+
+def test_a_gain_of_the_wrong_sign_is_named_once():
+    class Roll(gb.StateSpace):
+        states, inputs, outputs = ("p",), ("u",), ("p",)
+        K = gb.Parameter(1.0, bounds=(0.01, 50))
+        T = gb.Parameter(1.0, bounds=(0.01, 5))
+        bias = gb.Parameter(0.0, bounds=(-5, 5))
+
+        def derivative(self, x, u, p):
+            return ((p.K * u.u - x.p) / p.T,)
+
+        def output(self, x, u, p):
+            return (x.p + p.bias,)
+
+    random = np.random.default_rng(0)
+    u = np.repeat(random.uniform(-1, 1, 20), 50)
+    rate = -3 * lfilter([0, 0.05], [1, -0.95], u) + 0.05 * random.normal(size=1000)
+    flight = gb.Record(0.02 * np.arange(1000), {"u": u, "p": rate}, hold={"u": np.inf})
+    causes = gb.fit(gb.Problem(Roll(), flight), starts=1).misfit.causes
+    assert "gain is nearly zero" in causes[0].text
+    for cause in causes:
+        assert cause.text not in cause.alike
+
+
 @pytest.mark.parametrize("plant", [Cubic, Late])
 def test_misfit_is_stored_with_the_fit(plant, tmp_path):
     fit = fitted(plant)

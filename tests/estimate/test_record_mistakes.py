@@ -13,6 +13,19 @@ def record(**changes):
     return DATA.with_signals(**changes)
 
 
+def test_a_unit_that_the_model_declares_needs_no_warning(tmp_path):
+    class Weighed(Spring):
+        units = {"v": "m/s²"}
+
+    path = tmp_path / "spring.csv"
+    rows = zip(DATA.time, DATA["F"], DATA["x"], DATA["v"] / 9.80665, strict=True)
+    lines = [",".join(map(repr, map(float, row))) for row in rows]
+    path.write_text("\n".join(["time [s],F,x,v [g]", *lines]))
+    flown = gb.read(path, columns={"v": "v"})["spring"]
+    assert "gram" in str(fit(gb.Problem(Spring(), flown)).warnings)
+    assert "gram" not in str(fit(gb.Problem(Weighed(), flown)).warnings)
+
+
 def noise(n=100):
     return dict(zip(("x", "v"), np.random.default_rng(1).normal(size=(2, n)), strict=True))
 

@@ -169,9 +169,19 @@ def test_an_attitude_command_has_the_bandwidth_of_its_phase_and_a_distance_from_
     assert answer["bandwidth above the boundary"].value == pytest.approx(above)
     beyond = gb.margins(Attitude(), Hold(), boundary=[(0.0, 1.0), (0.001, 1.0)])
     assert beyond["bandwidth above the boundary"].value == -np.inf
-    # A rate whose unit is not declared has none of these numbers.
-    with pytest.raises(KeyError, match="above the boundary"):
-        gb.margins(RateDynamics(), RateLoop(), boundary=corners)["bandwidth above the boundary"]
+    with pytest.raises(ValueError, match="a corner of the boundary"):
+        gb.margins(Attitude(), Hold(), boundary=[(0.0, 1.0, 2.0)])
+    # A rate whose unit is not declared has none of these numbers, nor has a measured loop.
+    with pytest.raises(ValueError, match="boundary needs an angle or its rate, and 'q' has"):
+        gb.margins(RateDynamics(), RateLoop(), boundary=corners)
+    with pytest.raises(TypeError, match="give no argument but the level"):
+        gb.margins(gb.frequency_response(RateDynamics(), {}, [1.0, 2.0]), boundary=corners)
+
+
+def test_a_linear_law_needs_a_rate():
+    for rate in (0, -5, np.nan, "400"):
+        with pytest.raises(ValueError, match="times per second: give a rate"):
+            LinearLaw(control.tf([1], [1]), rate=rate)
 
 
 def test_steps_are_those_of_a_flight_with_a_fraction_of_a_sample_of_delay():

@@ -397,6 +397,12 @@ def test_signals_that_are_not_in_the_loop_are_refused(fit):
         gb.margins(fit, RateLoop(), broken_at="theta")
     with pytest.raises(ValueError, match="level"):
         gb.margins(fit, RateLoop(), level=95)
+    for tracking in ("q", ("reference",)):
+        with pytest.raises(ValueError, match="give two names"):
+            gb.margins(fit, RateLoop(), tracking=tracking)
+    for part in (9, 0.5):
+        with pytest.raises(ValueError, match=f"part is {part}: the fit has 1 part"):
+            gb.margins(fit, RateLoop(), part=part)
 
 
 def test_the_uncertainty_holds_the_true_loop_and_grows_outside_the_data(fit):

@@ -44,6 +44,13 @@ def test_an_error_that_all_points_share_moves_the_gain_of_the_whole_loop():
     assert (answer.low, answer.high) == pytest.approx(expected, abs=0.2)
 
 
+@pytest.mark.parametrize(("points", "factor"), [(2, "300"), (5, "4.2"), (20, "")])
+def test_margins_between_distant_points_are_marked(points, factor):
+    notes = " ".join(gb.margins(integrator(0.1, 30, points)).notes)
+    assert ("Neighboring points differ" in notes) == bool(factor)
+    assert f"factor of {factor}" in notes or not factor
+
+
 @pytest.mark.parametrize(
     ("band", "missing"), [((0.1, 1.5), "phase margin"), ((3, 30), "crossover")]
 )

@@ -89,6 +89,9 @@ def test_the_schedule_and_the_settings_say_what_is_flown():
         (lambda: sweep(0, 10, 60, 50), "omega is 0 rad/s"),
         (lambda: sweep(1, 10, 60, 100, fade_in=-1), "fades of -1 and"),
         (lambda: sweep(1, 10, 60, 100, fade_out=-1), "and -1 s: raise"),
+        (lambda: sweep(1, 10, math.nan, 100), "nan s are too short"),
+        (lambda: sweep(1, 10, 60, 100, fade_in=math.nan), "fades of nan"),
+        (lambda: sweep(1, 10, 60, 100, amplitude=math.nan), "amplitude is nan"),
         (lambda: sweep(1, 10, 9, 100, dwell=0, fade_in=5, fade_out=5), "9 s are too short"),
     ],
 )

@@ -93,3 +93,21 @@ def test_the_end_of_a_name_is_a_unit_where_the_column_is_named(tmp_path):
     np.testing.assert_allclose(record["angle"], np.radians([2, 3, 4]))
     # A pulse in µs is no time.
     np.testing.assert_array_equal(record["pwm"], [1500, 1510, 1520])
+
+
+def test_the_end_of_a_name_is_a_unit_only_where_it_can_be_nothing_else(tmp_path):
+    path = tmp_path / "scope.csv"
+    names = "t_us CH1_mV shunt_mA gyro_dps arm_mm cmd_in v_N x_dT lag_ms p_ma".split()
+    rows = [",".join([str(k)] + ["1000"] * 9) for k in range(3)]
+    path.write_text("\n".join([",".join(names), *rows]))
+    record = gb.read(path, columns={name.split("_")[0]: name for name in names})["scope"]
+    in_si = {
+        "CH1": (1, "V"),
+        "shunt": (1, "A"),
+        "gyro": (np.radians(1000), "rad/s"),
+        "arm": (1, "m"),
+    }
+    for name, (value, unit) in in_si.items():
+        assert (record[name][0], record.units[name]) == (pytest.approx(value), unit)
+    for name in ("cmd", "v", "x", "lag", "p"):  # an input, north, a difference, a moving average
+        assert (record[name][0], record.units.get(name, "")) == (1000, "")

@@ -30,6 +30,16 @@ def fit():
     return gb.fit(gb.Problem(BasicRate(), data), starts=2, progress=False)
 
 
+@pytest.mark.parametrize("gain", [1e-6, 0.01])
+def test_a_loop_whose_gain_never_comes_near_one_is_drawn(fit, gain):
+    answer = gb.margins(fit, RateLoop({"K_P": gain * 0.05}))
+    bode, *_ = loop_figures(answer)
+    drawn = bode.panels[0].series
+    (estimate,) = [series for series in drawn if series.name == "estimate"]
+    assert estimate.x.size > 10
+    assert np.all(np.isfinite(estimate.y))
+
+
 def test_the_loop_crosses_where_its_margins_say_within_its_band(fit):
     answer = gb.margins(fit, RateLoop())
     bode, nichols, nyquist, step = loop_figures(answer)

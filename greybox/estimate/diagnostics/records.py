@@ -49,6 +49,8 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
         (re.sub(r"[\d.]+", "", text), part.name, f"data of {part.name!r}: {text}")
         for part in nlp.problem.parts_with(Record)
         for text in part.data.findings
+        # What a unit was taken for is certain where the model declares it.
+        if text.partition(":")[0] not in part.model.units
     )
 
 
