@@ -21,8 +21,7 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
 
-# Three standard deviations of a signal, in assumed output errors.
-JUMP = 3.0 / ASSUMED_ERROR
+JUMP = 3.0  # standard deviations of the signals
 
 
 @frozen
@@ -251,13 +250,21 @@ class SegmentedPart(Part):
         return int(self.covariance.counts.max())
 
     def continuity_variance(self, linearization: Linearization) -> Array:
-        """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
-        samples = self.data.segment_length * len(self.outputs)
-        sizes = state_sizes(linearization.node_hessian, linearization.transition)
-        variance = JUMP**2 * samples * sizes**2
+        """Return the variances (n,) of gaps, for residuals of `initial_weight`."""
+        variance = self.jump_variance(linearization, self.initial_weight())
         # With gaps, the states of a delay would be another input.
         variance[self.driven :] = 0
         return variance
+
+    def jump_variance(self, linearization: Linearization, weight: Array) -> Array:
+        """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`.
+
+        The `weight` is that of the residuals in the linearization.
+        """
+        signals = (weight * self.covariance.spread[..., None, :]) ** 2
+        squares = self.data.segment_length * signals.sum(axis=(-1, -2)).mean()
+        sizes = state_sizes(linearization.node_hessian, linearization.transition)
+        return JUMP**2 * squares * sizes**2
 
     def condense(
         self,
@@ -265,19 +272,27 @@ class SegmentedPart(Part):
         trajectory: Trajectory,
         continuity_variance: Array | None = None,
         damping: float = 0.0,
+        *,
+        weight: Array | None = None,
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`."""
         exact = np.zeros(self.states)
         variance = exact if continuity_variance is None else continuity_variance
-        return condense(linearization, trajectory, variance, damping, self.data, self.segments)
+        largest = None if weight is None else self.jump_variance(linearization, weight)
+        return condense(
+            linearization, trajectory, variance, damping, self.data, self.segments, largest
+        )
 
-    def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:
+    def close_gaps(
+        self, linearization: Linearization, trajectory: Trajectory, held: Array | float = 0.0
+    ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         b = linearization
         gaps = trajectory.gaps[:, :, None]
         exact = np.zeros(self.states)
+        hessian = b.node_hessian + held
         x, _ = solve_continuity(
-            b.node_hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
+            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
         )
         return trajectory.nodes + x[:, :, 0]
 
