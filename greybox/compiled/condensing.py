@@ -98,8 +98,13 @@ def _held_curvature(
     """
     # Along such a direction, the linearization does not reach to where its step leads: runs would
     # creep for thousands of steps, and gain what fits the noise.
-    size = np.sqrt(largest)
+    size = np.sqrt(np.where(largest > 0, largest, 1.0))  # those of delays are known
     begins = np.append(True, ~coupled[:-1])
+    curvature = np.zeros_like(b.node_hessian)
+    # What the first segments show is enough for most models.
+    shown, _ = np.linalg.eigh(b.node_hessian[begins] * size * size[:, None])
+    if shown.min(initial=2.0) > 1:
+        return curvature
     forces = begins[:, None, None] * np.diag(1 / size)
     x, _ = solve_continuity(
         b.node_hessian, b.transition, coupled, forces, np.zeros_like(forces), variance
@@ -107,7 +112,6 @@ def _held_curvature(
     covariance = x[begins] / size[:, None]
     values, directions = np.linalg.eigh((covariance + covariance.swapaxes(1, 2)) / 2)
     directions *= (values > 1)[:, None] / size[:, None]
-    curvature = np.zeros_like(b.node_hessian)
     # A step along them is shortened to less than 1e-8 of itself.
     curvature[begins] = 1e8 * directions @ directions.swapaxes(1, 2)
     return curvature

@@ -21,7 +21,8 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
 
-JUMP = 3.0  # standard deviations of the signals
+# Three standard deviations of a signal, in assumed output errors.
+JUMP = 3.0 / ASSUMED_ERROR
 
 
 @frozen
@@ -250,21 +251,13 @@ class SegmentedPart(Part):
         return int(self.covariance.counts.max())
 
     def continuity_variance(self, linearization: Linearization) -> Array:
-        """Return the variances (n,) of gaps, for residuals of `initial_weight`."""
-        variance = self.jump_variance(linearization, self.initial_weight())
+        """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
+        samples = self.data.segment_length * len(self.outputs)
+        sizes = state_sizes(linearization.node_hessian, linearization.transition)
+        variance = JUMP**2 * samples * sizes**2
         # With gaps, the states of a delay would be another input.
         variance[self.driven :] = 0
         return variance
-
-    def jump_variance(self, linearization: Linearization, weight: Array) -> Array:
-        """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`.
-
-        The `weight` is that of the residuals in the linearization.
-        """
-        signals = (weight * self.covariance.spread[..., None, :]) ** 2
-        squares = self.data.segment_length * signals.sum(axis=(-1, -2)).mean()
-        sizes = state_sizes(linearization.node_hessian, linearization.transition)
-        return JUMP**2 * squares * sizes**2
 
     def condense(
         self,
@@ -278,7 +271,12 @@ class SegmentedPart(Part):
         """Eliminate the nodes, see `greybox.compiled.condensing`."""
         exact = np.zeros(self.states)
         variance = exact if continuity_variance is None else continuity_variance
-        largest = None if weight is None else self.jump_variance(linearization, weight)
+        largest = None
+        if weight is not None:
+            # The same jumps in units of the errors that the weight stands for.
+            signals = (weight * self.covariance.spread[..., None, :]) ** 2
+            size = signals.sum(axis=(-1, -2)).mean() / len(self.outputs)
+            largest = ASSUMED_ERROR**2 * size * self.continuity_variance(linearization)
         return condense(
             linearization, trajectory, variance, damping, self.data, self.segments, largest
         )

@@ -206,6 +206,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
             multiplier=np.zeros((1, 1)),
             multiplier_sensitivity=np.zeros((1, 1, 1)),
             damping=np.array([[damping]]),
+            held=np.zeros((1, 1, 1)),
             decrease=-(g[0] * alone + A[0, 0] * alone**2 / 2),
         )
 
