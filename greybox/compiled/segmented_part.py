@@ -272,7 +272,7 @@ class SegmentedPart(Part):
         exact = np.zeros(self.states)
         variance = exact if continuity_variance is None else continuity_variance
         largest = None
-        if weight is not None:
+        if weight is not None and self.unknown_initial_states:
             # The same jumps in units of the errors that the weight stands for.
             signals = (weight * self.covariance.spread[..., None, :]) ** 2
             size = signals.sum(axis=(-1, -2)).mean() / len(self.outputs)
