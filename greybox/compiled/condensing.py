@@ -89,9 +89,7 @@ def condense(
     )
 
 
-def _held_curvature(
-    b: Linearization, variance: Array, coupled: BoolArray, largest: Array
-) -> Array:
+def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, largest: Array) -> Array:
     """Return the curvature (s, n, n) that holds what the outputs hardly show of the first nodes.
 
     That are directions whose variances at known parameters exceed the `largest` (n,).

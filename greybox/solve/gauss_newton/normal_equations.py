@@ -38,9 +38,7 @@ def gauss_newton_step(
         iterate, linearizations, variances
     ):
         weight = part.residual_weight(trajectory) if progress.is_exact else part.initial_weight()
-        system = part.condense(
-            linearization, trajectory, variance, progress.damping, weight=weight
-        )
+        system = part.condense(linearization, trajectory, variance, progress.damping, weight=weight)
         hessian += part.weight * system.hessian
         gradient += part.weight * system.gradient
         decrease += part.weight * system.decrease

@@ -260,7 +260,7 @@ class Reactors(gb.StateSpace):
 
 
 def test_initial_states_that_outputs_hardly_show_do_not_creep():
-    """Held where they begin: 2400 iterations without this, for two units of log-likelihood."""
+    """They are held where they begin: otherwise the run does not converge in 2000 iterations."""
     random = np.random.default_rng(0)
     feed = np.repeat(random.choice([0.0, 1.0, 2.0], 15), 10)
     truth = {"flow": 0.8, "rate": 0.15, "gain": 1.0, "recycle": 0.3}
