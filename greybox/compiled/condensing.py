@@ -28,14 +28,19 @@ def condense(
     damping: float,
     data: SampledData,
     segments: Segments,
+    largest: Array | None = None,
 ) -> Condensed:
     """Return the quadratic model in the solver's variables, with all nodes eliminated.
 
     Continuity is exact where its `variance` (n,) is zero. `damping` holds the free nodes, relative
-    to their curvature (Levenberg-Marquardt).
+    to their curvature (Levenberg-Marquardt). `largest` (n,) are the variances beyond which initial
+    states are held, if given.
     """
     node_damping = np.zeros_like(trajectory.gaps)
-    node_hessian = b.node_hessian
+    held = np.zeros_like(b.node_hessian)
+    if largest is not None:
+        held = _held_curvature(b, variance, data.coupled, largest)
+    node_hessian = b.node_hessian + held
     if damping:
         # Damping enters the matrix but not the gradient: a minimum of the problem stays one.
         # Without it, 91 % of 58 fits of hard problems reach the best minimum instead of 97 %.
@@ -79,8 +84,35 @@ def condense(
         multiplier=multiplier[:, :, 0],
         multiplier_sensitivity=multiplier[:, :, 1:] @ slopes[segments.records],
         damping=node_damping,
+        held=held,
         decrease=max(-lost, 0.0),
     )
+
+
+def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, largest: Array) -> Array:
+    """Return the curvature (s, n, n) that holds what the outputs hardly show of the first nodes.
+
+    That are directions whose variances at known parameters exceed the `largest` (n,).
+    """
+    # Along such a direction, the linearization does not reach to where its step leads: runs would
+    # creep for thousands of steps, and gain what fits the noise.
+    size = np.sqrt(np.where(largest > 0, largest, 1.0))  # those of delays are known
+    begins = np.append(True, ~coupled[:-1])
+    curvature = np.zeros_like(b.node_hessian)
+    # What the first segments show is enough for most models.
+    shown, _ = np.linalg.eigh(b.node_hessian[begins] * size * size[:, None])
+    if shown.min(initial=2.0) > 1:
+        return curvature
+    forces = begins[:, None, None] * np.diag(1 / size)
+    x, _ = solve_continuity(
+        b.node_hessian, b.transition, coupled, forces, np.zeros_like(forces), variance
+    )
+    covariance = x[begins] / size[:, None]
+    values, directions = np.linalg.eigh((covariance + covariance.swapaxes(1, 2)) / 2)
+    directions *= (values > 1)[:, None] / size[:, None]
+    # A step along them is shortened to less than 1e-8 of itself.
+    curvature[begins] = 1e8 * directions @ directions.swapaxes(1, 2)
+    return curvature
 
 
 def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Array:

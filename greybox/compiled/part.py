@@ -97,6 +97,8 @@ class Condensed:
     damping : (s, n) array
         Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is
         added to the cost.
+    held : (s, n, n) array
+        Curvature that holds initial states which the outputs hardly show.
     decrease : float
         Decrease of the merit that is predicted for the step of the nodes alone.
     """
@@ -108,6 +110,7 @@ class Condensed:
     multiplier: Array
     multiplier_sensitivity: Array
     damping: Array
+    held: Array
     decrease: float
 
     def change_of_nodes(self, dz: Array) -> Array:
@@ -359,14 +362,23 @@ class Part(Portable, ABC):
         trajectory: Trajectory,
         continuity_variance: Array | None = None,
         damping: float = 0.0,
+        *,
+        weight: Array | None = None,
     ) -> Condensed:
-        """Eliminate the nodes; continuity is exact where its variances (n,) are zero, or None."""
+        """Eliminate the nodes; continuity is exact where its variances (n,) are zero, or None.
+
+        With the `weight` of the residuals, initial states that they hardly show are held.
+        """
         # Without nodes the linearization is the condensed system already.
         gradient, hessian = linearization
         nothing = np.zeros((0, 0, len(gradient)))
-        return Condensed(hessian, gradient, NO_NODES, nothing, NO_NODES, nothing, NO_NODES, 0.0)
+        return Condensed(
+            hessian, gradient, NO_NODES, nothing, NO_NODES, nothing, NO_NODES, NO_NODES, 0.0
+        )
 
-    def close_gaps(self, linearization: Any, trajectory: Trajectory) -> Array:
+    def close_gaps(
+        self, linearization: Any, trajectory: Trajectory, held: Array | float = 0.0
+    ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         return NO_NODES
 

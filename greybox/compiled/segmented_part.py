@@ -265,19 +265,32 @@ class SegmentedPart(Part):
         trajectory: Trajectory,
         continuity_variance: Array | None = None,
         damping: float = 0.0,
+        *,
+        weight: Array | None = None,
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`."""
         exact = np.zeros(self.states)
         variance = exact if continuity_variance is None else continuity_variance
-        return condense(linearization, trajectory, variance, damping, self.data, self.segments)
+        largest = None
+        if weight is not None and self.unknown_initial_states:
+            # The same jumps in units of the errors that the weight stands for.
+            signals = (weight * self.covariance.spread[..., None, :]) ** 2
+            size = signals.sum(axis=(-1, -2)).mean() / len(self.outputs)
+            largest = ASSUMED_ERROR**2 * size * self.continuity_variance(linearization)
+        return condense(
+            linearization, trajectory, variance, damping, self.data, self.segments, largest
+        )
 
-    def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:
+    def close_gaps(
+        self, linearization: Linearization, trajectory: Trajectory, held: Array | float = 0.0
+    ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         b = linearization
         gaps = trajectory.gaps[:, :, None]
         exact = np.zeros(self.states)
+        hessian = b.node_hessian + held
         x, _ = solve_continuity(
-            b.node_hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
+            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
         )
         return trajectory.nodes + x[:, :, 0]
 

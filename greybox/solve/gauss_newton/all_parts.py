@@ -149,8 +149,8 @@ class AllParts:
         for _ in range(GAP_CLOSINGS):
             if not iterate.finite or penalty <= enough:
                 break
-            pairs = self.along(iterate, step.linearizations)
-            nodes = [part.close_gaps(linearization, t) for part, t, linearization in pairs]
+            zipped = self.along(iterate, step.linearizations, step.condensed)
+            nodes = [part.close_gaps(b, t, system.held) for part, t, b, system in zipped]
             closer = self.at(iterate.z, nodes, iterate)
             closer_penalty = self.gap_cost(closer, step.multipliers)
 

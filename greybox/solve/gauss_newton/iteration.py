@@ -94,7 +94,6 @@ def _iterated(
 ) -> End:
     weights = list[Array]()
     linearizations = list[Any]()
-    gained = 0.0
     for count in range(iterations):
         if interruption := reason_to_end():
             return End(iterate, interruption, count)
@@ -131,7 +130,7 @@ def _iterated(
         looks = not nodes_alone and (count + 1) % 10 == 0
         # Steps along states that no output shows leave gaps beyond rounding.
         closed = parts.made_continuous(iterate, step) if looks and progress.is_exact else iterate
-        if looks and _is_within_noise(parts, closed, progress, gained):
+        if looks and _is_within_noise(parts, closed, progress):
             return End(closed, CONVERGED, count, step.hessian)
 
         # Line search.
@@ -209,10 +208,8 @@ def _is_settled(
     return undamped.decrease <= progress.undamped_decrease
 
 
-def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gained: float) -> bool:
+def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress) -> bool:
     """Return whether noise hides all that is left to gain, wherever bounds let a step go.
-
-    A last step that `gained` twice as much as is left belongs to a run that still converges.
 
     Where the data hardly determine some directions, short steps continue along them for thousands
     of iterations, for a hundredth of a unit of log-likelihood (the tanh chain is lost without
@@ -234,6 +231,4 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gain
     # of a standard error, a hundredth of it is left; half of the square is used here.
     unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
     is_noise = undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * unknowns / 2
-    # Ten initial states of a rod, of which no output shows most, gain 0.0005 a step for 2000 steps.
-    creeps = gained <= 2 * undamped.decrease
-    return stopped and is_noise and creeps
+    return stopped and is_noise

@@ -37,7 +37,8 @@ def gauss_newton_step(
     for part, trajectory, linearization, variance in parts.along(
         iterate, linearizations, variances
     ):
-        system = part.condense(linearization, trajectory, variance, progress.damping)
+        weight = part.residual_weight(trajectory) if progress.is_exact else part.initial_weight()
+        system = part.condense(linearization, trajectory, variance, progress.damping, weight=weight)
         hessian += part.weight * system.hessian
         gradient += part.weight * system.gradient
         decrease += part.weight * system.decrease

@@ -234,3 +234,42 @@ def test_a_run_that_has_just_closed_its_gaps_is_not_ended_by_noise():
     far = {"d": 0.409949589, "w": 9.64120219, "k": 17.1530975, "T": 0.665444132}
     near, other = (gb.fit(problem, [start], progress=False) for start in (truth, far))
     assert_allclose(other.cost, near.cost, atol=1e-6)
+
+
+class Reactors(gb.StateSpace):
+    """A cascade of stirred reactors with recycle, a reaction of second order in each."""
+
+    states = tuple(f"c{k}" for k in range(10))
+    inputs, outputs = ("feed",), ("last", "first")
+    flow = gb.Parameter(0.5, bounds=(0.01, 10), unit="1/s")
+    rate = gb.Parameter(0.05, bounds=(0, 5))
+    gain = gb.Parameter(1.3, bounds=(0.1, 10))
+    recycle = gb.Parameter(0.1, bounds=(0, 2), unit="1/s")
+
+    def derivative(self, x, u, p):
+        c = [getattr(x, name) for name in self.states]
+        inflow = [p.flow * p.gain * u.feed + p.recycle * c[-1]]
+        inflow += [(p.flow + p.recycle) * before for before in c[:-1]]
+        return tuple(
+            i - (p.flow + p.recycle) * own - p.rate * own**2
+            for i, own in zip(inflow, c, strict=True)
+        )
+
+    def output(self, x, u, p):
+        return x.c9, x.c0
+
+
+def test_initial_states_that_outputs_hardly_show_do_not_creep():
+    """They are held where they begin: otherwise the run does not converge in 2000 iterations."""
+    random = np.random.default_rng(0)
+    feed = np.repeat(random.choice([0.0, 1.0, 2.0], 15), 10)
+    truth = {"flow": 0.8, "rate": 0.15, "gain": 1.0, "recycle": 0.3}
+    time = np.arange(150.0)
+    exact = gb.simulate(Reactors(), truth, gb.Record(time, {"feed": feed}))
+    noise = 0.01 * random.normal(size=(2, 150))
+    outputs = {name: exact[name] + e for name, e in zip(Reactors.outputs, noise, strict=True)}
+    fit = gb.fit(gb.Problem(Reactors(), gb.Record(time, {"feed": feed, **outputs})), starts=1)
+    assert fit.converged
+    assert fit.runs[0].iterations < 100
+    for name, value in truth.items():
+        assert abs(fit.estimate[name] - value) < 3.5 * fit.standard_error[name]

@@ -206,6 +206,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
             multiplier=np.zeros((1, 1)),
             multiplier_sensitivity=np.zeros((1, 1, 1)),
             damping=np.array([[damping]]),
+            held=np.zeros((1, 1, 1)),
             decrease=-(g[0] * alone + A[0, 0] * alone**2 / 2),
         )
 
@@ -214,7 +215,11 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
     parts = SimpleNamespace(
         settings=Settings(),
         parts=[
-            SimpleNamespace(condense=lambda *_, one=one: one, weight=weight)
+            SimpleNamespace(
+                condense=lambda *_, one=one, **__: one,
+                residual_weight=lambda _: np.eye(1),
+                weight=weight,
+            )
             for one, weight in zip(systems, weights, strict=True)
         ],
         is_discontinuous=np.zeros(1, dtype=bool),
