@@ -1,7 +1,7 @@
 """The test of a fit: whether its residuals follow terms that the model does not have."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -50,6 +50,8 @@ from greybox.statistics.score_test import (
 OF_RESPONSES = 0.01
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
+# Of fits with autoregressive errors, at most.
+EVALUATIONS = 30
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
 
@@ -129,19 +131,85 @@ def assessed_misfit(
     trajectories: Sequence[Trajectory],
     at_bound: Labels,
     candidates: Mapping[str, Formula],
+    profile: Callable[[Array], Sequence[Trajectory]],
 ) -> Misfit | None:
     """Return whether a model explains its data at `x` (p,); None where that cannot be decided.
 
     Parameters that a bound holds, `at_bound`, absorb nothing. `candidates` has the terms of the
-    user.
+    user. `profile` returns the trajectories at other values.
     """
-    moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    misfit = _misfit_at(nlp, x, trajectories, at_bound, candidates)
+    parts = nlp.parts_of(RecordPart)
+    # Gains of a predictor allow for gusts already.
+    is_simulated = len(parts) == len(nlp.parts) and not any(part.gains for part in parts)
+    if not is_simulated or misfit is None or misfit.explains:
+        return misfit
+    # Gusts bias the values that a simulation fits, and through a controller they reach the inputs.
+    # At biased values, residuals follow the inputs although no term is missing.
+    values = _with_autoregressive_errors(nlp, x, profile)
+    # At a bound, such as a gain of zero, errors may take the place of the model.
+    near = np.abs(x) / 1000
+    if np.any((values <= nlp.lower + near) | (values >= nlp.upper - near)):
+        return misfit
+    other = _misfit_at(nlp, values, profile(values), (), candidates)
+    # A fit of few parameters hardly halves errors that are not its own: what leaves twice as much
+    # attributes slow motions to errors that the fit showed to be the model's.
+    if other is None or not other.explains or other.left > 2 * misfit.left:
+        return misfit
+    return replace(misfit, elsewhere=tuple(zip(nlp.free, values.tolist(), strict=True)))
+
+
+def _with_autoregressive_errors(
+    nlp: CompiledProblem, x: Array, profile: Callable[[Array], Sequence[Trajectory]]
+) -> Array:
+    """Return the values (p,) that fit records best if their errors are autoregressions.
+
+    With such errors, a simulation is a predictor by the outputs of the past, whose estimates gusts
+    and feedback do not bias: Ljung (1999), System Identification, 2nd ed., section 13.4. The search
+    begins at `x` (p,).
+    """
+    from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
+
+    @lru_cache(2)
+    def group_at(*values: float) -> Group:
+        x = np.array(values)
+        by_x = np.diag(nlp.scaling.slope(x))
+        records = _disturbed(nlp, profile(x))
+        for record in records:
+            # The weights of a fit change with its errors.
+            record.weight = record.part.initial_weight()
+        count = len(records)
+        return _group(
+            [
+                regression_of_record(each, constants_of_record(each), (), by_x, each.present, count)
+                for each in records
+            ]
+        )
+
+    def deviation(group: Group) -> float:
+        """Return the mean deviation of white errors, whose square is least with the likelihood."""
+        counts = [sum(map(len, stretches)) for stretches in group.outputs]
+        logarithms = [np.log(weights[0]) for weights in group.filters]
+        return float(np.exp(-np.average(logarithms, weights=counts)))
+
+    def residuals(x: Array) -> Array:
+        group = group_at(*x)
+        return deviation(group) * group.white_residuals[:, 0]
+
+    def slopes(x: Array) -> Array:
+        group = group_at(*x)
+        return deviation(group) * group.white_fitted
+
+    bounds = nlp.lower, nlp.upper
+    return least_squares(
+        residuals, x, slopes, bounds, ftol=1e-4, x_scale="jac", max_nfev=EVALUATIONS
+    ).x
+
+
+def _disturbed(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> list[DisturbedRecord]:
+    """Return the records, or excerpts of them."""
     # Flights of one model are often all named like it.
     names = numbered_where_alike([part.name for part in nlp.parts])
-    responses = [
-        regression_of_response(part, name, values, nlp.names, moves)
-        for part, name in nlp.rows_of(ResponsePart, names)
-    ]
     records = [
         (part, trajectory, name)
         for part, trajectory, name in nlp.rows_of(RecordPart, trajectories, names)
@@ -152,10 +220,28 @@ def assessed_misfit(
     # of more. A third of the samples of six outputs tells as much as all of two.
     outputs = max((len(part.outputs) for part, *_ in records), default=1)
     most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
-    disturbed = [
+    return [
         DisturbedRecord(*on_excerpts(part, trajectory, most), name)
         for part, trajectory, name in records
     ]
+
+
+def _misfit_at(
+    nlp: CompiledProblem,
+    x: Array,
+    trajectories: Sequence[Trajectory],
+    at_bound: Labels,
+    candidates: Mapping[str, Formula],
+) -> Misfit | None:
+    """Return the misfit at `x` (p,), whether or not these are the fitted values."""
+    moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    # Flights of one model are often all named like it.
+    names = numbered_where_alike([part.name for part in nlp.parts])
+    responses = [
+        regression_of_response(part, name, values, nlp.names, moves)
+        for part, name in nlp.rows_of(ResponsePart, names)
+    ]
+    disturbed = _disturbed(nlp, trajectories)
     # Records are linearized by the solver's variables, responses by the parameters.
     by_x = np.diag(nlp.scaling.slope(x))[moves]
     regressions = []
@@ -163,7 +249,7 @@ def assessed_misfit(
         constants = constants_of_record(record)
         terms = [*terms_of_record(record, constants, at_bound, candidates), *repeated]
         regressions.append(
-            regression_of_record(record, constants, terms, by_x, is_new, len(records))
+            regression_of_record(record, constants, terms, by_x, is_new, len(disturbed))
         )
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
     groups = [*map(_group, tested)]

@@ -1,13 +1,15 @@
 """The test of misfit of a fit that is at hand, with terms of the user."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array
 from greybox.modeling.added_terms import Formula
 from greybox.solve.multistart import solver_for
 
@@ -49,6 +51,10 @@ def misfit(
     fit.require_estimate()
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate
-    trajectories = solver_for(nlp).profile(x).trajectories
+    solver = solver_for(nlp)
     at_bound = [q.name for q in fit.quantities if q.at_bound]
-    return assessed_misfit(nlp, x, trajectories, at_bound, candidates)
+
+    def profile(x: Array) -> Sequence[Any]:
+        return solver.profile(x).trajectories
+
+    return assessed_misfit(nlp, x, profile(x), at_bound, candidates, profile)
