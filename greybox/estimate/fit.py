@@ -361,14 +361,7 @@ def assemble(
     if search.minima:
         trajectories = solver.profile(best, search.nodes).trajectories
         accuracy = assess(nlp, best, trajectories)
-        misfit = assessed_misfit(
-            nlp,
-            best,
-            trajectories,
-            accuracy.at_bound,
-            {},
-            lambda x: solver.profile(x).trajectories,
-        )
+        misfit = assessed_misfit(nlp, best, trajectories, accuracy.at_bound, {}, solver)
 
     values = nlp.all_values(best)
     estimate = by_name(nlp.names, values.tolist())

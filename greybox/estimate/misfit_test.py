@@ -1,15 +1,13 @@
 """The test of misfit of a fit that is at hand, with terms of the user."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
 from greybox.modeling.added_terms import Formula
 from greybox.solve.multistart import solver_for
 
@@ -52,9 +50,6 @@ def misfit(
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate
     solver = solver_for(nlp)
+    trajectories = solver.profile(x).trajectories
     at_bound = [q.name for q in fit.quantities if q.at_bound]
-
-    def profile(x: Array) -> Sequence[Any]:
-        return solver.profile(x).trajectories
-
-    return assessed_misfit(nlp, x, profile(x), at_bound, candidates, profile)
+    return assessed_misfit(nlp, x, trajectories, at_bound, candidates, solver)
