@@ -227,7 +227,7 @@ def _with_autoregressive_errors(nlp: CompiledProblem, x: Array, solver: LocalSol
         return least_squares(
             lambda x: group_at(*x).white_residuals[:, 0],
             x,
-            lambda x: group_at(*x).white_fitted,
+            lambda x: group_at(*x).white_fitted,  # pyright: ignore[reportArgumentType]
             (nlp.lower, nlp.upper),
             ftol=1e-4,
             x_scale="jac",
