@@ -184,9 +184,10 @@ def assessed_misfit(
         shape=misfits[-1].shape,
         level=misfits[-1].level,
     )
-    # Gains of a predictor allow for gusts already.
-    allows_for_gusts = any(record.is_predicted for record in disturbed)
-    if misfit.explains or solver is None or responses or allows_for_gusts:
+    # Gains of a predictor allow for gusts already, and an autoregression also takes up the growing
+    # motions that an unstable model lacks.
+    is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
+    if misfit.explains or solver is None or responses or is_excluded:
         return misfit
     # Gusts bias the values that a simulation fits, and through a controller they reach the inputs.
     # At biased values, residuals follow the inputs although no term is missing.
