@@ -361,7 +361,7 @@ def assemble(
     if search.minima:
         trajectories = solver.profile(best, search.nodes).trajectories
         accuracy = assess(nlp, best, trajectories)
-        misfit = assessed_misfit(nlp, best, trajectories, accuracy.at_bound, {})
+        misfit = assessed_misfit(nlp, best, trajectories, accuracy.at_bound, {}, solver)
 
     values = nlp.all_values(best)
     estimate = by_name(nlp.names, values.tolist())

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from greybox.files.arrays import Strings
-from greybox.files.text_table import Printed, number, percent, text_table, with_error
+from greybox.files.text_table import Printed, listed, number, percent, text_table, with_error
 from greybox.modeling.added_terms import Formula
 
 # Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
@@ -118,6 +118,9 @@ class Misfit(Printed):
         The shape of the best term of records, where it is significant.
     level : float
         Probability below which the model does not explain the data.
+    elsewhere : tuple of (str, float)
+        Values at which the model explains records with slow errors, such as gusts, if it does not
+        at those of the fit.
     """
 
     left: float
@@ -129,6 +132,7 @@ class Misfit(Printed):
     is_unstable: bool
     shape: Shape | None = None
     level: float = FALSE_ALARMS
+    elsewhere: tuple[tuple[str, float], ...] = ()
 
     @property
     def p_value(self) -> float:
@@ -141,8 +145,13 @@ class Misfit(Printed):
 
     @property
     def explains(self) -> bool:
-        """Whether the residuals look like noise, or are rounding."""
-        return self.is_exact or not self.p_value < self.level
+        """Whether the residuals look like noise, or are rounding, here or at other values."""
+        return self.is_exact or bool(self.elsewhere) or not self.p_value < self.level
+
+    @property
+    def explains_here(self) -> bool:
+        """Whether the model explains the data at the values of the fit."""
+        return self.explains and not self.elsewhere
 
     @property
     def is_exact(self) -> bool:
@@ -162,7 +171,7 @@ class Misfit(Printed):
     @property
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
-        if self.is_exact:
+        if self.is_exact or self.elsewhere:
             return ()
         # Where drift alone, or correlated errors of a response, would excuse the model.
         excused = 0.05 if self.is_drifting else 0.001
@@ -172,7 +181,7 @@ class Misfit(Printed):
     @property
     def is_drifting(self) -> bool:
         """Whether large, slow residuals are all that is wrong, and no term is certain."""
-        return self.explains and self.drift > DRIFTING and self.left > NOTICED
+        return self.explains_here and self.drift > DRIFTING and self.left > NOTICED
 
     @property
     def verdict(self) -> str:
@@ -186,24 +195,8 @@ class Misfit(Printed):
         noise = ""
         if self.noise < 0.9 * self.left:  # closer shares look alike with two digits
             noise = f"; noise alone would leave about {percent(self.noise)} %"
-        if self.is_drifting:
-            return (
-                f"explains the data only if errors drift: {left} from earlier samples, but for "
-                f"certain from none of {self.tried} missing terms"
-            )
-        if self.explains and self.likely:
-            return (
-                "explains the data only if errors of neighboring points are correlated, or larger "
-                f"at one end: otherwise, {left} what drove the test{noise}"
-            )
         if self.explains:
-            terms = f"none of {self.tried} missing terms"
-            # Residuals of half the standard deviation of an output, or more. White ones are noise;
-            # those that their past predicts may also be a motion that the model lacks.
-            if self.left * self.drift > 0.25:
-                return f"may explain the data: {left} {terms}"
-            size = f" ({percent(self.left)} % of the variance)" if self.left > 0.25 else ""
-            return f"explains the data: the residuals{size} follow {terms}"
+            return self._condition(left, noise)
         common = ""
         if self.p_common < self.level:
             common = "; one set of values does not serve all parts"
@@ -211,6 +204,33 @@ class Misfit(Printed):
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"
             f"{noise}{common}"
         )
+
+    def _condition(self, left: str, noise: str) -> str:
+        """Return that the model explains the data, and on which condition."""
+        if self.elsewhere:
+            values = listed([f"{name} = {number(value, 3)}" for name, value in self.elsewhere])
+            return (
+                f"explains the data only with other values ({values}) and slow errors, as in "
+                "gusts, which bias those of this fit: use PredictionError(disturbance={state: "
+                "'colored'})"
+            )
+        if self.is_drifting:
+            return (
+                f"explains the data only if errors drift: {left} from earlier samples, but for "
+                f"certain from none of {self.tried} missing terms"
+            )
+        if self.likely:
+            return (
+                "explains the data only if errors of neighboring points are correlated, or larger "
+                f"at one end: otherwise, {left} what drove the test{noise}"
+            )
+        terms = f"none of {self.tried} missing terms"
+        # Residuals of half the standard deviation of an output, or more. White ones are noise;
+        # those that their past predicts may also be a motion that the model lacks.
+        if self.left * self.drift > 0.25:
+            return f"may explain the data: {left} {terms}"
+        size = f" ({percent(self.left)} % of the variance)" if self.left > 0.25 else ""
+        return f"explains the data: the residuals{size} follow {terms}"
 
     def __str__(self) -> str:
         header = ["term", "factor", "± error", "explains", "p", "how to add it"]

@@ -55,6 +55,7 @@ def misfit(
         )
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate
-    trajectories = solver_for(nlp).profile(x).trajectories
+    solver = solver_for(nlp)
+    trajectories = solver.profile(x).trajectories
     at_bound = [q.name for q in fit.quantities if q.at_bound]
-    return assessed_misfit(nlp, x, trajectories, at_bound, candidates)
+    return assessed_misfit(nlp, x, trajectories, at_bound, candidates, solver)

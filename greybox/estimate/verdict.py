@@ -54,9 +54,8 @@ def verdict(fit: Any) -> Verdict:
     sentences = [_minimum(fit), _determined(fit)]
     misfit = fit.misfit
     if misfit is not None:
-        sentences.insert(
-            0, (misfit.explains and not misfit.is_drifting, f"The model {misfit.verdict}.")
-        )
+        holds = misfit.explains_here and not misfit.is_drifting
+        sentences.insert(0, (holds, f"The model {misfit.verdict}."))
     is_good = all(is_good for is_good, _ in sentences) and not fit.warnings
     grade = "good" if is_good else "doubt"
     # No start agrees on the minimum of a model that explains nothing, wherever they end.

@@ -1287,3 +1287,32 @@ def test_slow_gusts_beneath_the_noise_of_a_sensor_are_no_missing_term(seed):
     record = gb.Record(h * np.arange(2000), signals, hold={"u": np.inf})
     fit = gb.fit(gb.Problem(Position(), record), starts=1, progress=False, profiles=False)
     assert fit.misfit.explains
+
+
+@pytest.mark.parametrize("largest", [np.inf, 0.35])
+def test_values_that_gusts_bias_through_a_controller_are_named_beside_better_ones(largest):
+    """The controller acts on x and v; the actuator saturates in the second flight."""
+    random = np.random.default_rng(7)
+    command = np.tile(np.repeat([0.6, -0.6, 0.0], [30, 30, 60]), 7)[:800]
+    gusts, noise = 0.6 * random.normal(size=800), 0.005 * random.normal(size=800)
+    h, d, b = 0.05, 0.7, 5.0
+    decay = np.exp(-d * h)
+    lag = (1 - decay) / d
+    x = v = 0.0
+    control, position = np.zeros(800), np.zeros(800)
+    for k, gust in enumerate(gusts):
+        position[k] = x + noise[k]
+        control[k] = command[k] - 0.4 * position[k] - 0.3 * v
+        # Exact for forces that are constant between samples.
+        force = b * np.clip(control[k], -largest, largest) + gust
+        x, v = x + lag * v + (h - lag) / d * force, decay * v + lag * force
+    record = gb.Record(h * np.arange(800), {"u": control, "x": position}, hold={"u": np.inf})
+    fit = gb.fit(gb.Problem(Position(), record), starts=1, progress=False, profiles=False)
+    assert fit.estimate["b"] < 4.0
+    assert not fit.misfit.explains_here
+    assert fit.misfit.explains == np.isinf(largest)
+    if fit.misfit.explains:
+        assert dict(fit.misfit.elsewhere)["b"] == pytest.approx(5.0, rel=0.05)
+        assert fit.misfit.likely == ()
+        assert "explains the data only with other values (d = " in verdict(fit).sentences[0]
+        assert "valid only if the model explains the data" in str(fit)
