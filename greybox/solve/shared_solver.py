@@ -109,7 +109,8 @@ class SharedSolver(ResponseSolver):
                 _, delays, _, slopes = system.matrices(z)
                 along = slopes[:, k].T
                 excess = half_turn * (delays[:, k] // half_turn)
-                z = z - excess * along / np.sum(along**2, axis=0)
+                # A fixed delay follows no variable.
+                z = z - excess * along / np.maximum(np.sum(along**2, axis=0), 1e-300)
         return z
 
     def again(self, x: Array, earlier: Outcome | Run, options: Named = NO_OPTIONS) -> Outcome:
