@@ -51,8 +51,9 @@ from greybox.statistics.score_test import (
 OF_RESPONSES = 0.01
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
-# Evaluations of a fit with autoregressive errors, at most: it takes 3 to 21.
-EVALUATIONS = 30
+# Evaluations of a fit with autoregressive errors, at most: most take 3 to 8, each of which is a
+# simulation of all records.
+EVALUATIONS = 15
 # Largest probability at which such a fit does not explain records either. Slow gusts look like a
 # term more often than noise: of 38 right models in gusts, 8 were between this and `FALSE_ALARMS`,
 # and of 148 wrong ones without gusts none.
