@@ -25,7 +25,6 @@ from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     check_fits,
     data_difference,
-    is_likelihood,
     labels_of,
     shared_data,
     why_not_comparable,
@@ -116,9 +115,7 @@ def compare(
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)
 
-    # Costs that are likelihoods are compared as they are; others need a common likelihood.
-    is_known = not not_comparable and all(map(is_likelihood, fits))
-    likelihoods = common_likelihood(fits) if not different and not is_known else None
+    likelihoods = None if different else common_likelihood(fits, comparable=not not_comparable)
     rows = fit_rows(
         fits, same_data=not different, comparable=not not_comparable, likelihoods=likelihoods
     )
