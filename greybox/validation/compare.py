@@ -147,7 +147,7 @@ def compare(
         if len(fits) == 2 and tests:
             supported = tests[0].large if tests[0].p_value < SIGNIFICANT else tests[0].small
         verdict, *statements = statements or ("",)
-    if all(fit.misfit is not None and not fit.misfit.explains for fit in fits):
+    if not any(fit.is_explained for fit in fits):
         verdict = f"None of these models explains its data. {verdict}".rstrip()
     return Comparison(
         labels=names,
