@@ -54,9 +54,7 @@ def regressors(
     cutoffs: dict[str, float] = {}
     for state in equations.states:
         if state.how == "signal":
-            smoothed = smooth(time, record[state.source])
-            cutoffs[state.source] = smoothed.cutoff
-            signal = smoothed.values
+            signal, cutoffs[state.source] = smooth(time, record[state.source])
         else:
             signal = derivatives[state.source]
         # The formula may use the states before this one; others stay NaN, and it has no use of
