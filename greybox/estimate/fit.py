@@ -414,14 +414,13 @@ def assemble(
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
     together = determined_together(answer) if accuracy.combinations else ()
-    # No weight could account for the misfit of a wrong model.
-    explains = misfit is None or misfit.explains
     return replace(
         answer,
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
         notes=(
             *unused_noise(nlp.problem),
-            *(better_weights(nlp, accuracy) if explains else ()),
+            # No weight could account for the misfit of a wrong model.
+            *(better_weights(nlp, accuracy) if answer.is_explained else ()),
             *resting_inputs(nlp),
             *(() if misfit is not None and misfit.is_exact else rounded_outputs(answer.records)),
             *together,

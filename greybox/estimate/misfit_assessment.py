@@ -151,7 +151,7 @@ def assessed_misfit(
         regression_of_response(part, name, values, nlp.names, moves)
         for part, name in nlp.rows_of(ResponsePart, names)
     ]
-    disturbed = _disturbed(nlp, trajectories)
+    disturbed = _disturbed(nlp, trajectories, names)
     # Records are linearized by the solver's variables, responses by the parameters.
     by_x = np.diag(nlp.scaling.slope(x))[moves]
     regressions = []
@@ -192,14 +192,16 @@ def assessed_misfit(
         return misfit
     # Gusts bias the values that a simulation fits, and through a controller they reach the inputs.
     # At biased values, residuals follow the inputs although no term is missing.
-    x = _with_autoregressive_errors(nlp, x, solver)
+    x = _with_autoregressive_errors(nlp, x, solver, names)
     other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates)
     if other is None or other.p_value < IN_GUSTS:
         return misfit
     return replace(misfit, elsewhere=tuple(zip(nlp.free, x.tolist(), strict=True)))
 
 
-def _with_autoregressive_errors(nlp: CompiledProblem, x: Array, solver: LocalSolver) -> Array:
+def _with_autoregressive_errors(
+    nlp: CompiledProblem, x: Array, solver: LocalSolver, names: Labels
+) -> Array:
     """Return the values (p,) that fit records best if their errors are autoregressions.
 
     With such errors, a simulation is a predictor by the outputs of the past, whose estimates gusts
@@ -212,7 +214,7 @@ def _with_autoregressive_errors(nlp: CompiledProblem, x: Array, solver: LocalSol
     def group_at(*values: float) -> Group:
         x = np.array(values)
         by_x = np.diag(nlp.scaling.slope(x))
-        records = _disturbed(nlp, solver.profile(x).trajectories)
+        records = _disturbed(nlp, solver.profile(x).trajectories, names)
         regressions = []
         for record in records:
             # The weights of a fit change with its errors.
@@ -240,10 +242,10 @@ def _with_autoregressive_errors(nlp: CompiledProblem, x: Array, solver: LocalSol
         return x
 
 
-def _disturbed(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> list[DisturbedRecord]:
-    """Return the records, or excerpts of them."""
-    # Flights of one model are often all named like it.
-    names = numbered_where_alike([part.name for part in nlp.parts])
+def _disturbed(
+    nlp: CompiledProblem, trajectories: Sequence[Trajectory], names: Labels
+) -> list[DisturbedRecord]:
+    """Return the records, or excerpts of them, by the names of all parts."""
     records = [
         (part, trajectory, name)
         for part, trajectory, name in nlp.rows_of(RecordPart, trajectories, names)
@@ -568,16 +570,15 @@ def _refitted(parts: Sequence[Regression], determined: Array, key: Any = None) -
     # A step or two suffice where values are near the common ones; of resonances a factor of 20
     # apart, p falls from 0.4 without a step to 1e-38 with five. Frequency and damping of a term
     # take ten. They end at a change of the log likelihood far below what is significant.
-    values = least_squares(
+    fit = least_squares(
         lambda values: table(*values)[:, 0],
         np.append(np.zeros(k), start),
         lambda values: table(*values)[:, 1:],  # pyright: ignore[reportArgumentType]
         x_scale="jac",
         max_nfev=10,
         ftol=0.3 / sum(lengths),
-    ).x
-    residuals, slopes = np.split(table(*values), [1], axis=1)
-    return residuals, slopes, lengths
+    )
+    return fit.fun[:, None], fit.jac, lengths
 
 
 def _lengths(parts: Sequence[Regression]) -> list[int]:

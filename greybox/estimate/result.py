@@ -265,6 +265,11 @@ class Fit(Printed):
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
 
     @property
+    def is_explained(self) -> bool:
+        """False if the test of misfit shows that the model does not explain the data."""
+        return self.misfit is None or self.misfit.explains
+
+    @property
     def details(self) -> str:
         """What ``print(fit)`` leaves out: starts, cost, delay, correlations beyond 0.9, time."""
         return details(self)

@@ -36,9 +36,9 @@ from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.regression.least_squares import undetermined
+from greybox.regression.least_squares import Rows, undetermined
 from greybox.regression.linear_in_parameters import Equations, regressions
-from greybox.regression.regressors import Regressors, regressors
+from greybox.regression.regressors import regressors
 from greybox.spectral.uniform_stretches import check_uniform
 
 
@@ -184,10 +184,10 @@ def equation_error(
     equations = regressions(system, record.signals, constants)
     _require_equations(model, equations, record)
     between = by_name(system.inputs, between_samples(inputs, system.inputs, record))
-    data = regressors(equations, record, start, between)
+    rows, bands = regressors(equations, record, start, between)
     low, high = np.reshape([unknown[n].bounds for n in equations.linear], (-1, 2)).T
-    values, errors = _solved(data, low, high)
-    groups = [tuple(equations.linear[k] for k in group) for group in undetermined(data.rows.slopes)]
+    values, errors = _solved(rows, len(bands), low, high)
+    groups = [tuple(equations.linear[k] for k in group) for group in undetermined(rows.slopes)]
     lost = {name for group in groups for name in group}
     limits = zip(equations.linear, values.tolist(), low, high, strict=True)
     estimates = {name: (value, *bounds) for name, value, *bounds in limits if name not in lost}
@@ -199,11 +199,11 @@ def equation_error(
         )
 
     at_bound = tuple(name for name, (value, a, b) in estimates.items() if not a < value < b)
-    residuals = data.rows.spread(errors, len(data.bands))
+    residuals = rows.spread(errors, len(bands))
     used = list[UsedEquation]()
-    for k, (equation, band) in enumerate(zip(equations.equations, data.bands, strict=True)):
-        of = data.rows.equation == k
-        share = explained(data.rows.target[of], errors[of])
+    for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):
+        of = rows.equation == k
+        share = explained(rows.target[of], errors[of])
         count = int(of.sum())
         band_hz = band / (2 * math.pi)
         left, names = equation.left, equation.parameters
@@ -254,10 +254,8 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
     )
 
 
-def _solved(data: Regressors, low: Array, high: Array) -> ArrayPair:
-    """Return the unknowns (k,) within their bounds, and the residuals (n,)."""
-    rows = data.rows
-    count = len(data.bands)
+def _solved(rows: Rows, count: int, low: Array, high: Array) -> ArrayPair:
+    """Return the unknowns (k,) of `count` equations within their bounds, and the residuals (n,)."""
     # The equations are weighted by the sizes of their residuals, known only after a solution: at
     # first, nothing is explained. Weights and estimate determine one another; each pass changes the
     # weights less.

@@ -76,7 +76,6 @@ class Equations:
     equations: tuple[Equation, ...]
     state_names: Strings
     input_names: Strings
-    free: Strings
     linear: Strings
     nonlinear: Strings
     rows: ca.Function
@@ -158,7 +157,6 @@ class _Analysis:
             equations=equations,
             state_names=self.model.states,
             input_names=self.model.inputs,
-            free=self.free,
             linear=linear,
             nonlinear=nonlinear,
             rows=ca.Function("affine", [self.x, self.u, self.p], [*map(ca.densify, affine)]),

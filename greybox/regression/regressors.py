@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record, median_step
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array
 from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -22,27 +22,18 @@ from greybox.regression.smoothing import (
 FEWEST = 4  # remaining rows of a stretch: fewer add nothing to the thousands of a record
 
 
-@frozen
-class Regressors:
-    """The regressions of a record.
+def regressors(
+    equations: Equations, record: Record, p: Array, between: Mapping[str, Intersample]
+) -> tuple[Rows, tuple[float, ...]]:
+    """Smooth the signals of a regular record, and make the regressions.
 
-    Attributes
-    ----------
+    Returns
+    -------
     rows : Rows
         Every equation over every stretch.
     bands : tuple of float
         Cutoff of the filter that all terms of an equation pass, rad/s; infinite if no signal was
         smoothed.
-    """
-
-    rows: Rows
-    bands: tuple[float, ...]
-
-
-def regressors(
-    equations: Equations, record: Record, p: Array, between: Mapping[str, Intersample]
-) -> Regressors:
-    """Smooth the signals of a regular record, and make the regressions.
 
     Parameters
     ----------
@@ -63,9 +54,7 @@ def regressors(
     cutoffs: dict[str, float] = {}
     for state in equations.states:
         if state.how == "signal":
-            smoothed = smooth(time, record[state.source])
-            cutoffs[state.source] = smoothed.cutoff
-            signal = smoothed.values
+            signal, cutoffs[state.source] = smooth(time, record[state.source])
         else:
             signal = derivatives[state.source]
         # The formula may use the states before this one; others stay NaN, and it has no use of
@@ -111,7 +100,7 @@ def regressors(
             "s at its ends; give a longer or less noisy record."
         )
     equation = np.repeat(np.arange(len(base)), [len(rows) for rows in filtered])
-    return Regressors(Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:]), bands)
+    return Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:]), bands
 
 
 def _filtered(time: Array, columns: Array, band: float, lateness: float) -> Array:

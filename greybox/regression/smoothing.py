@@ -18,35 +18,26 @@ import math
 import numpy as np
 
 from greybox.data.record import GAP, median_step, runs_between_gaps
-from greybox.files.arrays import Array, ArrayPair, IntArray, frozen
+from greybox.files.arrays import Array, ArrayPair, IntArray
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
 SHORTEST = 12
 
 
-@frozen
-class Smoothed:
-    """A smoothed signal.
-
-    Attributes
-    ----------
-    values : (n,) array
-        In the unit of the signal; NaN if the signal is missing or its stretch is too short. The
-        first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
-    cutoff : float, rad/s
-        Frequency at which half of the amplitude passes.
-    """
-
-    values: Array
-    cutoff: float
-
-
-def smooth(time: Array, values: Array) -> Smoothed:
+def smooth(time: Array, values: Array) -> tuple[Array, float]:
     """Smooth a signal, stretch by stretch, never across a gap.
 
     A single missing sample is interpolated; two or more in a row are a gap, as in `Record`. One
     cutoff serves all: generalized cross-validation takes everything but white noise for signal.
+
+    Returns
+    -------
+    smoothed : (n,) array
+        In the unit of the signal; NaN if the signal is missing or its stretch is too short. The
+        first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
+    cutoff : float, rad/s
+        Frequency at which half of the amplitude passes.
 
     Parameters
     ----------
@@ -75,10 +66,10 @@ def smooth(time: Array, values: Array) -> Smoothed:
     is_line = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))
     cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
-    smooth_values = np.full(values.size, np.nan)
+    smoothed = np.full(values.size, np.nan)
     for rows in parts:
-        smooth_values[rows] = low_pass(values[rows], step, cutoff)
-    return Smoothed(smooth_values, cutoff)
+        smoothed[rows] = low_pass(values[rows], step, cutoff)
+    return smoothed, cutoff
 
 
 def low_pass(values: Array, step: float, cutoff: float) -> Array:

@@ -411,10 +411,9 @@ class ResidualSpectra:
         if parts is None:
             return None
         densities, of_residuals = parts
-        estimated = variance_components(
+        variance, covariance, score = variance_components(
             of_residuals, self.periodogram[1].T, self._numbers, len(self.counts)
         )
-        variance = estimated.variance
         density = np.tensordot(variance, densities, 1)
         taken = np.array([self.taken_by(part) for part in densities]) * variance
         total = float(taken.sum())
@@ -423,8 +422,8 @@ class ResidualSpectra:
         return AveragedSpectrum(
             density,
             total,
-            float(share @ estimated.covariance @ share),
-            estimated.score + aicc_penalty(len(variance), self.counts.sum()),
+            float(share @ covariance @ share),
+            score + aicc_penalty(len(variance), self.counts.sum()),
         )
 
     def gain_of_gusts(self) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, frozen
+from greybox.files.arrays import Array, ArrayPair, ComplexArray
 
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.
@@ -25,25 +25,6 @@ LONGEST_STEP = 1.5  # of the logarithm of a variance
 # Share of the variance of an output below which a variance is zero. A ridge of this size also
 # replaces what the expectations lack at a frequency from which the fit takes all power.
 LEAST = 1e-4
-
-
-@frozen
-class VarianceComponents:
-    """Variances of c parts of the errors.
-
-    Attributes
-    ----------
-    variance : (c,) array
-        In units of the expected periodograms.
-    covariance : (c, c) array
-        Covariance of their logarithms.
-    score : float
-        -2 log likelihood.
-    """
-
-    variance: Array
-    covariance: Array
-    score: float
 
 
 def whittle_score(
@@ -69,8 +50,17 @@ def whittle_score(
 
 def variance_components(
     expected: ComplexArray, periodogram: ComplexArray, numbers: Array, sensors: int
-) -> VarianceComponents:
-    """Return the variances that make a periodogram most likely.
+) -> tuple[Array, Array, float]:
+    """Return the variances of c parts of the errors that make a periodogram most likely.
+
+    Returns
+    -------
+    variance : (c,) array
+        In units of the expected periodograms.
+    covariance : (c, c) array
+        Covariance of their logarithms.
+    score : float
+        -2 log likelihood.
 
     Parameters
     ----------
@@ -128,4 +118,4 @@ def variance_components(
 
     # Along smaller eigenvalues of the information, the likelihood does not change.
     covariance = 2 * np.linalg.pinv(information, 1e-8, hermitian=True)
-    return VarianceComponents(variance, covariance, score)
+    return variance, covariance, score

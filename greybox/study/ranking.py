@@ -105,9 +105,7 @@ def _evidence(
     """Return the best fit of every structure, and its BIC less the least of all."""
     names, _, fits, held = zip(*group, strict=True)
     is_comparable = not why_not_comparable(fits, names)
-    likelihoods = None
-    if not is_comparable or not all(map(is_likelihood, fits)):
-        likelihoods = common_likelihood(fits)
+    likelihoods = common_likelihood(fits, comparable=is_comparable)
     rows = fit_rows(fits, same_data=True, comparable=is_comparable, likelihoods=likelihoods)
     if all(fit.records and is_likelihood(fit) for fit in fits) and other_samples(fits, names):
         rows = _rows_of_shared_samples(fits)

@@ -25,7 +25,6 @@ from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     check_fits,
     data_difference,
-    is_likelihood,
     labels_of,
     shared_data,
     why_not_comparable,
@@ -116,9 +115,7 @@ def compare(
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)
 
-    # Costs that are likelihoods are compared as they are; others need a common likelihood.
-    is_known = not not_comparable and all(map(is_likelihood, fits))
-    likelihoods = common_likelihood(fits) if not different and not is_known else None
+    likelihoods = None if different else common_likelihood(fits, comparable=not not_comparable)
     rows = fit_rows(
         fits, same_data=not different, comparable=not not_comparable, likelihoods=likelihoods
     )
@@ -150,7 +147,7 @@ def compare(
         if len(fits) == 2 and tests:
             supported = tests[0].large if tests[0].p_value < SIGNIFICANT else tests[0].small
         verdict, *statements = statements or ("",)
-    if all(fit.misfit is not None and not fit.misfit.explains for fit in fits):
+    if not any(fit.is_explained for fit in fits):
         verdict = f"None of these models explains its data. {verdict}".rstrip()
     return Comparison(
         labels=names,

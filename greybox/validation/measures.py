@@ -55,8 +55,13 @@ class Likelihoods:
         return [len(fit.free) + self.criterion.nuisances * len(fit.parts) for fit in self.originals]
 
 
-def common_likelihood(fits: Fits) -> Likelihoods | None:
-    """Return fits of responses on the scale of one likelihood; None for other data or weights."""
+def common_likelihood(fits: Fits, *, comparable: bool) -> Likelihoods | None:
+    """Return fits to the same responses on the scale of one likelihood.
+
+    None for other data or weights, and if costs are likelihoods that are `comparable` as they are.
+    """
+    if comparable and all(map(is_likelihood, fits)):
+        return None
     parts = [part for fit in fits for part in fit.parts]
     if not all(isinstance(part, FittedResponse) and part.weight == 1 for part in parts):
         return None

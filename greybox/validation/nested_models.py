@@ -199,7 +199,7 @@ def nested_test_at(
         if rows:
             white = large.white[np.ix_(rows, rows)]
             scale = float(np.trace(np.linalg.solve(white, covariance))) / len(rows)
-        if independent and large.misfit is not None and not large.misfit.explains:
+        if independent and not large.is_explained:
             # Where a misfit counts as noise, the noise of the responses that lack another term is
             # so large that no term of theirs would be found: errors count as equal.
             scale = 1.0 if is_likelihood(large) or math.isinf(dof) else 2 * large.cost / dof

@@ -38,10 +38,9 @@ def ends(band, lateness, step=MEDIAN_STEP):
 
 def test_at_the_truth_the_blocks_hold():
     """v' = a v + b w to the accuracy of cubic splines; the rows begin behind the filter and the delay."""
-    data = made()
-    block = data.rows
+    block, bands = made()
     lateness = KNOWN["T"]
-    lost = ends(data.bands[0], lateness)
+    lost = ends(bands[0], lateness)
     assert len(block.target) == len(block.base) == len(block.slopes) == TIME.size - lost
     error = block.target - block.base - block.slopes @ TRUTH[:2]
     assert np.abs(error).max() < 2e-3 * np.abs(block.target).max()
@@ -52,15 +51,15 @@ def test_every_stretch_loses_its_ends_and_one_that_is_too_short_gives_no_block()
     lateness = KNOWN["T"]
     v = record["v"].copy()
     v[1000:1003] = np.nan
-    data = made(record.with_signals(v=v))
-    lost = ends(data.bands[0], lateness)
-    assert data.rows.target.size == TIME.size - 3 - 2 * lost
+    rows, bands = made(record.with_signals(v=v))
+    lost = ends(bands[0], lateness)
+    assert rows.target.size == TIME.size - 3 - 2 * lost
     for more in (0, FEWEST - 1, FEWEST):
         v = record["v"].copy()
         v[lost + more : lost + more + 3] = np.nan
-        data = made(record.with_signals(v=v))
-        if ends(data.bands[0], lateness) == lost:
-            assert data.rows.target.size == TIME.size - 3 - 2 * lost - more * (more < FEWEST)
+        rows, bands = made(record.with_signals(v=v))
+        if ends(bands[0], lateness) == lost:
+            assert rows.target.size == TIME.size - 3 - 2 * lost - more * (more < FEWEST)
 
 
 def test_a_record_that_is_too_short_is_refused():
@@ -101,9 +100,9 @@ def test_without_inputs_nothing_is_late():
     time = 0.05 * np.arange(200)
     record = gb.Record(time, {"v": np.exp(-1.0 * time)})
     equations = regressions(dynamics(Autonomous()), ["v"], {})
-    data = regressors(equations, record, np.array([-1.0]), {})
-    assert data.rows.target.size == 200 - ends(data.bands[0], 0.0, 0.05)
-    assert_allclose(data.rows.target, -data.rows.slopes[:, 0], rtol=0.05)
+    rows, bands = regressors(equations, record, np.array([-1.0]), {})
+    assert rows.target.size == 200 - ends(bands[0], 0.0, 0.05)
+    assert_allclose(rows.target, -rows.slopes[:, 0], rtol=0.05)
 
 
 class Driven(gb.StateSpace):
@@ -135,10 +134,10 @@ def test_inputs_arrive_after_their_delays(between, late):
     record = gb.Record(time, {"u": np.sin(1.3 * time) + 2, "y": np.cos(0.7 * time)})
     point = np.array([2.0, 0.07])
     equations = regressions(dynamics(Driven()), record.signals, {})
-    data = regressors(equations, record, point, {"u": between})
-    assert data.bands == (np.inf,)
+    rows, bands = regressors(equations, record, point, {"u": between})
+    assert bands == (np.inf,)
     used = time[math.ceil(late / 0.05) :]
-    u = data.rows.slopes[:, 0]
+    u = rows.slopes[:, 0]
     if between.held:
         # Between two values, in shares of the part of a step.
         acts = acting(time, record["u"])

@@ -814,21 +814,21 @@ def test_process_noise_is_judged_by_the_variances_of_its_parts():
     densities, of_residuals = made.noise_parts(0.0)
     found = made.process_noise(0.0)
     power, numbers = made.periodogram[1].T, made.counts[:, None] * made.grid.band_weight
-    variances = variance_components(of_residuals, power, numbers, sensors=2)
-    assert variances.variance.shape == (4,)
+    variance, covariance, score = variance_components(of_residuals, power, numbers, sensors=2)
+    assert variance.shape == (4,)
     assert_allclose(
         found.density,
-        sum(v * part for v, part in zip(variances.variance, densities, strict=True)),
+        sum(v * part for v, part in zip(variance, densities, strict=True)),
     )
     assert found.taken == pytest.approx(made.taken_by(found.density))
-    assert found.score == pytest.approx(variances.score + 8 + 2 * 4 * 5 / (120 - 5))
+    assert found.score == pytest.approx(score + 8 + 2 * 4 * 5 / (120 - 5))
 
     def logarithm(logs):
         return np.log(made.taken_by(np.tensordot(np.exp(logs), densities, 1)))
 
-    logs = np.log(variances.variance)
+    logs = np.log(variance)
     slope = np.array([(logarithm(logs + d) - logarithm(logs - d)) / 2e-5 for d in 1e-5 * np.eye(4)])
-    assert found.uncertainty == pytest.approx(slope @ variances.covariance @ slope, rel=1e-4)
+    assert found.uncertainty == pytest.approx(slope @ covariance @ slope, rel=1e-4)
 
 
 def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_the_variance_by_a_tenth():

@@ -77,7 +77,7 @@ def warnings(
     misfit = answer.misfit
     # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
     noisy = misfit is None or misfit.is_noisy
-    explained = misfit is None or misfit.explains
+    explained = answer.is_explained
     exact = misfit is not None and misfit.is_exact
     # Residuals of a wrong model are not errors, nor is rounding: their correlation does not matter.
     errors = explained and not exact
@@ -88,7 +88,7 @@ def warnings(
         *discretization_warnings(nlp, trajectories, error),
         *(() if explained else (UNEXPLAINED,)),
         *(
-            record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy, explained=explained)
+            record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy)
             if answer.records
             else ()
         ),

@@ -85,14 +85,13 @@ def record_warnings(
     accuracy: Accuracy,
     *,
     noisy: bool,
-    explained: bool,
 ) -> Strings:
     """Return the warnings about the records of a fit.
 
     Residuals of a wrong model look like feedback, which is then not tested, and like gusts unless
     the model explains the data.
     """
-    misfit = answer.misfit
+    misfit, explained = answer.misfit, answer.is_explained
     pairs = nlp.rows_of(RecordPart, answer.parts)
     unstable = bool(misfit and misfit.is_unstable)
     answered = bool(misfit and unstable and (misfit.left > ANSWERED or not explained))
