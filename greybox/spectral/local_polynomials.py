@@ -208,12 +208,13 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
 
     together = np.concatenate(omega)
     order = np.argsort(together, kind="stable")
+    together, signals = together[order], np.concatenate(values, axis=1)[:, order]
     return Lines(
-        together[order],
-        np.concatenate(values, axis=1)[:, order],
+        together,
+        signals,
         np.concatenate(stretch)[order],
-        min(float(first[0]) for first in omega if first.size),
-        all(np.array_equal(piece.values[0], piece.values[2]) for piece in stretches),
+        float(together[0]),  # the first line of a stretch is at its spacing
+        np.array_equal(signals[0], signals[2]),
     )
 
 

@@ -73,7 +73,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         A response near the true one, such as that of a fitted model, without the hold of the input.
         The polynomials then describe what it leaves, so that their error and that of the noise are
         smaller where the response changes much from line to line: at the lowest frequencies, and at
-        resonances. Not used if `omega` is given.
+        resonances. A tenth of the error that is so subtracted counts as uncertain: the response
+        is that of a fit, which may be as wrong. Not used if `omega` is given.
 
     Returns
     -------
@@ -95,9 +96,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     instruments = conditioned.values() if isinstance(conditioned, Mapping) else conditioned
     signals = [input, output, instrument or input, *conditioned, *instruments]
     stretches = uniform_stretches(records, signals)
-    longest = max(s.values.shape[1] * s.step for s in stretches)
-    lowest = LOWEST * HZ / longest
     lines = lines_of(stretches)
+    lowest = LOWEST * lines.spacing
     if omega is None:
         limits = (lowest, 0.4 * HZ / max(s.step for s in stretches))  # of the sampling rate
         ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
@@ -112,8 +112,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         if too_low.size:
             raise ValueError(
                 f"omega = {too_low[0]:g} rad/s has fewer than {LOWEST} periods in the longest "
-                f"stretch, {longest:.4g} s: leave out frequencies below {lowest:.4g} rad/s, record "
-                f"longer, or use {FOR_MANOEUVRES}."
+                f"stretch, {HZ / lines.spacing:.4g} s: leave out frequencies below {lowest:.4g} "
+                f"rad/s, record longer, or use {FOR_MANOEUVRES}."
             )
         estimated = points_at(lines, grid)
 
