@@ -301,3 +301,13 @@ def test_the_response_near_the_true_one_is_that_of_the_plant_where_the_input_is_
         got = spectral_response(flown, near=near).without_hold().between(4.5, 5.5)
         errors.append(np.abs(got.response / plant(got.omega) - 1).max())
     assert errors[1] < 0.01 < errors[0]  # of phase, half a sample of the mode would leave 0.024
+
+
+def test_a_share_of_what_a_response_near_the_true_one_takes_is_uncertain():
+    """Without noise, it is all that is left; the mode has died out before the record ends."""
+    b, a = resonance(6.0, 0.05)
+    u = np.concatenate([flown_sweep(), np.zeros(20 * RATE)])
+    flown = record(u=u, theta=lfilter(b, a, u))
+    got = spectral_response(flown, near=lambda w: freqz(b, a, w / RATE)[1]).between(4.5, 8)
+    uncertain = np.sqrt(got.variance) / np.abs(got.response)
+    assert 1e-3 < uncertain.max() < 0.02
