@@ -482,7 +482,7 @@ def _estimated(
         # polynomials exceeds the noise. For the remainder of a rational function, it is far below.
         # Three points have six numbers, more than the smallest rational function has unknowns.
         if settings.refined and len(measured) >= 3:
-            linear = linear_fits([measured])
+            linear = linear_fits([measured.without_hold()])
             measured = estimate(near=partial(best_response, linear))
             about = {"refined": "the polynomials describe what the best rational function leaves"}
             measured = replace(measured, about={**measured.about, **about})

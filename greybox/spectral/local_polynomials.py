@@ -189,6 +189,11 @@ class Band(NamedTuple):
     squares: float
     number: float
 
+    def corrected(self, error: ComplexArray) -> "Band":
+        """Subtract an error (k,) that is known for a response near the true one."""
+        remaining = self.squared_error + UNCORRECTED * np.abs(error) ** 2
+        return self._replace(correction=self.correction + error, squared_error=remaining)
+
 
 def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
     """Transform stretches; their rows are those of `Lines`."""
@@ -203,12 +208,13 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
 
     together = np.concatenate(omega)
     order = np.argsort(together, kind="stable")
+    together, signals = together[order], np.concatenate(values, axis=1)[:, order]
     return Lines(
-        together[order],
-        np.concatenate(values, axis=1)[:, order],
+        together,
+        signals,
         np.concatenate(stretch)[order],
-        min(float(first[0]) for first in omega if first.size),
-        all(np.array_equal(piece.values[0], piece.values[2]) for piece in stretches),
+        float(together[0]),  # the first line of a stretch is at its spacing
+        np.array_equal(signals[0], signals[2]),
     )
 
 
@@ -419,11 +425,7 @@ def _beside(
     rest = lines._replace(values=np.array([u, y - output, *others]))
     judged = (_judged(rest, band.fitted, band.omega)[0] for band in bands)
     return [
-        b._replace(
-            correction=b.correction
-            + b.fitted.weights(b.omega) @ output[b.fitted.rows]
-            - near(b.omega)
-        )
+        b.corrected(b.fitted.weights(b.omega) @ output[b.fitted.rows] - near(b.omega))
         for b in judged
     ]
 
@@ -457,8 +459,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     if with_pole is None:
         return plain._replace(squared_error=np.maximum(squared - variance, 0) / GROWTH**2), True
     correction, squares, number = with_pole
-    remaining = UNCORRECTED * np.abs(correction) ** 2
-    return Band(fitted, omega, correction, remaining, squares, number), True
+    return plain._replace(squares=squares, number=number).corrected(correction), True
 
 
 def _with_pole(

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import HOLD, response_of_hold
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray, Interval, Labels, NamedStrings
-from greybox.spectral.estimated_points import HZ, response_at, without_incoherent
+from greybox.spectral.estimated_points import HZ, measured_in, response_at, without_incoherent
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches
 
@@ -69,10 +70,11 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     name : str
         Name of the response.
     near : function of (n,) array, rad/s, optional
-        A response near the true one, such as that of a fitted model. The polynomials then describe
-        what it leaves, so that their error and that of the noise are smaller where the response
-        changes much from line to line: at the lowest frequencies, and at resonances. Not used if
-        `omega` is given.
+        A response near the true one, such as that of a fitted model, without the hold of the input.
+        The polynomials then describe what it leaves, so that their error and that of the noise are
+        smaller where the response changes much from line to line: at the lowest frequencies, and at
+        resonances. A tenth of the error that is so subtracted counts as uncertain: the response
+        is that of a fit, which may be as wrong. Not used if `omega` is given.
 
     Returns
     -------
@@ -94,21 +96,24 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     instruments = conditioned.values() if isinstance(conditioned, Mapping) else conditioned
     signals = [input, output, instrument or input, *conditioned, *instruments]
     stretches = uniform_stretches(records, signals)
-    longest = max(s.values.shape[1] * s.step for s in stretches)
-    lowest = LOWEST * HZ / longest
     lines = lines_of(stretches)
+    lowest = LOWEST * lines.spacing
     if omega is None:
         limits = (lowest, 0.4 * HZ / max(s.step for s in stretches))  # of the sampling rate
         ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
-        estimated = tiled_points(lines, *ends, max(points, 2), near)
+        # The samples are those of the held input: without the hold, half a sample of phase would
+        # remain of each resonance.
+        seconds = float(measured_in(stretches, input, output)["about"].get(HOLD, 0.0))
+        sampled = near and (lambda w: near(w) * response_of_hold(w, seconds))
+        estimated = tiled_points(lines, *ends, max(points, 2), sampled)
     else:
         grid = np.array(omega, dtype=float, ndmin=1)
         too_low = grid[~(grid >= lowest * (1 - 1e-9))]
         if too_low.size:
             raise ValueError(
                 f"omega = {too_low[0]:g} rad/s has fewer than {LOWEST} periods in the longest "
-                f"stretch, {longest:.4g} s: leave out frequencies below {lowest:.4g} rad/s, record "
-                f"longer, or use {FOR_MANOEUVRES}."
+                f"stretch, {HZ / lines.spacing:.4g} s: leave out frequencies below {lowest:.4g} "
+                f"rad/s, record longer, or use {FOR_MANOEUVRES}."
             )
         estimated = points_at(lines, grid)
 

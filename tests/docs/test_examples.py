@@ -1,6 +1,6 @@
 """Examples with answers, as `doctest` reads them: those of public docstrings and of the guide.
 
-An answer that changes fails here. The blocks of the guide without answers run in `test_pages.py`.
+An answer that changes fails here. The blocks of the guide without answers run in `test_readme.py`.
 """
 
 import doctest

@@ -283,3 +283,31 @@ def test_the_grid_reaches_from_six_periods_of_the_record_to_four_tenths_of_the_s
     assert 6 * HZ / 20 < got.omega[0] < 9 * HZ / 20
     assert 0.34 * HZ * RATE < got.omega[-1] < 0.4 * HZ * RATE
     assert len(spectral_response(flown, omega=5.0)) == 1
+
+
+def test_the_response_near_the_true_one_is_that_of_the_plant_where_the_input_is_held():
+    """A mode of 3 % damping: with the plant itself, nothing of its narrow peak remains."""
+    from scipy.signal import cont2discrete
+
+    def plant(omega):
+        return 5.0**2 / (5.0**2 - omega**2 + 0.3j * omega)
+
+    b, a, _ = cont2discrete(([5.0**2], [1, 0.3, 5.0**2]), 1 / RATE)  # by a zero-order hold
+    u = flown_sweep()
+    time = np.arange(u.size) / RATE
+    flown = Record(time, {"u": u, "theta": lfilter(b.ravel(), a, u)}, hold={"u": np.inf})
+    errors = []
+    for near in (None, plant):
+        got = spectral_response(flown, near=near).without_hold().between(4.5, 5.5)
+        errors.append(np.abs(got.response / plant(got.omega) - 1).max())
+    assert errors[1] < 0.01 < errors[0]  # of phase, half a sample of the mode would leave 0.024
+
+
+def test_a_share_of_what_a_response_near_the_true_one_takes_is_uncertain():
+    """Without noise, it is all that is left; the mode has died out before the record ends."""
+    b, a = resonance(6.0, 0.05)
+    u = np.concatenate([flown_sweep(), np.zeros(20 * RATE)])
+    flown = record(u=u, theta=lfilter(b, a, u))
+    got = spectral_response(flown, near=lambda w: freqz(b, a, w / RATE)[1]).between(4.5, 8)
+    uncertain = np.sqrt(got.variance) / np.abs(got.response)
+    assert 1e-3 < uncertain.max() < 0.02
