@@ -293,11 +293,11 @@ def _not_determined(estimate: _Estimate, parameters: Parameters) -> str:
     # The share of a value in combinations that change no sample.
     blind = 1 - np.diag(estimate.inverse @ estimate.matrix)
     if blind.max() > 1e-4:
-        return estimate.names[int(np.argmax(blind))]
+        return estimate.names[np.argmax(blind)]
     # Its error exceeds half of its bounds.
     low, high = np.array([p.bounds for p in parameters.values()]).T
     ratio = np.sqrt(np.diag(estimate.covariance)) / ((high - low) / 2)
-    return estimate.names[int(np.argmax(ratio))] if ratio.max() > 1 else ""
+    return estimate.names[np.argmax(ratio)] if ratio.max() > 1 else ""
 
 
 def _covariance(simulator: Simulator, estimate: _Estimate) -> Array:

@@ -52,4 +52,4 @@ def autoregression(stretches: list[Array]) -> Array:
         return np.ones(1)
     steps = levinson(r)
     scores = [count * np.log(variance) + (len(a) - 1) * np.log(count) for a, variance in steps]
-    return steps[int(np.argmin(scores))][0]
+    return steps[np.argmin(scores)][0]

@@ -264,6 +264,35 @@ def test_errors_that_are_larger_in_the_middle_of_few_points_are_named():
     assert sum(named) >= 5
 
 
+class SevenParameters(gb.TransferFunction):
+    """A lead, two lags, an oscillation and a delay."""
+
+    K = gb.Parameter(2.0, bounds=(0.01, 50))
+    T = gb.Parameter(0.4, bounds=(0.01, 5))
+    w = gb.Parameter(3.0, bounds=(0.5, 20))
+    z = gb.Parameter(0.3, bounds=(0.02, 2))
+    L = gb.Parameter(0.2, bounds=(0.001, 3))
+    tau = gb.Parameter(0.05, bounds=(0, 0.5))
+    a = gb.Parameter(0.1, bounds=(0.001, 2))
+
+    def response(self, s, p):
+        lags = (s + p.a) * (p.T * s + 1) * (s**2 / p.w**2 + 2 * p.z * s / p.w + 1)
+        return p.K * (p.L * s + 1) / lags * gb.exp(-s * p.tau)
+
+
+def test_what_seven_parameters_leave_of_eight_points_is_not_called_unequal():
+    """They fit some points exactly: 4 of these 10 right models were named."""
+    omega = np.geomspace(0.1, 15, 8)
+    model, truth = SevenParameters(), {"K": 2, "T": 0.4, "w": 3, "z": 0.3, "L": 0.2}
+    truth |= {"tau": 0.05, "a": 0.1}
+    exact = gb.frequency_response(model, truth, omega).response
+    for seed in range(26, 36):
+        errors = np.random.default_rng(seed).normal(size=(8, 2)) @ [0.02, 0.02j]
+        data = gb.FrequencyResponse(omega, exact * (1 + errors), "u", "y")
+        fit = gb.fit(gb.Problem(model, data), starts=[truth], profiles=False, progress=False)
+        assert not any("changes with frequency" in text for text in fit.warnings)
+
+
 @pytest.mark.parametrize(
     ("first", "last", "cure"),
     [(0.1, 1.0, ""), (0.2, 4.0, "larger variances at high"), (4.0, 0.2, "larger variances at low")],

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benchmark_module import benchmark
+from declared_models import Lag
+from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.spectral import transient_spectrum
@@ -252,6 +254,23 @@ def test_gusts_that_act_where_the_elevator_does_leave_no_interval(clean):
     blind = gb.fit(problem, starts=[SHORT_PERIOD], progress=False)
     assert "larger in a part of the band" in " ".join(blind.warnings)
     assert all(np.isnan(error) for error in blind.standard_error.values())
+
+
+def test_short_manoeuvres_in_gusts_are_named_by_output_error():
+    """Twelve lines show little: at a level of 0.2 %, 14 of these 20 were named."""
+    inputs = np.repeat(np.random.default_rng(2).normal(size=20), 10)
+    step, lag, named = 0.05, np.exp(-0.05 / 0.4), 0
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        white = np.sqrt(1 - np.exp(-2 * step)) * random.normal(size=201)
+        gust = lfilter([1], [1, -np.exp(-step)], white)[1:]
+        y = lfilter([0, 1 - lag], [1, -lag], 2 * inputs + 0.4 * gust)
+        y = y + 0.01 * random.normal(size=200)
+        record = gb.Record(step * np.arange(200), {"u": inputs, "y": y}, hold={"u": np.inf})
+        data = transient_spectrum(record, "u", "y", (0.5, 8.0))
+        fit = gb.fit(gb.Problem(Lag(), data), starts=[{"K": 2, "T": 0.4}], progress=False)
+        named += "larger in a part of the band" in " ".join(fit.warnings)
+    assert named >= 15
 
 
 class Twice(gb.TransferFunction):

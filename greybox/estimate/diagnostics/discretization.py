@@ -47,7 +47,7 @@ def discretization_warnings(
         return
 
     # The parameter that moves most, in standard errors: one name is enough to act.
-    name = nlp.free[int(np.argmax(np.abs(error.shift)))]
+    name = nlp.free[np.argmax(np.abs(error.shift))]
     size = "without limit, since the model diverges"
     if math.isfinite(error.largest):
         size = f"by {error.largest:.2g} standard errors"

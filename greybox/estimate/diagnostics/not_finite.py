@@ -85,7 +85,7 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
     lost = ~(np.isfinite(re) & np.isfinite(im))
     if not lost.any():
         return None
-    omega = part.data.omega[int(np.argmax(lost))]
+    omega = part.data.omega[np.argmax(lost)]
     place = "any frequency" if lost.all() else f"omega = {omega:g} rad/s"
     if part.problem.amplitude is None:
         return Trouble(f"no finite response at {place}")
