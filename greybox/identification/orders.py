@@ -229,8 +229,7 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, Values]
     longest = turn
     while True:
         grid = np.linspace(0.0, longest, DELAYS)
-        fits = _at_delays(data, orders, grid)
-        best = int(np.argmin([squares for squares, _ in fits]))
+        best = int(np.argmin([squares for squares, _ in _at_delays(data, orders, grid)]))
         if best < DELAYS - 1 or longest > 8 * turn:
             break
         longest *= 2
@@ -319,10 +318,10 @@ def _stable_start(orders: Orders, values: Values) -> Values:
     numerator, denominator = _polynomials(orders, values)
     poles = np.roots(denominator)
     unstable = poles.real > 0
-    delay = values.get("T_delay", 0.0) - 2 * np.sum(1 / poles[unstable]).real
+    delay = values.get("T_delay", 0.0) - 2 * float(np.sum(1 / poles[unstable]).real)
     poles[unstable] *= -1
     mirrored = coefficients(
-        (-1) ** np.sum(unstable) * np.array(numerator), np.poly(poles).real, orders.integrators
+        (-1.0) ** np.sum(unstable) * np.array(numerator), np.poly(poles).real, orders.integrators
     )
     return {**mirrored, "T_delay": delay} if delay > 0 else {}
 
