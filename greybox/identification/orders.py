@@ -60,10 +60,10 @@ class Orders:
 
 
 class LinearFit(NamedTuple):
-    """BIC at the best delay; coefficients for it and its neighbors."""
+    """BIC and coefficients at the best delay."""
 
     bic: float
-    starts: Sequence[Values]
+    start: Values
 
 
 def linear_fits(
@@ -90,15 +90,15 @@ def linear_fits(
     # Errors beyond the given variances count as in `select`.
     inflation = max(1.0, min(squares for squares, _ in fits.values()) / len(plant))
     return {
-        orders: LinearFit(2 * squares / inflation + orders.parameters * math.log(numbers), starts)
-        for orders, (squares, starts) in fits.items()
+        orders: LinearFit(2 * squares / inflation + orders.parameters * math.log(numbers), start)
+        for orders, (squares, start) in fits.items()
     }
 
 
 def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArray:
     """Return the response of the structure of least BIC at `omega` (n,) in rad/s."""
     orders = min(fits, key=lambda o: fits[o].bic)
-    values = fits[orders].starts[0]
+    values = fits[orders].start
     return ratio(*_polynomials(orders, values), omega) * np.exp(-1j * omega * values["T_delay"])
 
 
@@ -146,11 +146,8 @@ def select_orders(
     """
     responses = [data] if isinstance(data, FrequencyResponse) else list(data)
     linear = linear or linear_fits(responses, through, orders_of(n, m, integrators, delay=delay))
-    names = [f"b{k}" for k in range(max(o.m for o in linear) + 1)]
-    names += [f"a{k}" for k in range(max(o.n for o in linear))]
-    require_known(
-        chain.from_iterable(stated.values()), [*names, "T_delay"], "parameter", "the grid"
-    )
+    names = dict.fromkeys(chain.from_iterable(fit.start for fit in linear.values()))
+    require_known(chain.from_iterable(stated.values()), names, "parameter", "the grid")
     least = min(fit.bic for fit in linear.values())
     # Only structures near the least BIC are fitted again, and of one size the best two: for random
     # vehicles, linear least squares come within 1 of the least chi-square
@@ -164,14 +161,19 @@ def select_orders(
 
     candidates, undelayed = [], []
     for orders in near:
-        starts = linear[orders].starts
-        candidate = _candidate(responses, orders, starts, through, stated)
+        start = linear[orders].start
+        candidate = _candidate(responses, orders, start, through, stated)
         candidates.append(candidate)
         late = candidate.fit.by_name.get("T_delay")
         if late is not None and late.at_bound and late.value < 0.5 * late.bounds[1]:
             without = replace(orders, delay=False)
-            candidates[-1] = _candidate(responses, without, starts, through, stated)
+            candidates[-1] = _candidate(responses, without, start, through, stated)
             undelayed.append(str(without))
+        # A stable plant with less delay may be another minimum, which `select` prefers unless it
+        # is much higher; sometimes it is much lower.
+        if candidate.unstable and (start := _stable_start(orders, candidate.fit.estimate)):
+            stable = _candidate(responses, orders, start, through, stated)
+            candidates += [] if stable.unstable else [stable]
     rejected = len(linear) - len(near)
     notes = []
     if rejected:
@@ -215,32 +217,31 @@ def _polynomials(orders: Orders, values: Values) -> tuple[list[float], list[floa
     return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
 
 
-def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[Values]]:
-    """Return the least weighted squares over the delay; coefficients there and next to it."""
+def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, Values]:
+    """Return the least weighted squares over the delay, and the coefficients there."""
+
+    def at(delay: float) -> tuple[float, Values]:
+        return _at_delays(data, orders, np.array([delay]))[0]
+
     if not orders.delay:
-        squares, values = _at_delays(data, orders, np.zeros(1))[0]
-        return squares, [values]
+        return at(0.0)
     turn = TURN / float(data.omega.max())
     longest = turn
     while True:
         grid = np.linspace(0.0, longest, DELAYS)
-        fits = _at_delays(data, orders, grid)
-        best = int(np.argmin([squares for squares, _ in fits]))
+        best = int(np.argmin([squares for squares, _ in _at_delays(data, orders, grid)]))
         if best < DELAYS - 1 or longest > 8 * turn:
             break
         longest *= 2
 
-    around = slice(max(best - 1, 0), best + 2)
+    around = grid[max(best - 1, 0) : best + 2]
     refined = minimize_scalar(
-        lambda delay: _at_delays(data, orders, np.array([delay]))[0][0],
-        bounds=(grid[around][0], grid[around][-1]),
+        lambda delay: at(delay)[0],
+        bounds=(around[0], around[-1]),
         method="bounded",
         options={"maxiter": 20},
     )
-    # The squares have several minima over the delay: the neighbors on the grid are starts too.
-    near = [*_at_delays(data, orders, np.array([refined.x])), *fits[around]]
-    near.sort(key=lambda pair: pair[0])
-    return near[0][0], [values for _, values in near]
+    return at(refined.x)
 
 
 def _at_delays(
@@ -270,7 +271,7 @@ def _at_delays(
 def _candidate(
     responses: Sequence[FrequencyResponse],
     orders: Orders,
-    starts: Sequence[Values],
+    start: Values,
     through: Sequence[TransferFunction],
     stated: Named,
 ) -> Candidate:
@@ -278,7 +279,6 @@ def _candidate(
     polynomial: Any = included_model("greybox.models.polynomial", "Polynomial")
     highest = max(float(response.omega.max()) for response in responses)
     gain = max(float(np.max(np.abs(response.response))) for response in responses)
-    longest = max(start.get("T_delay", 0.0) for start in starts)
     plant = polynomial(
         orders.n,
         orders.m,
@@ -288,7 +288,7 @@ def _candidate(
         starts=highest,
         input=responses[0].input or "u",
         output=responses[0].output or "y",
-        delay=3 * max(longest, TURN / highest) if orders.delay else 0.0,
+        delay=3 * max(start.get("T_delay", 0.0), TURN / highest) if orders.delay else 0.0,
     )
     options = stated_for(plant, stated)
     bounds = {}
@@ -296,21 +296,34 @@ def _candidate(
         if name != "T_delay":
             # The model's bounds hold for a gain of one.
             size = parameter.bounds[1] * (10 * gain if name.startswith("b") else 1)
-            size = max(size, *(100 * abs(start[name]) for start in starts))
+            size = max(size, 100 * abs(start[name]))
             bounds[name] = (-size, size)
-    points = [
-        {name: start[name] for name in plant.parameters if name not in options.get("fixed", {})}
-        | options.get("start", {})
-        for start in starts
-    ]
+    fixed = options.get("fixed", {})
+    point = {name: start[name] for name in plant.parameters if name not in fixed}
     result = fit_within_far_bounds(
         reduce(lambda model, other: model.through(other), through, plant),
         responses,
-        points,
+        point | options.get("start", {}),
         bounds=bounds,
         stated=options,
     )
     return Candidate(str(orders), result, *_described(orders, result))
+
+
+def _stable_start(orders: Orders, values: Values) -> Values:
+    """Return the values with unstable poles mirrored; none if the delay is too short for that.
+
+    Well below p rad/s, 1 / (s - p) is nearly -exp(2 s / p) / (s + p).
+    """
+    numerator, denominator = _polynomials(orders, values)
+    poles = np.roots(denominator)
+    unstable = poles.real > 0
+    delay = values.get("T_delay", 0.0) - 2 * float(np.sum(1 / poles[unstable]).real)
+    poles[unstable] *= -1
+    mirrored = coefficients(
+        (-1.0) ** np.sum(unstable) * np.array(numerator), np.poly(poles).real, orders.integrators
+    )
+    return {**mirrored, "T_delay": delay} if delay > 0 else {}
 
 
 def _described(orders: Orders, fit: Fit) -> tuple[str, Strings]:

@@ -65,6 +65,11 @@ class Candidate:
         return math.sqrt(float(squares.sum()) / max(squares.size - len(self.fit.free) / 2, 0.5))
 
     @property
+    def unstable(self) -> bool:
+        """Whether the structure has an unstable pole."""
+        return any(remark.startswith(UNSTABLE) for remark in self.remarks)
+
+    @property
     def misfit(self) -> float:
         """Size (rms) of the residuals over that of the response."""
         return relative_rms(self.fit)
@@ -171,9 +176,7 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     inflation = max(1.0, np.nan_to_num(min(c.noise for c in fitted)) ** 2)
     numbers = sum(part.compared_numbers for part in fitted[0].fit.parts)
     bic = [
-        2 * c.fit.cost / inflation
-        + count_unknowns(c.fit) * math.log(numbers)
-        + 6.0 * any(remark.startswith(UNSTABLE) for remark in c.remarks)
+        2 * c.fit.cost / inflation + count_unknowns(c.fit) * math.log(numbers) + 6.0 * c.unstable
         if c.fit.converged
         else math.nan
         for c in candidates

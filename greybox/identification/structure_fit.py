@@ -17,7 +17,7 @@ from greybox.modeling.model import Model
 # A bound that holds a parameter is moved by this factor, at most three times: six decades in all.
 FACTOR = 100.0
 
-# The starts of least squares are close to a minimum. IPOPT would otherwise begin by moving toward
+# The start of least squares is close to a minimum. IPOPT would otherwise begin by moving toward
 # the middle between the bounds, which are decades apart.
 NEAR_MINIMUM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8}
 
@@ -64,7 +64,7 @@ def stated_for(model: Model, stated: Named) -> Fields:
 def fit_within_far_bounds(
     model: Model,
     responses: Sequence[FrequencyResponse],
-    points: Sequence[Values],
+    point: Values,
     *,
     bounds: Mapping[str, Interval],
     stated: Named,
@@ -80,7 +80,7 @@ def fit_within_far_bounds(
     # One widening is not enough for gains in µs or degrees, which are decades off.
     while True:
         problem = problem_of_structure(model, responses, **options)
-        result = fit(problem, points, solver_options=NEAR_MINIMUM, profiles=False, progress=False)
+        result = fit(problem, [point], solver_options=NEAR_MINIMUM, profiles=False, progress=False)
         held = [q for q in result.quantities if q.at_bound and q.name not in of_user]
         wider = {q.name: moved for q in held if (moved := _wider(q)) != q.bounds}
         if not wider or widenings == 3:

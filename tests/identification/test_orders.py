@@ -133,3 +133,25 @@ def test_a_delay_that_ends_at_zero_is_left_out_and_named():
     found = select_orders(measured(Lag(), OMEGA, noise=0.02, seed=2), n=[1], m=[0], integrators=[0])
     assert found.chosen.label == "n = 1, m = 0"
     assert "ended at zero" in str(found)
+
+
+def test_a_stable_plant_is_preferred_to_an_unstable_one_with_more_delay():
+    """Below 12 rad/s, a lag of 9 rad/s hardly differs from a pole of 20 rad/s and 0.1 s more."""
+
+    class Vehicle(gb.TransferFunction):
+        K = gb.Parameter(0.02)
+
+        def response(self, s, p):
+            return p.K / (s * (s / 9 + 1) * (s**2 / 50 + s / 4 + 1)) * gb.exp(-0.02 * s)
+
+    found = select_orders(
+        measured(Vehicle(), np.geomspace(0.4, 12, 30), noise=0.04, seed=6),
+        n=[4],
+        m=[0],
+        integrators=[1],
+    )
+    unstable, stable = sorted(found.candidates, key=lambda c: c.fit.cost)
+    assert unstable.unstable
+    assert found.chosen is stable
+    assert not stable.unstable
+    assert abs(found.fit.estimate["T_delay"] - 0.02) < 3 * found.fit.standard_error["T_delay"]

@@ -26,7 +26,7 @@ def fitted(gain, low_high, pole=2.0, **stated):
     data = replace(exact, variance=np.full(len(OMEGA), 1e-4))
     start = {"K": np.clip(gain, *low_high), "a": pole}
     bounds = {"K": low_high, "a": (-10.0, 10.0)}
-    return fit_within_far_bounds(Pole(), [data], [start], bounds=bounds, stated=stated)
+    return fit_within_far_bounds(Pole(), [data], start, bounds=bounds, stated=stated)
 
 
 @pytest.mark.parametrize(
