@@ -92,7 +92,7 @@ def condense(
 def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, largest: Array) -> Array:
     """Return the curvature (s, n, n) that holds what the outputs hardly show of the first nodes.
 
-    That are directions whose variances at known parameters exceed the `largest` (n,).
+    That are directions whose variances at known parameters exceed four times the `largest` (n,).
     """
     # Along such a direction, the linearization does not reach to where its step leads: runs would
     # creep for thousands of steps, and gain what fits the noise.
@@ -101,7 +101,7 @@ def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, large
     curvature = np.zeros_like(b.node_hessian)
     # What the first segments show is enough for most models.
     shown, _ = np.linalg.eigh(b.node_hessian[begins] * size * size[:, None])
-    if shown.min(initial=2.0) > 1:
+    if shown.min(initial=1.0) > 0.25:
         return curvature
     forces = begins[:, None, None] * np.diag(1 / size)
     x, _ = solve_continuity(
@@ -109,7 +109,8 @@ def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, large
     )
     covariance = x[begins] / size[:, None]
     values, directions = np.linalg.eigh((covariance + covariance.swapaxes(1, 2)) / 2)
-    directions *= (values > 1)[:, None] / size[:, None]
+    # A state that decays within a sample has about the largest variance, and is free.
+    directions *= (values > 4)[:, None] / size[:, None]
     # A step along them is shortened to less than 1e-8 of itself.
     curvature[begins] = 1e8 * directions @ directions.swapaxes(1, 2)
     return curvature
