@@ -123,11 +123,11 @@ class Bare:
         kind = ca.SX if nlp.programs[-1].function.is_a("SXFunction") else ca.MX
         x = kind.sym("x", len(nlp.free))
         values = ca.vertcat(x, *nlp.constant_values.tolist())
-        stacked = nlp.responses.function(values)
-        re, im = ca.vertsplit(stacked, stacked.numel() // 2)
         cost = 0
         for part, own in zip(nlp.parts, problem.parts, strict=True):
-            re_im = Complex(re[part.functions.rows], im[part.functions.rows])
+            response = part.functions.response(values)
+            half = response.numel() // 2
+            re_im = Complex(response[:half], response[half:])
             cost += part.weight * own.criterion.cost(re_im, own.response, 1e-14)
         self.cost = ca.Function("cost", [x], [cost])
         self.gradient = ca.Function("gradient", [x], [ca.gradient(cost, x)])

@@ -16,7 +16,7 @@ from greybox.compiled.part import (
     Part,
     Trajectory,
 )
-from greybox.compiled.vectorized import Remembering
+from greybox.compiled.shared_response import SharedSystem, SineTest
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -48,16 +48,23 @@ class ResponseFunctions(Rebuilt):
     objective : casadi.Function
         (z, smoothing, data) -> cost, unweighted, and real and imaginary parts of the model's
         response, stacked (2 n,).
-    responses : function
-        (all values x) -> the responses of all parts and their derivatives, as those of
-        `CompiledResponses` or `StackedResponses`.
-    rows : slice
-        The place of this response among them.
+    response : casadi.Function
+        (all values x) -> the same response.
+    system : SharedSystem or SineTest or None
+        The state space of a large problem or the sine test, in numpy, at all values x: it takes a
+        quarter of the time of CasADi's functions, and its derivatives need not be built.
     """
 
     objective: ca.Function
-    responses: Remembering
-    rows: slice
+    response: ca.Function
+    system: SharedSystem | SineTest | None = None
+
+    @cached_property
+    @one_thread_at_a_time
+    def slope(self) -> ca.Function:
+        """(all values x) -> derivatives of the response."""
+        [x] = input_symbols(self.response)
+        return ca.Function("slope", [x], [ca.jacobian(self.response(x), x)])
 
     @cached_property
     @one_thread_at_a_time
@@ -66,26 +73,6 @@ class ResponseFunctions(Rebuilt):
         z, *others = input_symbols(self.objective)
         hessian, gradient = ca.hessian(self.objective(z, *others)[0], z)
         return ca.Function("derivatives", [z, *others], [gradient, hessian])
-
-
-class CompiledResponses(Rebuilt):
-    """The responses of all parts, one after the other, by CasADi's functions."""
-
-    def __init__(self, function: ca.Function) -> None:
-        """Take (all values x) -> real parts of all responses, then imaginary parts."""
-        self._function = function
-
-    @cached_property
-    @one_thread_at_a_time
-    def _with_slopes(self) -> ca.Function:
-        [x] = input_symbols(self._function)
-        stacked = self._function(x)
-        return ca.Function("with_slopes", [x], [stacked, ca.jacobian(stacked, x)])
-
-    def stacked(self, x: Array) -> list[ComplexArray]:
-        """Return all responses at x (k, 1), (1, N, 1), and their derivatives (1, N, k)."""
-        halves = (np.split(value.full()[None], 2, axis=1) for value in self._with_slopes(x))
-        return [complex_array(*pair) for pair in halves]
 
 
 class ResponsePart(Part):
@@ -134,7 +121,7 @@ class ResponsePart(Part):
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""
-        return self._evaluated(values)[0].flatten()
+        return self._latest(False, values).copy()
 
     def scaled_response(self, z: Any) -> Any:
         """Return real and imaginary parts of the model's response at z (p,), stacked (2 n,)."""
@@ -150,12 +137,20 @@ class ResponsePart(Part):
 
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
-        return self._evaluated(values)[1]
+        return self._latest(True, values).reshape(-1, len(values))
 
-    def _evaluated(self, values: Array) -> list[ComplexArray]:
-        """Return the response at all values x (k,), and its derivatives."""
-        of_all = self.functions.responses(values[:, None])
-        return [numbers[0, self.functions.rows] for numbers in of_all]
+    def _latest(self, is_slope: bool, values: Array) -> ComplexArray:
+        """Return the response at all values x (k,), or its derivatives."""
+        functions = self.functions
+        if (system := functions.system) is not None:
+            results = self.stored("both", values, lambda: system.responses(values[:, None]))
+            return results[is_slope][0]
+        function = functions.slope if is_slope else functions.response
+        return self.stored(
+            function.name(),
+            values,
+            lambda: complex_array(*np.asarray(ca.DM(function(values))).reshape(2, -1)),
+        )
 
     def stored(self, name: str, values: Array, compute: Callable[[], Any]) -> Any:
         """Return a result at all values x (k,), computed again only at other values."""

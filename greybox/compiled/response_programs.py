@@ -14,7 +14,7 @@ those of small problems with equal models and options are not traced again.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from itertools import groupby, pairwise, starmap
+from itertools import groupby
 from typing import Any
 
 import casadi as ca
@@ -22,14 +22,15 @@ import numpy as np
 
 from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.data_input import INCLUDED, DataInput, columns_of
-from greybox.compiled.response_part import CompiledResponses, ResponseFunctions, ResponsePart
+from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
     SharedResponses,
-    StackedResponses,
+    SharedSystem,
+    SineTest,
     response_symbols,
     shared_systems,
 )
-from greybox.compiled.vectorized import CHUNK, Columns, Remembering
+from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, Fields, Labels, Named, StringPair, frozen
 from greybox.files.rebuilt import Rebuilt
@@ -252,10 +253,7 @@ class ResponseCompiler:
             self.costs(scaled, self.measured, self.smoothing, choose) for choose in self.criteria
         ]
         programs = tuple(map(self.program, costs, self.criteria))
-        stacked = ca.Function("responses", [x], [self.stacked])
-        compiled = self.shared_at_values() if programs[-1].shared else CompiledResponses(stacked)
-        of_all = Remembering(compiled.stacked)
-        ends = np.cumsum([0, *(len(part.response) for part in self.parts)]).tolist()
+        systems = self.systems() if programs[-1].shared else {}
         functions = [
             ResponseFunctions(
                 ca.Function(
@@ -263,24 +261,24 @@ class ResponseCompiler:
                     [z, self.smoothing, data],
                     [kind(cost), kind(ca.vertcat(at_z.re, at_z.im))],
                 ),
-                of_all,
-                rows,
+                ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
+                systems.get(k),
             )
-            for cost, at_z, rows in zip(
-                costs[-1], scaled, starmap(slice, pairwise(ends)), strict=True
+            for k, (cost, response, at_z) in enumerate(
+                zip(costs[-1], self.responses, scaled, strict=True)
             )
         ]
-        symbols, responses = response_symbols(kind, self.parts)
+        stacked, responses = response_symbols(kind, self.parts)
         costs = self.costs(responses, self.measured, 0.0, _own_criterion)
         return functions, {
             "programs": programs,
             # CasADi evaluates any number of columns, so that one has the same digits as many.
             "response_cost": Columns(
-                ca.Function("cost", [symbols, data], [ca.vertcat(*costs)]),
+                ca.Function("cost", [stacked, data], [ca.vertcat(*costs)]),
                 shared=(1,),
                 fewest=CHUNK + 1,
             ),
-            "responses": Columns(stacked, fewest=CHUNK + 1),
+            "responses": Columns(ca.Function("responses", [x], [self.stacked]), fewest=CHUNK + 1),
         }
 
     def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:
@@ -335,14 +333,11 @@ class ResponseCompiler:
         constants, measured = self.source.at(data)
         return data, self.values_at(self.point, constants), measured
 
-    def shared_at_values(self) -> StackedResponses:
-        """Return the responses in numpy at all values x.
-
-        They take a quarter of the time of CasADi's functions, whose derivatives need not be built.
-        """
+    def systems(self) -> dict[int, SharedSystem | SineTest]:
+        """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
-        systems = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
-        return StackedResponses(self.parts, systems)
+        shared = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
+        return dict(pair for system in shared for pair in system.of_pairs())
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""

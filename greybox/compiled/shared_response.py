@@ -14,6 +14,7 @@ small where the residuals are, and may be indefinite far away from a minimum.
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -87,6 +88,12 @@ class SharedSystem:
         slopes = slopes.T.reshape(z.shape[1], len(z), -1).swapaxes(1, 2)
         return S, values[count:].T, slopes[:, :count], slopes[:, count:]
 
+    def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
+        """Yield every part with the system of its response alone."""
+        for part, (*signals, at) in self.pairs:
+            points = np.array([*signals, range(len(at))])
+            yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
+
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
@@ -156,6 +163,10 @@ class SineTest(Rebuilt):
         # Points whose motions are stored: the last and the best one of two searches, and some more.
         self.last: deque[ArrayTriple] = deque(maxlen=8)
 
+    def of_pairs(self) -> Iterator[tuple[int, "SineTest"]]:
+        """Yield the part with itself."""
+        yield self.pairs[0][0], self
+
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the response at z (p, k), (k, n), and its derivatives by z, last.
 
@@ -221,8 +232,8 @@ def _if_regular(function: Callable[..., Any], *matrices: Any) -> Any:
         return np.full_like(matrices[-1], np.nan)
 
 
-class StackedResponses:
-    """The responses of all parts, one after the other, for many points.
+class SharedResponses:
+    """The cost of many responses, with its gradient and Gauss-Newton Hessian, for many points.
 
     Attributes
     ----------
@@ -232,26 +243,6 @@ class StackedResponses:
     """
 
     def __init__(
-        self, parts: Sequence[Problem], systems: Sequence[SharedSystem | SineTest]
-    ) -> None:
-        self.systems = systems
-        self.data = [part.response.response for part in parts]
-        members = [part for system in systems for part, _ in system.pairs]
-        members = np.repeat(members, [len(self.data[part]) for part in members])
-        self._order = np.argsort(members, kind="stable")
-
-    def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Return all responses at z (p, k), (k, N), and their derivatives (k, N, p)."""
-        with np.errstate(all="ignore"):
-            pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
-        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
-        return values, slopes
-
-
-class SharedResponses(StackedResponses):
-    """The cost of many responses, with its gradient and Gauss-Newton Hessian, for many points."""
-
-    def __init__(
         self,
         parts: Sequence[Problem],
         systems: Sequence[SharedSystem | SineTest],
@@ -259,11 +250,22 @@ class SharedResponses(StackedResponses):
         symbols: Sequence[ca.SX],
     ) -> None:
         """Take the cost as an expression of symbols: real, imaginary parts; smoothing; data."""
-        super().__init__(parts, systems)
+        self.systems = systems
+        self.data = [part.response.response for part in parts]
+        members = [part for system in systems for part, _ in system.pairs]
+        members = np.repeat(members, [len(self.data[part]) for part in members])
+        self._order = np.argsort(members, kind="stable")
         second, first = ca.hessian(cost, symbols[0])
         self._second = np.array(second.sparsity().get_triplet())
         outputs = [cost, first, second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
+
+    def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Return all responses at z (p, k), (k, N), and their derivatives (k, N, p)."""
+        with np.errstate(all="ignore"):
+            pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
+        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
+        return values, slopes
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).

@@ -138,14 +138,14 @@ def _dense(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), inputs, outputs)
 
 
-class Remembering(Rebuilt):
+class Remembering:
     """A function of arrays that returns its last results again for equal inputs."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Arrays]) -> None:
         self._function = function
-        self._last: tuple[Arrays, Any] = [np.array(np.nan)], []
+        self._last: tuple[Arrays, Arrays] = [np.array(np.nan)], []
 
-    def __call__(self, *inputs: Array) -> Any:
+    def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs, which nobody may change."""
         # Another thread may replace both meanwhile.
         earlier, results = self._last
