@@ -145,9 +145,9 @@ class TransientPart(Part):
         # White noise with a deviation of one in every sample gives each component of an integral
         # this deviation.
         self._unit = math.sqrt(self.data.step * self.data.duration / 2)
-        self._measured = np.array([self.data.outputs[name] for name in self.outputs])
+        self.measured = np.array([self.data.outputs[name] for name in self.outputs])
         self._covariance = residual_covariance_of(
-            problem.criterion, self.outputs, self._real(self._measured)
+            problem.criterion, self.outputs, self._real(self.measured)
         )
 
     def _real(self, values: ComplexArray) -> Array:
@@ -191,13 +191,13 @@ class TransientPart(Part):
         beside = np.vstack([step * ramps, at_once]) * np.tile(inputs, (2, 1))
         transfer = by_ends @ B + D
         modeled = np.einsum("lkm,ml->kl", transfer, inputs) + first @ beside
-        errors = self._transformed(transform, self._measured - modeled)
+        errors = self._transformed(transform, self.measured - modeled)
         basis = self._real((transform @ by_ends).swapaxes(0, 1))
         logarithms = float(np.linalg.slogdet(transform)[1].sum())
         if not all_finite(errors, basis, logarithms):
             return None
 
-        covariance = self._covariance.along(self._transformed(transform, self._measured))
+        covariance = self._covariance.along(self._transformed(transform, self.measured))
         errors, ends = _without_ends(errors, basis, covariance)
         states = np.einsum("lij,jl->il", inverse, B @ inputs + ends[:, None])
         # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
@@ -226,9 +226,24 @@ class TransientPart(Part):
             logarithms=logarithms,
         )
 
+    def located(self, names: Strings) -> ca.Function:
+        """Return the function from these values to the declared parameters, as `locate`."""
+        point = ca.SX.sym("x", len(names))
+        return _locate(self.problem, entries_by_name(names, point), point)
+
     def _transformed(self, transform: ComplexArray, values: ComplexArray) -> Array:
         """Return T times complex values (k, lines), as real ones (k, 2 lines)."""
         return self._real(np.einsum("lab,bl->al", transform, values))
+
+    def modeled_slopes(self, at: Along, by: Array) -> ComplexArray:
+        """Return the derivatives (k, lines, x) of the modeled outputs by x, with end values held.
+
+        `by` (q, x) are the derivatives of the parameters.
+        """
+        modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, at.slopes @ by, at.signals)
+        modeled += np.einsum("kcx,cl->klx", at.first_slopes @ by, at.beside)
+        modeled += np.einsum("kml,mx->klx", at.by_delays, at.delay_slopes @ by)
+        return modeled
 
     def derivatives(self, at: Along, by: Array) -> ArrayTriple:
         """Return the derivatives of the errors by x, with the end values held.
@@ -245,9 +260,7 @@ class TransientPart(Part):
             dT T⁻¹; zeros for output error.
         """
         slopes, n = at.slopes @ by, len(self.states)
-        modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
-        modeled += np.einsum("kcx,cl->klx", at.first_slopes @ by, at.beside)
-        modeled += np.einsum("kml,mx->klx", at.by_delays, at.delay_slopes @ by)
+        modeled = self.modeled_slopes(at, by)
         mean = -self._real(np.einsum("lab,blx->alx", at.transform, modeled))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
@@ -261,7 +274,7 @@ class TransientPart(Part):
             # With T⁻¹ = C P⁻¹ E, dT T⁻¹ is -T (dC + C P⁻¹ dA) P⁻¹ E.
             left = at.transform @ at.to_outputs
             relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse[:, :, -k:])
-        unexplained = np.einsum("lab,bl->al", at.transform, self._measured - at.modeled)
+        unexplained = np.einsum("lab,bl->al", at.transform, self.measured - at.modeled)
         return (
             mean,
             mean + self._real(np.einsum("labx,bl->alx", relative, unexplained)),
@@ -340,7 +353,7 @@ class TransientPart(Part):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return the modeled outputs over the root mean square of the measured ones."""
-        size = np.sqrt(np.mean(np.abs(self._measured) ** 2, axis=1, keepdims=True))
+        size = np.sqrt(np.mean(np.abs(self.measured) ** 2, axis=1, keepdims=True))
         values = trajectory.detail.modeled / positive_or_one(size)
         return real_and_imaginary(values.ravel())
 
@@ -358,10 +371,8 @@ class TransientPart(Part):
         """Return the information on the values (k,) for white errors, the end term fitted too."""
         assert trajectory is not None
         at: Along = trajectory.detail
-        point = ca.SX.sym("x", len(values))
-        place = _locate(self.problem, entries_by_name(names, point), point)
-        slope = place(values)[1].full()
-        mean, _, change = self.derivatives(at, slope)
+        _, slope = self.located(names)(values)
+        mean, _, change = self.derivatives(at, slope.full())
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
         # The errors may be larger at some frequencies than at others, as in turbulence, and

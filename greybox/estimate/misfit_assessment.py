@@ -15,6 +15,7 @@ from greybox.compiled.disturbances import DisturbedRecord
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.misfit import EXACT, FALSE_ALARMS, LARGE, Cause, Misfit, Shape
 from greybox.estimate.misfit_regression import (
     STEP,
@@ -22,6 +23,7 @@ from greybox.estimate.misfit_regression import (
     Key,
     Regression,
     on_excerpts,
+    regression_of_manoeuvre,
     regression_of_record,
     regression_of_response,
 )
@@ -45,10 +47,6 @@ from greybox.statistics.score_test import (
     score_tests,
 )
 
-# Largest probability at which a model of responses is called wrong, as `FALSE_ALARMS` of records:
-# of 1614 simulated right fits, whose errors are white, correlated along frequency, or larger at one
-# end, at both ends or in a band, 2.2 % are below it, and of those in white ones 1 %.
-OF_RESPONSES = 0.01
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
 # Evaluations of a fit with autoregressive errors, at most: most take 3 to 8, each of which is a
@@ -151,6 +149,10 @@ def assessed_misfit(
         regression_of_response(part, name, values, nlp.names, moves)
         for part, name in nlp.rows_of(ResponsePart, names)
     ]
+    manoeuvres = [
+        regression_of_manoeuvre(part, name, trajectory, values, nlp.names, moves)
+        for part, name, trajectory in nlp.rows_of(TransientPart, names, trajectories)
+    ]
     disturbed = _disturbed(nlp, trajectories, names)
     # Records are linearized by the solver's variables, responses by the parameters.
     by_x = np.diag(nlp.scaling.slope(x))[moves]
@@ -161,7 +163,9 @@ def assessed_misfit(
         regressions.append(
             regression_of_record(record, constants, terms, by_x, is_new, len(disturbed))
         )
-    tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
+    tested = [
+        group for group in (responses, manoeuvres, regressions) if any(part.terms for part in group)
+    ]
     groups = [*map(_group, tested)]
     misfits = [*map(_of_group, groups, _determined(groups))]
     if all(misfit.explains and not misfit.tried for misfit in misfits):
@@ -188,7 +192,7 @@ def assessed_misfit(
     # Gains of a predictor allow for gusts already, and an autoregression also takes up the growing
     # motions that an unstable model lacks.
     is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
-    if misfit.explains or solver is None or responses or is_excluded:
+    if misfit.explains or solver is None or not disturbed or is_excluded:
         return misfit
     # Gusts bias the values that a simulation fits, and through a controller they reach the inputs.
     # At biased values, residuals follow the inputs although no term is missing.
@@ -293,7 +297,7 @@ def _determined(groups: Sequence[Group]) -> list[Array]:
 
 def _of_group(group: Group, determined: Array) -> Misfit:
     """Return the misfit of a group, whose fit can change the columns of `determined` (d, k)."""
-    group = replace(group, fitted=group.fitted @ determined)
+    group = replace(group, fitted=np.hstack([group.fitted @ determined, _known(group.parts)]))
     terms = _terms(group.parts, determined)
     tried, tested = _ranked(group, [key for key, term in terms.items() if not term.knots])
     columns = np.hstack([group.residuals[:, :0], *(test.column for test in tested)])
@@ -342,7 +346,7 @@ def _of_group(group: Group, determined: Array) -> Misfit:
         1 - min(innovations, default=squares) / squares,
         any(part.is_unstable for part in group.parts),
         _shape(group, zip(tested, causes, strict=True)),
-        FALSE_ALARMS if group.outputs else OF_RESPONSES,
+        group.parts[0].level,
     )
 
 
@@ -535,11 +539,11 @@ def _p_of_responses(
         apart = correlated_fits([_refitted([part], whole) for part in parts if part.again])
         [p_common] = p_values_of_fits(fits, apart)
     for k, test in enumerate(tested):
-        if OF_RESPONSES < tests[k] * p_values[k] < 1:
+        if parts[0].level < tests[k] * p_values[k] < 1:
             again = _refitted(parts, determined, test.key)
             [p_value] = p_values_of_fits(fits, correlated_fits([again]))
             # A fit of q numbers counts as q terms.
-            q = again[1].shape[1] - determined.shape[1]
+            q = again[1].shape[1] - group.fitted.shape[1]
             p_values[k] = min(p_values[k], p_value / q)
     return p_values, p_common
 
@@ -578,9 +582,23 @@ def _refitted(parts: Sequence[Regression], determined: Array, key: Any = None) -
         max_nfev=10,
         ftol=0.3 / sum(lengths),
     )
-    return fit.fun[:, None], fit.jac, lengths
+    return fit.fun[:, None], np.hstack([fit.jac, _known(parts)]), lengths
+
+
+def _known(parts: Sequence[Regression]) -> Array:
+    """Return the columns (N, e) of all parts that no other part has."""
+    from scipy.linalg import block_diag  # noqa: PLC0415  (slow to import)
+
+    return block_diag(
+        *(
+            np.zeros((len(part.residuals), 0)) if part.known is None else part.known
+            for part in parts
+        )
+    )
 
 
 def _lengths(parts: Sequence[Regression]) -> list[int]:
     """Return the numbers of real parts and of imaginary parts, which follow one another."""
-    return [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
+    return [
+        n // k for part in parts if (n := len(part.residuals)) for k in [part.pieces] * part.pieces
+    ]

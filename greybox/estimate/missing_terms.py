@@ -276,6 +276,7 @@ PERIODS = 5
 LARGE = 10  # states and inputs beyond which an equation is tried with its own alone
 # Steps of the gain that are tried. With a step at a wrong point, errors would look correlated.
 EDGES = 32
+SMOOTH = "zero", "delay", "pole"  # kinds of terms of responses that change all of the band
 
 
 @frozen
