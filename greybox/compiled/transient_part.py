@@ -34,6 +34,7 @@ from greybox.files.arrays import (
     ArrayPair,
     ArrayTriple,
     ComplexArray,
+    Labels,
     Named,
     Strings,
     all_finite,
@@ -226,7 +227,7 @@ class TransientPart(Part):
             logarithms=logarithms,
         )
 
-    def located(self, names: Strings) -> ca.Function:
+    def located(self, names: Labels) -> ca.Function:
         """Return the function from these values to the declared parameters, as `locate`."""
         point = ca.SX.sym("x", len(names))
         return _locate(self.problem, entries_by_name(names, point), point)

@@ -589,12 +589,11 @@ def _known(parts: Sequence[Regression]) -> Array:
     """Return the columns (N, e) of all parts that no other part has."""
     from scipy.linalg import block_diag  # noqa: PLC0415  (slow to import)
 
-    return block_diag(
-        *(
-            np.zeros((len(part.residuals), 0)) if part.known is None else part.known
-            for part in parts
-        )
-    )
+    none = [np.zeros((len(part.residuals), 0)) for part in parts]
+    known = [
+        other if part.known is None else part.known for part, other in zip(parts, none, strict=True)
+    ]
+    return np.asarray(block_diag(*known), dtype=float)
 
 
 def _lengths(parts: Sequence[Regression]) -> list[int]:

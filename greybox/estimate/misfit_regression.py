@@ -56,8 +56,11 @@ class Regression:
     and slopes (N, 1 + d + q) of a response at changes (d,) of the parameters, multiplied by the
     first of (1 + q, n) factors; the others are those at the next numbers of a term. `outputs` has
     the rows of every output of a record, by stretches, and `signals` returns those over which the
-    shape of a term is drawn. All columns have `lost` this many degrees of freedom. Rows of a
-    response or a manoeuvre are so many `pieces`, in which neighbors may be correlated.
+    shape of a term is drawn. All columns have `lost` this many degrees of freedom.
+
+    The rows of a response or a manoeuvre are so many `pieces`, in which neighbors may be
+    correlated. A manoeuvre has `known` columns (N, e) of its own: what is fitted beside the
+    parameters. Below the probability `level`, the model does not explain the part.
     """
 
     measured: Array
@@ -200,7 +203,7 @@ def _offsets(
     constant leaves residuals unlike one.
     """
     tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
-    columns = beside(columns)
+    columns = beside(columns, fitted)
     pieces = np.arange(len(columns)) * 10 // len(columns)  # whose means show an offset
     # The numbers of a sample, one for each of the outputs, follow one another.
     firsts = outputs * (np.arange(1, 10) * len(columns) // (10 * outputs))
@@ -327,6 +330,7 @@ def regression_of_manoeuvre(
     places, located = np.flatnonzero(moves), part.located(names)
     fitted: Along = trajectory.detail
     weight = fitted.covariance.weight(fitted.errors @ fitted.errors.T)
+    # What a model leaves out is smooth along the lines only beside the phase of the modeled output.
     turned = np.exp(-1j * np.angle(fitted.modeled))[..., None]
 
     def rows(columns: ComplexArray, at: Along = fitted) -> Array:
@@ -334,7 +338,8 @@ def regression_of_manoeuvre(
         weighted = np.einsum("ka,lab,blc->klc", weight, at.transform, columns)
         return real_and_imaginary(weighted * turned, 1).reshape(-1, columns.shape[2])
 
-    def curves(x: Array, at: Along) -> tuple[ComplexArray, ComplexArray]:
+    def modeled(x: Array, at: Along) -> tuple[ComplexArray, ComplexArray]:
+        """Return the modeled integrals (n,) at all values x (k,), and their derivatives (n, k)."""
         slopes = part.modeled_slopes(at, located(x)[1].full())
         return at.modeled.ravel(), slopes.reshape(-1, len(x))
 
@@ -344,21 +349,21 @@ def regression_of_manoeuvre(
         at = part.along(located(x)[0].full().ravel())
         if at is None:
             raise np.linalg.LinAlgError
-        modeled, slopes = curves(x, at)
-        by_term = modeled * (factors[1:] - factors[0]) / STEP
+        model, slopes = modeled(x, at)
+        by_term = model * (factors[1:] - factors[0]) / STEP
         columns = -np.vstack([slopes[:, places].T * factors[0], by_term])
-        return rows(np.column_stack([part.measured.ravel() - modeled * factors[0], *columns]), at)
+        return rows(np.column_stack([part.measured.ravel() - model * factors[0], *columns]), at)
 
-    modeled, slopes = curves(values, fitted)
-    unit = modeled[:, None] + TINY
-    # A drift of outputs leaves what a straight line would.
+    model, slopes = modeled(values, fitted)
+    unit = model[:, None] + TINY
+    # The drift of an output leaves what a straight line would.
     lines = np.einsum("kc,l->klc", np.eye(len(part.outputs)), 1 / (1j * part.data.omega))
     ends = fitted.to_outputs[:, :, : len(part.states)].swapaxes(0, 1)
     omega = np.tile(part.data.omega, len(part.outputs))
     # In turbulence, lines are larger here and there, which looks like a mode or a step.
     terms = [term for term in terms_of_response(*omega.tolist()) if term.kind in SMOOTH]
     if len(part.inputs) > 1:
-        by_delays = fitted.by_delays.swapaxes(1, 2).reshape(len(modeled), -1) / unit
+        by_delays = fitted.by_delays.swapaxes(1, 2).reshape(len(model), -1) / unit
         terms += [Term("timing", row, a=a) for a, row in zip(part.inputs, by_delays.T, strict=True)]
     if len(part.outputs) > 1:
         late = np.repeat(np.eye(len(part.outputs)), len(part.data), 1) * -1j * omega
@@ -369,7 +374,7 @@ def regression_of_manoeuvre(
         rows(part.measured - fitted.modeled),
         rows(-slopes[:, places]),
         _numbered([*terms, *own]),
-        lambda terms: rows(np.column_stack([modeled * term.values for term in terms])),
+        lambda terms: rows(np.column_stack([model * term.values for term in terms])),
         again,
         known=rows(np.concatenate([ends, lines], 2)),
         pieces=2 * len(part.outputs),
@@ -380,7 +385,7 @@ def _own_terms(
     relative: ComplexArray,
     names: Labels,
     moves: BoolArray,
-    orders: Sequence[tuple[str, str, float]],
+    orders: Sequence[tuple[str, str, Any]],
 ) -> list[Term]:
     """Return the terms of values that a part needs, from derivatives (n, k) of a curve over it."""
     return [

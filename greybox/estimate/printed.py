@@ -115,7 +115,7 @@ def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[StringPa
 def closeness(fit: Any) -> list[StringPair]:
     """Return data, priors, inputs and how closely the model follows, as labels with texts."""
     rows = [part for part in fit.records if not part.data.has_time]
-    untested = [part.name for part in (fit.parts if fit.misfit is None else (*rows, *fit.spectra))]
+    untested = [part.name for part in (fit.parts if fit.misfit is None else rows)]
     texts = (
         ("data", [data_text(fit)]),
         ("prior", _prior_texts(fit)),

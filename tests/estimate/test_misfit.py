@@ -1316,3 +1316,62 @@ def test_values_that_gusts_bias_through_a_controller_are_named_beside_better_one
         assert fit.misfit.likely == ()
         assert "explains the data only with other values (d = " in verdict(fit).sentences[0]
         assert "valid only if the model explains the data" in str(fit)
+
+
+class Both(Spring):
+    """Position and velocity, of which a sensor may be slow."""
+
+    outputs = ("x", "v")
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+def manoeuvre(plant=Both, seed=0, late=0.0, **values):
+    """Return a fit problem of the Fourier integrals of 10 s, 25 lines, with 2 % noise."""
+    random = np.random.default_rng(seed)
+    time = 0.02 * np.arange(501)
+    flown = gb.Record(
+        time, {"u": 1.0 * (time % 5 < 1.3) - 1.0 * (time % 5 > 3)}, hold={"u": np.inf}
+    )
+    truth = gb.simulate(plant(), {"k": 25.0, "d": 2.0, "b": 25.0, **values}, flown)
+    share = np.exp(-0.02 / late) if late else 0.0
+    outputs = {
+        "x": np.array(truth["x"]),
+        "v": lfilter([1 - share], [1, -share], truth["v"]),
+    }
+    measured = {
+        name: signal + 0.02 * np.std(signal) * random.normal(size=len(time))
+        for name, signal in outputs.items()
+    }
+    spectrum = gb.spectral.transient_spectrum(
+        flown.with_signals(**measured), "u", ("x", "v"), (0.6, 16)
+    )
+    return gb.Problem(Both(), spectrum, name=f"flight {seed}")
+
+
+@pytest.mark.parametrize(
+    ("lacks", "cause"),
+    [
+        ({"plant": type("LateBoth", (Both, Late), {}), "T": 0.12}, "a delay of 0.1"),
+        ({"late": 0.06}, "a sensor of v that is late by 0.0"),
+    ],
+)
+def test_a_manoeuvre_names_what_its_model_lacks(lacks, cause):
+    fit = gb.fit(manoeuvre(**lacks), starts=2, progress=False)
+    assert not fit.misfit.explains
+    assert fit.misfit.likely[0].text.startswith(cause)
+    assert "does not explain the data" in str(fit)
+
+
+def test_a_manoeuvre_that_needs_a_value_of_its_own_is_named():
+    parts = [manoeuvre(seed=1), manoeuvre(seed=2), manoeuvre(seed=3, k=29.0)]
+    misfit = gb.fit(parts[0] + parts[1] + parts[2], starts=2, progress=False).misfit
+    assert not misfit.explains
+    assert re.match(r"a value of k that is larger by [34].* in 'flight 3'", misfit.likely[0].text)
+
+
+def test_right_models_explain_manoeuvres():
+    fits = [gb.fit(manoeuvre(seed=seed), starts=2, progress=False) for seed in range(10, 13)]
+    fits += [gb.fit(manoeuvre(seed=30) + manoeuvre(seed=31), starts=2, progress=False)]
+    assert sum(not fit.misfit.explains for fit in fits) == 0
