@@ -430,8 +430,8 @@ class Part(Portable, ABC):
 
     @cached_property
     def discontinuous_delays(self) -> Mapping[str, StringPair]:
-        """Delays at whose whole samples the cost jumps.
+        """Delays at whose whole samples the cost jumps, each with the held input and its output.
 
-        With the held input and the output that it reaches directly.
+        The input is held, and reaches the output directly.
         """
         return {}

@@ -379,7 +379,7 @@ class RecordProgram:
         )
 
     def _known_states(self, q: ca.MX) -> ca.MX:
-        """Return the known states at the first samples of stretches less their known values."""
+        """Return the equations of known states where stretches begin, zero if they hold."""
         part = self.part
         begins = part.data.begins_stretch
         places = np.flatnonzero(part.known_states[begins]).tolist()

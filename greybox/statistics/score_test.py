@@ -85,8 +85,8 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
 def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Array]:
     """Test c terms together, as the values of a function at c knots.
 
-    Directions in which the parameters, or neighboring knots, take most of the effect only add
-    noise: those that are left are the principal ones beside the parameters.
+    Directions whose effect the parameters, or neighboring knots, mostly explain would only add
+    noise. The principal directions of the remaining effects are tested.
 
     Returns
     -------
