@@ -39,7 +39,7 @@ class TranscribedProgram(LocalSolver):
         self._programs = [RecordProgram(part, z) for part in nlp.parts_of(RecordPart)]
         self._responses = nlp.parts_of(ResponsePart)
         spectra = nlp.parts_of(TransientPart)
-        # End terms are eliminated, and what remains is no expression for IPOPT.
+        # A spectrum eliminates its end terms numerically: IPOPT needs a symbolic expression.
         if spectra:
             raise ValueError(
                 f"the method transcribes records for IPOPT and {spectra[0].name!r} is a "

@@ -91,9 +91,10 @@ def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Arr
     Returns
     -------
     p_value : float
-        The probability by chance that the directions take so much of the residuals.
+        The probability that by chance the directions would explain as much of the residuals.
     directions : (c, r) array
-        Their factors on the terms; their effects are orthonormal beside the parameters.
+        Each column combines the terms to one direction. The effects of these directions, less what
+        the parameters can explain of them, are orthonormal.
 
     Parameters
     ----------

@@ -53,6 +53,6 @@ simulated nodes. `settings` has the limits of a run.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is
 exact. Stable predictors forget their initial state and are simulated over whole stretches
-(`greybox.compiled.kalman_gain`). Where the likelihood grows toward their stability limit, steps go
-along it.
+(`greybox.compiled.kalman_gain`). Where the likelihood grows toward the limit of stable predictors,
+steps go along this limit.
 """
