@@ -397,6 +397,10 @@ class Part(Portable, ABC):
         """Return the part with `factor` times the steps per sample."""
         return self
 
+    def excerpt(self, samples: int) -> "Part":
+        """Return the part on evenly spaced excerpts with about this total number of samples."""
+        return self
+
     def with_bounded_errors(self, trajectory: Trajectory) -> "Part":
         """Return the part with pseudo-values as data, if its large errors are bounded."""
         return self

@@ -242,8 +242,6 @@ class Segments:
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
-        if self.number == 1:
-            return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.
@@ -424,7 +422,8 @@ class SubstepDerivatives:
         n, columns = states.shape
         slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))
         x, values, by_parameters, by_free, residual = self._begin(states, q, data)
-        slopes = _following(self._corrected, values, by_parameters, slopes)
+        slopes = _following(_blocks(self._corrected, columns), values, by_parameters, slopes)
+        blocks = _blocks(self._following, columns)
         # The states of some substeps come first: an operation on the columns of all of them takes
         # hardly longer than on those of one.
         rows = np.tile(np.arange(self._substeps)[:, None, None] / self._substeps - 0.5, columns)
@@ -443,7 +442,7 @@ class SubstepDerivatives:
             for values, by_parameters in zip(
                 *(np.split(part, count, axis=1) for part in parts), strict=True
             ):
-                slopes = _following(self._following, values, by_parameters, slopes)
+                slopes = _following(blocks, values, by_parameters, slopes)
 
         return [slopes.T.reshape(-1, columns), by_free, residual]
 
@@ -460,15 +459,26 @@ def _with_slopes(
     return (value, ca.vec(by_state.nz[:]), by_parameters), by_state.sparsity()
 
 
-def _following(pattern: ca.Sparsity, values: Array, by_parameters: Array, slopes: Array) -> Array:
-    """Return the derivatives (columns, n, v) after a function with these derivatives."""
+def _blocks(pattern: ca.Sparsity, columns: int) -> Any:
+    """Return a matrix with a block of this pattern, transposed, for every column."""
     from scipy.sparse import csr_matrix  # noqa: PLC0415  (most models do not need the import)
 
-    columns, n, v = slopes.shape
-    block = np.arange(columns)[:, None]
+    n, block = pattern.size1(), np.arange(columns)[:, None]
     ends = (np.array(pattern.colind()[1:]) + pattern.nnz() * block).ravel()
     places = (np.array(pattern.row(), dtype=int) + n * block).ravel()
-    matrix = csr_matrix((values.T.ravel(), places, np.append(0, ends)), shape=2 * (n * columns,))
-    result = (matrix @ slopes.reshape(-1, v)).reshape(slopes.shape)
+    values = np.empty(len(places))
+    return csr_matrix((values, places, np.append(0, ends)), shape=2 * (n * columns,))
+
+
+def _following(
+    blocks: Any, values: Array, by_parameters: Array, slopes: Array
+) -> Array:
+    """Return the derivatives (columns, n, v) after a function with these derivatives.
+
+    The blocks are those of its derivatives by x, whose `values` (entries, columns) are given.
+    """
+    columns, n, v = slopes.shape
+    blocks.data = values.T.ravel()
+    result = (blocks @ slopes.reshape(-1, v)).reshape(slopes.shape)
     result[..., n:] += by_parameters.reshape(v - n, n, columns).T
     return result

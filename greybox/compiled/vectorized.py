@@ -41,7 +41,7 @@ _UFUNCS |= {
     "POW": np.power,
     "CONSTPOW": np.power,
     "SQ": np.square,
-    "TWICE": lambda value, out: np.add(value, value, out),
+    "TWICE": np.add,
     "ASIN": np.arcsin,
     "ACOS": np.arccos,
     "ATAN": np.arctan,
@@ -205,6 +205,8 @@ class _Registers:
                 current[targets[0]] = value
             else:
                 arguments = [current[source] for source in sources]
+                if operation == ca.OP_TWICE:
+                    arguments *= 2
                 is_narrow = all(argument.ndim == 0 for argument in arguments)
                 # The result of shared numbers may be read much later: it needs its own register.
                 out = np.empty(()) if is_narrow else wide.setdefault(targets[0], np.empty(m))

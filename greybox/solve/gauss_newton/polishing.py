@@ -64,6 +64,8 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         if not remaining < shortest:
             break
         end = iterate
+        # Steps shrink by the same factor again, or by more; the first one has no factor.
+        expected = remaining * (remaining / shortest or 1.0)
         shortest = remaining
         distance = 2 * step.distance
         if remaining < 1e-18:  # changes none of the first nine digits of a parameter
@@ -74,6 +76,8 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         if following is None:
             break
         iterate = following
+        if expected < 1e-18:
+            return iterate, distance
     return end, distance
 
 
