@@ -377,7 +377,7 @@ class Part(Portable, ABC):
         )
 
     def close_gaps(
-        self, linearization: Any, trajectory: Trajectory, held: Array | float = 0.0
+        self, linearization: Any, trajectory: Trajectory, held: Array
     ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         return NO_NODES

@@ -269,8 +269,7 @@ class SegmentedPart(Part):
         weight: Array | None = None,
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`."""
-        exact = np.zeros(self.states)
-        variance = exact if continuity_variance is None else continuity_variance
+        variance = np.zeros(self.states) if continuity_variance is None else continuity_variance
         largest = None
         if weight is not None and self.unknown_initial_states:
             # The same jumps in units of the errors that the weight stands for.
@@ -282,15 +281,14 @@ class SegmentedPart(Part):
         )
 
     def close_gaps(
-        self, linearization: Linearization, trajectory: Trajectory, held: Array | float = 0.0
+        self, linearization: Linearization, trajectory: Trajectory, held: Array
     ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         b = linearization
         gaps = trajectory.gaps[:, :, None]
-        exact = np.zeros(self.states)
         hessian = b.node_hessian + held
         x, _ = solve_continuity(
-            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
+            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps
         )
         return trajectory.nodes + x[:, :, 0]
 

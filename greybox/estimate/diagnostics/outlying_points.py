@@ -127,14 +127,13 @@ def outlying_samples(records: Sequence[FittedRecord]) -> Findings:
             continue
         for output in part.outputs:
             residual = part.residual(output)[None]
-            measured = np.isfinite(residual[0])
-            if not measured.any():
+            measured = np.flatnonzero(np.isfinite(residual[0]))
+            if not measured.size:
                 continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
-            fitted = np.abs(part.simulated[output])[measured]
             # Of 10⁶ samples, ranks take a tenth of the fit, and 30 000 show the correlation.
-            shown = slice(None, None, 1 + len(fitted) // 30_000)
-            r, chance = _rank_correlation(size[measured][shown], fitted[shown])
+            shown = measured[:: 1 + len(measured) // 30_000]
+            r, chance = _rank_correlation(size[shown], np.abs(part.simulated[output][shown]))
             # Rounding follows what is rounded.
             follows = r > FOLLOWS and chance < SIZE / len(part.outputs)
             if follows and is_resolved(residual[0], part.data[output]):

@@ -2,7 +2,6 @@
 
 import math
 import time
-from copy import copy
 from dataclasses import replace
 
 import casadi as ca
@@ -54,12 +53,14 @@ class GaussNewton(LocalSolver):
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
-        solver = copy(self)
-        solver.limits = replace(self.limits, low=low, high=high)
+        limits = replace(self.limits, low=low, high=high)
         if equation is not None:
-            solver.limits = solver.limits.with_equation(equation)
-        solver._parts = copy(self._parts)
-        solver._parts.limits = solver.limits
+            limits = limits.with_equation(equation)
+        return self._within(self.nlp, limits)
+
+    def _within(self, nlp: CompiledProblem, limits: Limits) -> "GaussNewton":
+        solver = self.refined(nlp)
+        solver.limits = solver._parts.limits = limits
         return solver
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
@@ -85,7 +86,19 @@ class GaussNewton(LocalSolver):
             # From a bound, a run seldom returns, unless that is nearly where it ends.
             if parts.unexplained(moved) < (left if is_inside else CLOSE):
                 begin = moved
-        return self._solved_by_excerpts(begin) or self._solved(begin, parts.first_progress())
+        nlp = self.nlp
+        if max(part.samples for part in nlp.parts) > 4 * EXCERPT:
+            excerpts = replace(nlp, parts=tuple(part.excerpt(EXCERPT) for part in nlp.parts))
+            shorter = self._within(excerpts, self.limits)
+            at_start = shorter._parts.at(begin.z)
+            first = shorter._solved(at_start, parts.first_progress())
+            after = parts.at(nlp.scaling.to_solver(first.estimate))
+            # Excerpts may lack the manoeuvre that shows a parameter.
+            if parts.unexplained(after) < parts.unexplained(begin):
+                outcome = spent(self._solved(after, EXACT), first)
+                if outcome.converged:
+                    return outcome
+        return self._solved(begin, parts.first_progress())
 
     @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
@@ -106,22 +119,6 @@ class GaussNewton(LocalSolver):
         affordable = min(3_000_000 // max(self._parts.samples, 1), 2000)
         iterations = max(affordable, self.settings.max_iter)
         return spent(self.solved_from(outcome.estimate, outcome.nodes, iterations), outcome)
-
-    def _solved_by_excerpts(self, begin: Iterate) -> Outcome | None:
-        """Solve from where excerpts of long records lead; None if there are none, or none leads."""
-        parts, nlp = self._parts, self.nlp
-        if max(part.samples for part in nlp.parts) <= 4 * EXCERPT:
-            return None
-        excerpts = [part.excerpt(EXCERPT) for part in nlp.parts]
-        shorter = AllParts(excerpts, nlp.free, self.limits, self.settings)
-        most = self.settings.max_iter
-        end = descend(shorter, shorter.at(begin.z), shorter.first_progress(), most)
-        after = parts.at(end.iterate.z)
-        # Excerpts may lack the manoeuvre that shows a parameter.
-        if not parts.unexplained(after) < parts.unexplained(begin):
-            return None
-        outcome = self._solved(after, EXACT)
-        return outcome if outcome.converged else None
 
     def _solved(
         self, iterate: Iterate, progress: Progress, iterations: int | None = None

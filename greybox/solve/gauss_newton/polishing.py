@@ -65,10 +65,11 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
             break
         end = iterate
         # Steps shrink by the same factor again, or by more; the first one has no factor.
-        expected = remaining * (remaining / shortest or 1.0)
+        next_remaining = remaining * (remaining / shortest or 1.0)
         shortest = remaining
         distance = 2 * step.distance
-        if remaining < 1e-18:  # changes none of the first nine digits of a parameter
+        if next_remaining < 1e-18:  # changes none of the first nine digits of a parameter
+            end = followed(parts, iterate, step) or iterate
             break
 
         following = followed(parts, iterate, step)
@@ -76,8 +77,6 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         if following is None:
             break
         iterate = following
-        if expected < 1e-18:
-            return iterate, distance
     return end, distance
 
 
