@@ -376,9 +376,7 @@ class Part(Portable, ABC):
             hessian, gradient, NO_NODES, nothing, NO_NODES, nothing, NO_NODES, NO_NODES, 0.0
         )
 
-    def close_gaps(
-        self, linearization: Any, trajectory: Trajectory, held: Array
-    ) -> Array:
+    def close_gaps(self, linearization: Any, trajectory: Trajectory, held: Array) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         return NO_NODES
 

@@ -99,7 +99,6 @@ class Segments:
         self._own = own
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
-        self._ordered: ArrayPair | None = None
 
     # --- compiled functions
 
@@ -165,12 +164,6 @@ class Segments:
 
     # --- the order of samples
 
-    def rows(self, data: Array) -> Array:
-        """Return the data of all samples in their order, (samples, width)."""
-        if self._ordered is None or self._ordered[0] is not data:
-            self._ordered = (data, np.ascontiguousarray(self.in_order(data).T))
-        return self._ordered[1]
-
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
         by_segment = values.reshape(-1, self.count, self.length)
@@ -192,8 +185,7 @@ class Segments:
         # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
         # 0.9 µs: few long segments are simulated one after the other.
         if self.n and self.length > 10 * self.count:
-            _, states, ends, _ = self.simulate_stretches([1] * self.count, nodes, q, data)
-            return states, ends
+            return self.simulate_stretches([1] * self.count, nodes, q, data)
         s = self.count
         x = nodes.T
         states = np.empty((self.n, self.length * s))
@@ -207,27 +199,24 @@ class Segments:
 
     def simulate_stretches(
         self, counts: Sequence[int], nodes: Array, q: Array, data: Array
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> ArrayPair:
         """Simulate stretches of this many segments each, from the first node of each to its end.
 
-        Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and for every record
-        the sums of the products of the residuals of two outputs, (r, k, k).
+        Returns states at all samples (n, columns) and ends (s, n).
         """
-        rows = self.rows(data)
+        rows = np.ascontiguousarray(self.in_order(data).T)
         states = np.empty((len(rows), self.n))
         ends = np.empty_like(nodes)
-        products = np.zeros((self.number, self.k, self.k))
         first = 0
         for count in counts:
             samples = slice(first * self.length, (first + count) * self.length)
             at = q if q.ndim == 1 else q[:, first]
-            run, residuals = self.step.simulate(nodes[first], at, rows[samples])
+            run = self.step.simulate(nodes[first], at, rows[samples])
             states[samples] = run[:-1]
             ends[first : first + count] = run[self.length :: self.length]
-            products[self.records[first]] += residuals.T @ residuals
             first += count
 
-        return states[:: self.length].copy(), self.columns(states.T), ends, products
+        return self.columns(states.T), ends
 
     def residuals(self, at: Course) -> Array:
         """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
@@ -305,7 +294,7 @@ class Segments:
 
         def chosen(values: Array) -> Array:
             by_sample = values.reshape(len(values), length, self.count)[:, :, batch]
-            return by_sample.reshape(len(values), length * count)
+            return by_sample.reshape(len(values), -1)
 
         q = at.q[:, batch] if self._own else at.q
         part = Course(chosen(at.states), q, chosen(at.data))
@@ -470,9 +459,7 @@ def _blocks(pattern: ca.Sparsity, columns: int) -> Any:
     return csr_matrix((values, places, np.append(0, ends)), shape=2 * (n * columns,))
 
 
-def _following(
-    blocks: Any, values: Array, by_parameters: Array, slopes: Array
-) -> Array:
+def _following(blocks: Any, values: Array, by_parameters: Array, slopes: Array) -> Array:
     """Return the derivatives (columns, n, v) after a function with these derivatives.
 
     The blocks are those of its derivatives by x, whose `values` (entries, columns) are given.

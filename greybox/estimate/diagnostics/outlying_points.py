@@ -148,10 +148,7 @@ def outlying_samples(records: Sequence[FittedRecord]) -> Findings:
                 continue
             # The largest of many normal residuals is judged by their number. A median of their
             # sizes is as uncertain as the standard deviation of 37 % of them.
-            samples = np.count_nonzero(size)
-            # Exact fits have no scale.
-            if not samples:
-                continue
+            samples = np.count_nonzero(size) or 1  # none in exact fits, which have no scale
             count = np.count_nonzero(size > -stdtrit(0.37 * samples, SIZE / 2 / samples))
             if not count:
                 continue

@@ -90,8 +90,7 @@ class GaussNewton(LocalSolver):
         if max(part.samples for part in nlp.parts) > 4 * EXCERPT:
             excerpts = replace(nlp, parts=tuple(part.excerpt(EXCERPT) for part in nlp.parts))
             shorter = self._within(excerpts, self.limits)
-            at_start = shorter._parts.at(begin.z)
-            first = shorter._solved(at_start, parts.first_progress())
+            first = shorter._solved(shorter._parts.at(begin.z), parts.first_progress())
             after = parts.at(nlp.scaling.to_solver(first.estimate))
             # Excerpts may lack the manoeuvre that shows a parameter.
             if parts.unexplained(after) < parts.unexplained(begin):
