@@ -294,7 +294,7 @@ class Segments:
 
         def chosen(values: Array) -> Array:
             by_sample = values.reshape(len(values), length, self.count)[:, :, batch]
-            return by_sample.reshape(len(values), -1)
+            return by_sample.reshape(len(values), length * count)
 
         q = at.q[:, batch] if self._own else at.q
         part = Course(chosen(at.states), q, chosen(at.data))
