@@ -64,12 +64,9 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         if not remaining < shortest:
             break
         end = iterate
-        # Steps shrink by the same factor again, or by more; the first one has no factor.
-        next_remaining = remaining * (remaining / shortest or 1.0)
         shortest = remaining
         distance = 2 * step.distance
-        if next_remaining < 1e-18:  # changes none of the first nine digits of a parameter
-            end = followed(parts, iterate, step) or iterate
+        if remaining < 1e-18:  # changes none of the first nine digits of a parameter
             break
 
         following = followed(parts, iterate, step)
