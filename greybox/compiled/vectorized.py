@@ -195,10 +195,15 @@ class _Registers:
             operation = function.instruction_id(k)
             sources, targets = function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_OUTPUT:
-                row = self._outputs[targets[0]][targets[1]]
-                self._calls.append((np.positive, (current[sources[0]], row)))
+                row, value = self._outputs[targets[0]][targets[1]], current[sources[0]]
+                # Many derivatives are the same at all points.
+                if value.flags.writeable:
+                    self._calls.append((np.positive, (value, row)))
+                else:
+                    row[:] = value
             elif operation == ca.OP_CONST:
                 current[targets[0]] = np.array(function.instruction_constant(k))
+                current[targets[0]].flags.writeable = False
             elif operation == ca.OP_INPUT:
                 value = np.empty(() if sources[0] in shared else m)
                 self._reads.append((sources[0], sources[1], value))
