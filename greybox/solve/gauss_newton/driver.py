@@ -29,8 +29,9 @@ DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 CLOSE = 0.01  # share of the variance that predictions leave where they follow the outputs closely
 
 # Samples of the excerpts on which a run of a record of more than four times as many begins. A fit
-# of 250 000 or 10⁶ samples then takes a quarter less time.
-EXCERPT = 50_000
+# of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they fill
+# whole batches: memory for another number of columns is not needed.
+EXCERPT = 40_000
 
 
 class GaussNewton(LocalSolver):
