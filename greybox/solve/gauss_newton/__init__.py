@@ -38,7 +38,8 @@ The nodes follow the data, so an unstable plant does not diverge, whatever the p
    small in standard errors; or when a negligible step finds no decrease.
 
 **Far from the minimum** continuity is a penalty on the gaps instead, with a standard deviation that
-shrinks in stages to zero; the first iterations move the nodes alone.
+shrinks in stages to zero; the first iterations move the nodes alone. Records of more than 160 000
+samples go through these stages on excerpts, if these lead to better predictions of the whole.
 
 **Many starts.** Of the default starts only the promising ones are run: short segments, evaluated
 for all starts at once, give their order. Starts whose number the user chose are all run. A run
