@@ -81,7 +81,7 @@ def test_what_prints_itself_has_its_first_line_and_is_shown_in_notebooks():
 
 
 def test_the_repr_says_what_it_is():
-    assert repr(RECORD) == "<Record 'flight 1', 200 samples, 9.95 s, theta, v>"
+    assert repr(RECORD) == f"<Record {RECORD}>"
     assert repr(drag_fits()[0]).startswith("<Fit 'flight 1', converged, cost ")
     assert repr(response_fit().minima[0]).endswith(", 3 runs, 1 variant>")
 

@@ -17,9 +17,8 @@ from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
 from greybox.study.batch import Member, batch
-from greybox.study.progress import progress
 from greybox.study.store import DATABASE, is_study, locked
-from greybox.study.study import Study, read_study
+from greybox.study.study import Study, progress, read_study
 
 EXAMPLES = (
     "study.toml --out results --workers 2",

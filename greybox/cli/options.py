@@ -172,7 +172,7 @@ def as_options(text: str, options: argparse.Namespace) -> str:
     """Return a text with arguments as options: ``settle=-1`` becomes ``--settle -1``."""
     # The library's messages name arguments. Only names of this command's options are translated:
     # x=3 in a formula stays as it is.
-    text = text.replace("fixed={", "fix={")
+    text = text.replace("fixed={", "fix={").replace("records=[...]", "held_out=...")
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
     # "open_loop=True" and "name=..." have no value on the command line.

@@ -9,7 +9,6 @@ Begin with `compiled_problem`.
 | `response_part` | a frequency response |
 | `data_input` | the data of responses as an input of their functions |
 | `response_programs` | all frequency responses as programs for a solver |
-| `harmonic_numbers` | how many harmonics a sine test needs |
 | `shared_response` | many responses of one state space, with one solution for all of them |
 | `transient_part` | the spectrum of a manoeuvre |
 | `record_model` | a record with its model, whatever the cut into segments |

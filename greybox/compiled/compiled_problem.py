@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.harmonic_numbers import with_enough_harmonics
 from greybox.compiled.part import Part, Portable
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_part import ResponsePart
@@ -34,6 +33,7 @@ from greybox.files.arrays import (
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
+from greybox.modeling.harmonic_balance import enough_harmonics
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.symbolic_reading import entries_by_name
@@ -225,6 +225,25 @@ class CompiledProblem(Portable):
 
 
 @one_thread_at_a_time
+def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
+    """Return the problem with as many harmonics as matter at the start values, if left open.
+
+    A fit warns if the estimate needs more, see `greybox.estimate.diagnostics.discretization`.
+    """
+    parts = [*problem.parts]
+    for k, part in enumerate(parts):
+        if part.amplitude is None or part.amplitude.harmonics:
+            continue
+        # The start values, not the estimate: the number of harmonics must not change during a fit.
+        starts = {name: parameter.start for name, parameter in part.parameters.items()}
+        values = dict(part.local_values(starts))
+        omega = part.response.omega
+        sine = enough_harmonics(part.model, omega, part.amplitude, values, **part.signals)
+        parts[k] = part.with_(amplitude=sine)
+
+    return problem if parts == [*problem.parts] else problem.with_parts(parts)
+
+
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> CompiledProblem:
     """Build the CasADi expressions of a problem; `method` is that of its records.
 

@@ -34,7 +34,7 @@ class DisturbedRecord:
         segments, data = part.segments, self._placed.data
         m, k = len(part.system.inputs), len(part.outputs)
         slopes = segments.sample_derivatives(self._placed.along(trajectory.states))
-        # Of the next states (length, s, n, v) and of the residuals (length, s, k, v).
+        # Slopes of the next states (length, s, n, v), and of the residuals (length, s, k, v).
         self._slopes = [
             slope.reshape(*slope.shape[:2], segments.length, segments.count)
             .transpose(2, 3, 1, 0)
@@ -142,7 +142,7 @@ class DisturbedRecord:
         """Return how outputs (k, c, samples) follow changes, up to what initial states can do.
 
         Changes are pairs of a function of values (c, samples) that returns their effect, and of
-        values (samples,). Those of the same function are best neighbors.
+        values (samples,). Changes with the same function should follow one another.
         """
         part = self.part
         # Residuals are measured less simulated outputs: they follow what is subtracted as outputs
@@ -192,7 +192,7 @@ class DisturbedRecord:
         J = np.empty((len(S), len(present), len(self.weight), S.shape[2]))
         for i, measured in enumerate(present):
             A, C = (slope[i, ..., : S.shape[1]] for slope in self._slopes)
-            # Of one sample after the other, they remain in the processor's cache.
+            # Taken one sample after the other, they remain in the processor's cache.
             of_sample = zip(*((following[i], e[i]) for following, e in effects), strict=True)
             following, residuals = (np.concatenate(each, axis=2) for each in of_sample)
             J[:, i] = (C @ S + residuals) * measured

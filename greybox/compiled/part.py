@@ -376,9 +376,7 @@ class Part(Portable, ABC):
             hessian, gradient, NO_NODES, nothing, NO_NODES, nothing, NO_NODES, NO_NODES, 0.0
         )
 
-    def close_gaps(
-        self, linearization: Any, trajectory: Trajectory, held: Array | float = 0.0
-    ) -> Array:
+    def close_gaps(self, linearization: Any, trajectory: Trajectory, held: Array) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         return NO_NODES
 
@@ -395,6 +393,10 @@ class Part(Portable, ABC):
 
     def refined(self, factor: int) -> "Part":
         """Return the part with `factor` times the steps per sample."""
+        return self
+
+    def excerpt(self, samples: int) -> "Part":
+        """Return the part on evenly spaced excerpts with about this total number of samples."""
         return self
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "Part":
@@ -430,8 +432,8 @@ class Part(Portable, ABC):
 
     @cached_property
     def discontinuous_delays(self) -> Mapping[str, StringPair]:
-        """Delays at whose whole samples the cost jumps.
+        """Delays at whose whole samples the cost jumps, each with the held input and its output.
 
-        With the held input and the output that it reaches directly.
+        The input is held, and reaches the output directly.
         """
         return {}

@@ -353,6 +353,8 @@ class RecordProgram:
         Residuals; half the sum of their squares is the cost.
     equations : casadi.MX
         What must be zero.
+    products : casadi.Function
+        (z, unknowns, w) -> the products (k, k) of the residuals.
     """
 
     def __init__(self, part: SegmentedPart, z: ca.MX) -> None:
@@ -374,12 +376,12 @@ class RecordProgram:
         self.error = ca.vec(weight @ residuals)
         self.equations = ca.vertcat(self._transcribed.equations, self._known_states(q))
         # Without weights: the covariance that follows must not depend on those in use.
-        self._products = ca.Function(
+        self.products = ca.Function(
             "products", [z, self.unknowns, self.parameters], [residuals @ residuals.T]
         )
 
     def _known_states(self, q: ca.MX) -> ca.MX:
-        """Return the known states at the first samples of stretches less their known values."""
+        """Return the equations of known states where stretches begin, zero if they hold."""
         part = self.part
         begins = part.data.begins_stretch
         places = np.flatnonzero(part.known_states[begins]).tolist()
@@ -396,10 +398,6 @@ class RecordProgram:
     def initial_parameters(self, z: Array) -> Array:
         """Return w at z (p,): the weights of small residuals, and the data."""
         return self._joined(self.part.initial_weight(), self.part.place(z).data)
-
-    def products(self, z: Array, unknowns: Array, w: Array) -> Array:
-        """Return the products of residuals."""
-        return self._products(z, unknowns, w).full()
 
     def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost, the weights and data that follow, and whether the data stayed."""

@@ -81,7 +81,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         rows = np.moveaxis(root, 2, 0).reshape(p, -1)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
-        triangle = triangle_of(np.vstack([triangle, rows.T]))
+        triangle = triangle_of(np.hstack([triangle.T, rows]).T)
         weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
         directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
         by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)

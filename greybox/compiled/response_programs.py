@@ -303,7 +303,7 @@ class ResponseCompiler:
             for part, formula in zip(self.parts, formulas, strict=True)
         ]
 
-        # As an SX function of the point and the roots.
+        # The program is an SX function of the point and the roots.
         given, named, measured = self.at_point()
         s, w = ca.SX.sym("smoothing"), ca.SX.sym("w", sum(sizes))
         pieces = ca.vertsplit(w, np.cumsum([0, *sizes]).tolist())

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
-from greybox.files.arrays import Array, ArrayPair, Strings, frozen
+from greybox.files.arrays import Array, Strings, frozen
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function, substep_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -81,21 +81,15 @@ class SampleStep:
 
         return self.built[samples]
 
-    def simulate(self, x: Array, q: Array, data: Array) -> ArrayPair:
-        """Return the states (m + 1, n) and residuals (m, k) of m samples.
-
-        They begin at a state (n,); data (m, width).
-        """
+    def simulate(self, x: Array, q: Array, data: Array) -> Array:
+        """Return the states (m + 1, n) of m samples from a state (n,); data (m, width)."""
         m = len(data)
         q = np.ascontiguousarray(q, dtype=float)
         size = -(-m // RUN) * RUN
         states = np.empty((size + 1, len(x)))
-        residuals = np.empty((size, self.function.numel_out(1)))
         states[0] = x
-        last = data[size - RUN :]
-        last = np.concatenate(
-            [last, np.repeat(data[-1:], size - m, axis=0)]
-        )  # a call takes RUN samples
+        # A call takes RUN samples.
+        last = np.pad(data[size - RUN :], ((0, size - m), (0, 0)), "edge")
 
         # CasADi reads and writes these arrays in place: with a conversion of 6000 samples a call
         # takes seven times as long.
@@ -107,10 +101,9 @@ class SampleStep:
             buffer.set_arg(0, states[first].data)
             buffer.set_arg(2, run.data)
             buffer.set_res(0, states[first + 1 : first + RUN + 1].data)
-            buffer.set_res(1, residuals[first : first + RUN].data)
             evaluate()
 
-        return states[: m + 1], residuals[:m]
+        return states[: m + 1]
 
 
 def sample_step(

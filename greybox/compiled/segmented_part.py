@@ -119,8 +119,7 @@ class SegmentedPart(Part):
     def data_at(self, delays: Array) -> Array:
         """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
 
-        The same array as the last time, as long as no delay has passed a whole sample: simulation
-        and linearization recognize it.
+        The same array as the last time, as long as no delay has passed a whole sample.
         """
         # The fraction of a delay enters through q; only its whole samples select other data.
         whole = self.data.whole_samples(delays)
@@ -165,15 +164,15 @@ class SegmentedPart(Part):
         nodes = np.where(self.known_states, initial + self.delays_at_rest, nodes)
         gaps = np.zeros_like(nodes)
         if simulated:
-            counts = self.data.segment_counts
-            nodes, states, ends, products = segments.simulate_stretches(counts, nodes, *at)
+            states, ends = segments.simulate_stretches(self.data.segment_counts, nodes, *at)
+            nodes = states[:, : segments.count].T.copy()
         else:
             states, ends = segments.simulate(nodes, *at)
             gaps[:-1] = ends[:-1] - nodes[1:]
             # The last segment of a stretch has no next node.
             gaps[~self.data.coupled] = 0
-            products = segments.products(segments.residuals(placed.along(states)))
 
+        products = segments.products(segments.residuals(placed.along(states)))
         # The products of several records have an axis of records.
         products = products[0] if segments.number == 1 else products
         return Trajectory(z, nodes, ends, gaps, products, simulated, states, placed)
@@ -269,8 +268,7 @@ class SegmentedPart(Part):
         weight: Array | None = None,
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`."""
-        exact = np.zeros(self.states)
-        variance = exact if continuity_variance is None else continuity_variance
+        variance = np.zeros(self.states) if continuity_variance is None else continuity_variance
         largest = None
         if weight is not None and self.unknown_initial_states:
             # The same jumps in units of the errors that the weight stands for.
@@ -282,15 +280,14 @@ class SegmentedPart(Part):
         )
 
     def close_gaps(
-        self, linearization: Linearization, trajectory: Trajectory, held: Array | float = 0.0
+        self, linearization: Linearization, trajectory: Trajectory, held: Array
     ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         b = linearization
         gaps = trajectory.gaps[:, :, None]
-        exact = np.zeros(self.states)
         hessian = b.node_hessian + held
         x, _ = solve_continuity(
-            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
+            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps
         )
         return trajectory.nodes + x[:, :, 0]
 

@@ -99,7 +99,6 @@ class Segments:
         self._own = own
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
-        self._ordered: ArrayPair | None = None
 
     # --- compiled functions
 
@@ -165,12 +164,6 @@ class Segments:
 
     # --- the order of samples
 
-    def rows(self, data: Array) -> Array:
-        """Return the data of all samples in their order, (samples, width)."""
-        if self._ordered is None or self._ordered[0] is not data:
-            self._ordered = (data, np.ascontiguousarray(self.in_order(data).T))
-        return self._ordered[1]
-
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
         by_segment = values.reshape(-1, self.count, self.length)
@@ -192,8 +185,7 @@ class Segments:
         # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
         # 0.9 µs: few long segments are simulated one after the other.
         if self.n and self.length > 10 * self.count:
-            _, states, ends, _ = self.simulate_stretches([1] * self.count, nodes, q, data)
-            return states, ends
+            return self.simulate_stretches([1] * self.count, nodes, q, data)
         s = self.count
         x = nodes.T
         states = np.empty((self.n, self.length * s))
@@ -207,27 +199,24 @@ class Segments:
 
     def simulate_stretches(
         self, counts: Sequence[int], nodes: Array, q: Array, data: Array
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> ArrayPair:
         """Simulate stretches of this many segments each, from the first node of each to its end.
 
-        Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and for every record
-        the sums of the products of the residuals of two outputs, (r, k, k).
+        Returns states at all samples (n, columns) and ends (s, n).
         """
-        rows = self.rows(data)
+        rows = np.ascontiguousarray(self.in_order(data).T)
         states = np.empty((len(rows), self.n))
         ends = np.empty_like(nodes)
-        products = np.zeros((self.number, self.k, self.k))
         first = 0
         for count in counts:
             samples = slice(first * self.length, (first + count) * self.length)
             at = q if q.ndim == 1 else q[:, first]
-            run, residuals = self.step.simulate(nodes[first], at, rows[samples])
+            run = self.step.simulate(nodes[first], at, rows[samples])
             states[samples] = run[:-1]
             ends[first : first + count] = run[self.length :: self.length]
-            products[self.records[first]] += residuals.T @ residuals
             first += count
 
-        return states[:: self.length].copy(), self.columns(states.T), ends, products
+        return self.columns(states.T), ends
 
     def residuals(self, at: Course) -> Array:
         """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
@@ -242,8 +231,6 @@ class Segments:
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
-        if self.number == 1:
-            return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.
@@ -424,7 +411,8 @@ class SubstepDerivatives:
         n, columns = states.shape
         slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))
         x, values, by_parameters, by_free, residual = self._begin(states, q, data)
-        slopes = _following(self._corrected, values, by_parameters, slopes)
+        slopes = _following(_blocks(self._corrected, columns), values, by_parameters, slopes)
+        blocks = _blocks(self._following, columns)
         # The states of some substeps come first: an operation on the columns of all of them takes
         # hardly longer than on those of one.
         rows = np.tile(np.arange(self._substeps)[:, None, None] / self._substeps - 0.5, columns)
@@ -443,7 +431,7 @@ class SubstepDerivatives:
             for values, by_parameters in zip(
                 *(np.split(part, count, axis=1) for part in parts), strict=True
             ):
-                slopes = _following(self._following, values, by_parameters, slopes)
+                slopes = _following(blocks, values, by_parameters, slopes)
 
         return [slopes.T.reshape(-1, columns), by_free, residual]
 
@@ -460,15 +448,24 @@ def _with_slopes(
     return (value, ca.vec(by_state.nz[:]), by_parameters), by_state.sparsity()
 
 
-def _following(pattern: ca.Sparsity, values: Array, by_parameters: Array, slopes: Array) -> Array:
-    """Return the derivatives (columns, n, v) after a function with these derivatives."""
+def _blocks(pattern: ca.Sparsity, columns: int) -> Any:
+    """Return a matrix with a block of this pattern, transposed, for every column."""
     from scipy.sparse import csr_matrix  # noqa: PLC0415  (most models do not need the import)
 
-    columns, n, v = slopes.shape
-    block = np.arange(columns)[:, None]
+    n, block = pattern.size1(), np.arange(columns)[:, None]
     ends = (np.array(pattern.colind()[1:]) + pattern.nnz() * block).ravel()
     places = (np.array(pattern.row(), dtype=int) + n * block).ravel()
-    matrix = csr_matrix((values.T.ravel(), places, np.append(0, ends)), shape=2 * (n * columns,))
-    result = (matrix @ slopes.reshape(-1, v)).reshape(slopes.shape)
+    values = np.empty(len(places))
+    return csr_matrix((values, places, np.append(0, ends)), shape=2 * (n * columns,))
+
+
+def _following(blocks: Any, values: Array, by_parameters: Array, slopes: Array) -> Array:
+    """Return the derivatives (columns, n, v) after a function with these derivatives.
+
+    The blocks are those of its derivatives by x, whose `values` (entries, columns) are given.
+    """
+    columns, n, v = slopes.shape
+    blocks.data = values.T.ravel()
+    result = (blocks @ slopes.reshape(-1, v)).reshape(slopes.shape)
     result[..., n:] += by_parameters.reshape(v - n, n, columns).T
     return result

@@ -11,8 +11,8 @@ estimated too, linearly: for given parameters it follows by least squares, and w
 errors depends on the parameters alone (variable projection: Golub and Pereyra 2003, Inverse
 Problems 19, R1). The end term: Pintelon and Schoukens, System Identification, 2nd ed., section 6.3.
 
-Where inputs are held, outputs are transformed from their samples, which show more than X and Y: see
-`folded_back`.
+Where inputs are held, the transforms of sampled outputs differ from Y by what sampling folds back:
+see `folded_back`.
 
 Output error compares the outputs. Equation error compares T Y, where T (jω) makes of the outputs
 what drives the differential equation; then the outputs have the covariance of T⁻¹ times the errors,

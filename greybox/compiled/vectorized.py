@@ -41,7 +41,7 @@ _UFUNCS |= {
     "POW": np.power,
     "CONSTPOW": np.power,
     "SQ": np.square,
-    "TWICE": lambda value, out: np.add(value, value, out),
+    "TWICE": np.add,
     "ASIN": np.arcsin,
     "ACOS": np.arccos,
     "ATAN": np.arctan,
@@ -195,16 +195,23 @@ class _Registers:
             operation = function.instruction_id(k)
             sources, targets = function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_OUTPUT:
-                row = self._outputs[targets[0]][targets[1]]
-                self._calls.append((np.positive, (current[sources[0]], row)))
+                row, value = self._outputs[targets[0]][targets[1]], current[sources[0]]
+                # Many derivatives are the same at all points.
+                if value.flags.writeable:
+                    self._calls.append((np.positive, (value, row)))
+                else:
+                    row[:] = value
             elif operation == ca.OP_CONST:
                 current[targets[0]] = np.array(function.instruction_constant(k))
+                current[targets[0]].flags.writeable = False
             elif operation == ca.OP_INPUT:
                 value = np.empty(() if sources[0] in shared else m)
                 self._reads.append((sources[0], sources[1], value))
                 current[targets[0]] = value
             else:
                 arguments = [current[source] for source in sources]
+                if operation == ca.OP_TWICE:
+                    arguments *= 2
                 is_narrow = all(argument.ndim == 0 for argument in arguments)
                 # The result of shared numbers may be read much later: it needs its own register.
                 out = np.empty(()) if is_narrow else wide.setdefault(targets[0], np.empty(m))

@@ -11,10 +11,9 @@ Begin with `record` and `frequency_response`.
 | `intersample` | signals between their samples: held or continuous |
 | `units` | conversion of units to SI |
 | `time_column` | time columns of tables, and the clocks that wrote them |
-| `magnitude_phase` | complex responses from decibels and degrees |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
 | `response_file` | frequency responses in CSV |
-| `response_columns` | the columns of a table that are a frequency response |
+| `response_columns` | the columns of a table of a frequency response, also in dB and degrees |
 | `pandas_frames` | pandas data frames from and to records and responses |
 """
 

@@ -20,7 +20,7 @@ from greybox.files.arrays import (
     all_finite,
     frozen,
 )
-from greybox.files.text_table import counted, one_line, printable, write_out
+from greybox.files.text_table import Printed, counted, printable, write_out
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
@@ -49,7 +49,7 @@ class Stretch:
 
 
 @frozen
-class FrequencyResponse:
+class FrequencyResponse(Printed):
     """The complex response alpha + j beta of one input-output pair at the frequencies `omega`.
 
     Parameters
@@ -327,14 +327,6 @@ class FrequencyResponse:
             units=units,
             common_errors=common,
             about={**self.about, MULTIPLIED: name},
-        )
-
-    def __repr__(self) -> str:
-        return one_line(
-            self,
-            repr(self.name),
-            f"{self.input} -> {self.output}",
-            counted(len(self), "frequency", "frequencies"),
         )
 
     @property

@@ -30,7 +30,15 @@ from greybox.files.arrays import (
     Values,
     frozen,
 )
-from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
+from greybox.files.text_table import (
+    Printed,
+    all_printable,
+    alternatives,
+    counted,
+    one_line,
+    some,
+    write_out,
+)
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
 # lost sample makes a step of two, which is not a gap; the half allows for jitter.
@@ -43,7 +51,7 @@ NOT_STORED = {"stored": False}  # in the file of a fit
 
 
 @frozen
-class Record:
+class Record(Printed):
     """One experiment: named signals on one time base, or rows without one.
 
     Parameters
@@ -317,14 +325,6 @@ class Record:
         # The checksum stays: the samples are still those of one file.
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
-
-    def __repr__(self) -> str:
-        size = (
-            [counted(len(self), "sample"), f"{self.duration:.4g} s"]
-            if self.has_time
-            else [counted(len(self), "row")]
-        )
-        return one_line(self, repr(self.name), *size, ", ".join(self.signals))
 
     def __str__(self) -> str:
         signals = ", ".join(

@@ -88,7 +88,7 @@ class Regression:
         return values.T
 
     def on_knots(self, key: Key, signal: Array, at: Array) -> list[Term | None]:
-        """Return c functions of a signal in the place of a term, None if this part has no such one.
+        """Return c functions of a signal in the place of a term, None if this part lacks the term.
 
         Each is one at one of c knots, and linear in between.
         """
@@ -199,8 +199,8 @@ def _offsets(
     one piece alone determines, such as one before a step, cannot be distinguished from them. A
     random walk from zero has an offset of p < 0.001 in one of 2000 simulated records, and each of
     `count` records may have one. The first of the columns (N, 1 + c) has the residuals, and the
-    others the effects of the terms. Both lose what the parameters take: a gain that makes up for a
-    constant leaves residuals unlike one.
+    others the effects of the terms. What the parameters explain is removed from both: if a gain
+    compensates for a constant, the residuals do not look like a constant.
     """
     tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
     columns = beside(columns, fitted)

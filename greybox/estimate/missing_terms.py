@@ -249,10 +249,10 @@ TEXTS = {
 # Time constants of lags and delays, over the rms of an input over that of its rate. The first one
 # is less than a sample: the effect of the rate alone, which a delay of any size has.
 TIMES = (0.001, 0.3, 1.0, 3.0)
-# Of saturations, dead zones and backlash, over the largest input.
+# Levels of saturations, dead zones and backlash, over the largest input.
 LEVELS = (0.2, 0.4, 0.7)
-# Of rate limits, over the mean speed of an input: with less, steps are hardly followed, and a sine
-# is nowhere faster than 1.6 times the mean. At 0.7 times a limit, backlash explains more.
+# Rate limits, over the mean speed of an input: with a lower one, steps are hardly followed, and a
+# sine is nowhere faster than 1.6 times the mean. At 0.7 times a limit, backlash explains more.
 RATES = np.geomspace(0.5, 2.5, 6)
 # Share of half a step by which a delay that is due to a hold may differ from it. Its size is that
 # of first order: 3 to 9 % too large with square waves, steps and sweeps, and half as much again
@@ -523,9 +523,9 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     by_input = partial(record.by_input, j)
 
     def term(kind: str, row: Array, level: float = 0.0, scale: float = step) -> Term:
-        # Where a gain is nearly zero, only a time longer than the record would explain anything,
-        # or of terms without a time as large a factor, in samples: not in seconds, which differ
-        # between a valve and a tank.
+        # Where a gain is nearly zero, only a time longer than the record would explain anything.
+        # Terms without a time have a factor with the same limit, in samples: seconds mean little
+        # for a tank, and much for a valve.
         return Term(kind, row, by_input, a, "", level, scale, len(u) * step, half_step)
 
     for row, T in _delays(record, u):

@@ -25,7 +25,6 @@ from greybox.files.arrays import (
     Values,
     frozen,
 )
-from greybox.files.text_table import Printed
 
 NOTHING: Values = MappingProxyType({})  # where no noise, limit or start is given
 
@@ -49,7 +48,7 @@ class Maneuver(NamedTuple):
 
 
 @frozen
-class Excitation(Printed, Record):
+class Excitation(Record):
     """A test signal to be flown, or several at once: a `Record` with its schedule.
 
     Attributes

@@ -217,8 +217,8 @@ def margin_numbers(
 def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexArray, Array]:
     """Return gains and frequencies with their images beyond rest and the Nyquist frequency.
 
-    The gain passes into its conjugate at both. That of an integrator is imaginary near rest, and
-    does not pass the real axis.
+    The gain passes into its conjugate at both. The gain of an integrator is imaginary near rest and
+    does not cross the real axis there.
     """
     first, last = gain[:, :1], gain[:, -1:]
     is_integrator = np.abs(first.imag) > np.abs(first.real)

@@ -73,7 +73,7 @@ def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
     names = dict.fromkeys(name for entry in estimated for name in entry.answer["standard_error"])
     if names:
         yield tag("h3", "Estimates with standard errors")
-    # Of more estimates than fit a page, structures have tables of their own.
+    # If there are more estimates than fit on a page, structures have tables of their own.
     is_wide = len(names) > 12
     for group in grouped(estimated, lambda e: is_wide and tuple(e.answer["standard_error"])):
         columns = group[0].answer["standard_error"] if is_wide else names

@@ -78,8 +78,9 @@ def linear_fits(
         raise ValueError(
             f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
         )
-    # The longest response only, ahead of filters in series: they choose what is fitted by all.
-    # Without common errors, which least squares with one variance per point cannot represent.
+    # Least squares only choose the orders that all responses are fitted with: the longest response
+    # is enough, divided by the filters that follow the plant. Common errors are left out, since
+    # one variance per point cannot represent them.
     longest = max(responses, key=len)
     gain = math.prod(frequency_response(f, None, longest.omega).response for f in through)
     variance = None if longest.variance is None else longest.variance / np.abs(gain) ** 2

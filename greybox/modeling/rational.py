@@ -49,7 +49,7 @@ class Rational(FunctionOfS):
         self.pade = pade
 
     def _same_delay(self, operand: "Rational") -> Any:
-        # Zero has any delay.
+        # Zero delayed by any time is zero: it takes the delay of the other term.
         if _is_zero(self.numerator[0]):
             return operand.delay
         if _is_zero(operand.numerator[0]) or _is_equal([self.delay], [operand.delay]):

@@ -23,7 +23,7 @@ from greybox.files.arrays import (
     by_name,
     frozen,
 )
-from greybox.files.text_table import number, one_line, text_table
+from greybox.files.text_table import Printed, number, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import (
     Inputs,
@@ -58,7 +58,7 @@ class UsedEquation:
 
 
 @frozen
-class EquationErrorEstimate:
+class EquationErrorEstimate(Printed):
     """The result of `equation_error`; printing it shows estimates and equations.
 
     Its estimate is a start of a fit, ``gb.fit(problem, starts=[result.estimate])``.
@@ -93,9 +93,6 @@ class EquationErrorEstimate:
     parameters: Parameters
     warnings: Strings
     inputs: NamedStrings
-
-    def __repr__(self) -> str:
-        return one_line(self, self.name, f"estimates of {', '.join(self.estimate) or 'nothing'}")
 
     def __str__(self) -> str:
         rows = []

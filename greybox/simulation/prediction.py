@@ -246,7 +246,7 @@ def require_lengths(**lengths: Any) -> None:
 def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
     """Return the longest of `at_least` s, ten samples of the slowest record, and two delays.
 
-    Of a record that is shorter than eight times `at_least`, it is an eighth.
+    A record that is shorter than eight times `at_least` allows an eighth of its length.
     """
     # NaN, the step of a single sample, compares as neither more nor less than the first number.
     slowest = max([0.0, *(record.step for record in records)])

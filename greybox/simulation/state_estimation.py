@@ -78,7 +78,7 @@ def estimate_states(
         unknown = np.full(n, np.nan)
         return StateEstimates(x, R, unknown, unknown, ~finite)
     if not finite.all():
-        # Begin the other windows where these are on average.
+        # The other windows begin at the mean of the windows that are finite.
         x = np.where(finite[:, None], x, x[finite].mean(axis=0))
         e, S, finite = _linearized(x, residual, sensitivities)
 

@@ -104,8 +104,9 @@ def run_all(
                 yield run
 
         if recalled is None and executor is not None:
-            # Measured on the first batch: only so much work in a task shows progress in time.
-            # Sixteen tasks or more, so that workers of different speed end at about the same time.
+            # The first batch shows how long a start takes. A task has few enough of them that
+            # progress appears in time, and there are sixteen tasks or more, so that workers of
+            # different speed end at about the same time.
             seconds = sum(outcome.seconds for outcome in outcomes)
             size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
             size = min(size, math.ceil(remaining / 16))

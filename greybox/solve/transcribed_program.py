@@ -39,7 +39,7 @@ class TranscribedProgram(LocalSolver):
         self._programs = [RecordProgram(part, z) for part in nlp.parts_of(RecordPart)]
         self._responses = nlp.parts_of(ResponsePart)
         spectra = nlp.parts_of(TransientPart)
-        # End terms are eliminated, and what remains is no expression for IPOPT.
+        # A spectrum eliminates its end terms numerically: IPOPT needs a symbolic expression.
         if spectra:
             raise ValueError(
                 f"the method transcribes records for IPOPT and {spectra[0].name!r} is a "
@@ -154,7 +154,7 @@ class TranscribedProgram(LocalSolver):
         unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
         parameters = np.split(w, self._parameter_ends)
         values = zip(self._programs, unknowns, parameters, strict=True)
-        products = [program.products(z, states, ws) for program, states, ws in values]
+        products = [program.products(z, states, ws).full() for program, states, ws in values]
         products = shared_products([program.part for program in self._programs], products)
         values = zip(self._programs, products, parameters, strict=True)
         outcomes = [program.outcome(z, each, ws) for program, each, ws in values]

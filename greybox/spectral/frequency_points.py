@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, Strings, frozen
-from greybox.files.text_table import counted, number, one_line, text_table
+from greybox.files.text_table import Printed, number, text_table
 
 # Change of trim over the amplitude, and standard error over the response: an error of the gain
 # about as large as that of harmonics of a tenth.
@@ -61,7 +61,7 @@ class FrequencyPoint:
 
 
 @frozen
-class FiniteFrequency:
+class FiniteFrequency(Printed):
     """The measured response, the point of each test, and the tests left out with the reason."""
 
     response: FrequencyResponse
@@ -110,13 +110,6 @@ class FiniteFrequency:
         )
         return "\n".join(
             [str(self.response), text_table(header, [_row(p) for p in self.points], left=())]
-        )
-
-    def __repr__(self) -> str:
-        return one_line(
-            self,
-            counted(len(self.points), "frequency", "frequencies"),
-            f"{len(self.left_out)} left out",
         )
 
     def __str__(self) -> str:

@@ -225,7 +225,7 @@ def estimate_by_lines(
     t: Array, amplitudes: ComplexArray, residual: Array, omega: float, origin: float, q: int
 ) -> SinePoint:
     """Estimate with the lines beside `omega`; leakage is smooth in the number m of the line."""
-    # The lines are relative to the start of the window, so are the amplitudes here.
+    # The phases of the lines refer to the start of the window: so must those of the amplitudes.
     u, y = amplitudes[:2] * np.exp(1j * omega * (t[0] - origin))
     if q == 1 or u == 0:
         # One period has no lines: assume white noise of the residual's variance.

@@ -73,8 +73,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         A response near the true one, such as that of a fitted model, without the hold of the input.
         The polynomials then describe what it leaves, so that their error and that of the noise are
         smaller where the response changes much from line to line: at the lowest frequencies, and at
-        resonances. A tenth of the error that is so subtracted counts as uncertain: the response
-        is that of a fit, which may be as wrong. Not used if `omega` is given.
+        resonances. A tenth of the error that is subtracted in this way counts as uncertain,
+        because the fitted response may be wrong by so much. Not used if `omega` is given.
 
     Returns
     -------

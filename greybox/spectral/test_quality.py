@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, Interval, Labels, Strings
-from greybox.files.text_table import counted, one_line, some
+from greybox.files.text_table import Printed, counted, some
 from greybox.spectral.saturation import at_limit
 
 Severity = Literal["note", "warning", "refusal"]
@@ -59,8 +59,8 @@ class Finding:
 Findings = Iterator[Finding]
 
 
-@dataclass(frozen=True)
-class Quality:
+@dataclass(frozen=True, repr=False)
+class Quality(Printed):
     """The verdict on a test: findings, most serious first."""
 
     findings: tuple[Finding, ...]
@@ -80,11 +80,6 @@ class Quality:
         rank = {"refusal": 0, "warning": 1, "note": 2}
         findings = (*self.findings, *findings)
         return Quality(tuple(sorted(findings, key=lambda f: rank[f.severity])))
-
-    def __repr__(self) -> str:
-        return one_line(
-            self, "usable" if self.usable else "not usable", counted(len(self.findings), "finding")
-        )
 
     def __str__(self) -> str:
         lines = [f"{f.severity}: {f.text}" for f in self.findings]

@@ -61,7 +61,7 @@ class ErrorSpectrum:
         return self.deviation[:, None] * self._filtered(white, 0.5)
 
     def of_draws(self, white: Array) -> "ErrorSpectrum":
-        """Return the spectrum that gives draws of whitened residuals (k, n) the variances of this.
+        """Return a spectrum that gives draws of whitened residuals (k, n) this one's variances.
 
         The covariance of whitened residuals is not one, because a fit takes a part of the errors,
         samples are missing, and outputs may be combinations of others.

@@ -179,7 +179,7 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
 
 
 def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
-    """Return series less their common mean, filtered by their autoregression, and the latter."""
+    """Return series less their common mean, filtered by their autoregression, and its filter."""
     mean = float(np.nanmean(np.concatenate(series)))
     a = autoregression([np.nan_to_num(s - mean) for s in series])
     # Σ a_k e(t - k) is NaN where a term is missing, as before the first sample.

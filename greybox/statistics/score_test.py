@@ -85,15 +85,16 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
 def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Array]:
     """Test c terms together, as the values of a function at c knots.
 
-    Directions in which the parameters, or neighboring knots, take most of the effect only add
-    noise: those that are left are the principal ones beside the parameters.
+    Directions whose effect the parameters, or neighboring knots, mostly explain would only add
+    noise. The principal directions of the remaining effects are tested.
 
     Returns
     -------
     p_value : float
-        The probability by chance that the directions take so much of the residuals.
+        The probability that by chance the directions would explain as much of the residuals.
     directions : (c, r) array
-        Their factors on the terms; their effects are orthonormal beside the parameters.
+        Each column combines the terms to one direction. The effects of these directions, less what
+        the parameters can explain of them, are orthonormal.
 
     Parameters
     ----------

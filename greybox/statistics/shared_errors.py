@@ -37,7 +37,7 @@ def shared_covariance(
     Parameters
     ----------
     responses : iterable of tuples
-        Of every response, frequencies (n,) in rad/s, residuals (2 n,), their derivatives (2 n, r),
+        For every response: frequencies (n,) in rad/s, residuals (2 n,), their derivatives (2 n, r),
         real parts first, and the sum of the variances of its scores.
     size : int
         r.
@@ -46,7 +46,7 @@ def shared_covariance(
     for omega, errors, slopes, variance in responses:
         if np.unique(omega).size >= FEWEST:
             order = np.argsort(omega, kind="stable")
-            # Of errors of mean square one, with as much variance as the response has.
+            # The errors get a mean square of one, then the variance of the response.
             norm = np.linalg.norm(errors) * np.linalg.norm(slopes) / errors.size**0.5
             scale = np.sqrt(variance) / (norm or 1.0)
             logarithms.append(np.log(omega[order]))

@@ -23,7 +23,7 @@ WHITE = 0.7
 LONGEST_STEP = 1.5  # of the logarithm of a variance
 
 # Share of the variance of an output below which a variance is zero. A ridge of this size also
-# replaces what the expectations lack at a frequency from which the fit takes all power.
+# keeps expected covariances invertible at a frequency where the fit explains all power.
 LEAST = 1e-4
 
 

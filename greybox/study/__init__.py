@@ -10,7 +10,6 @@ Begin with `batch`.
 | `catalog` | included models and problems, and those in a user's own file |
 | `data_file` | a data file: a response, a spectrum or a record |
 | `study` | members and answers of a study, also while it runs |
-| `progress` | how far a study is |
 | `ranking` | which structure describes the data sets best |
 | `latex` | tables for a paper |
 | `store` | a study on disk: one SQLite database |

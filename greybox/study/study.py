@@ -6,11 +6,14 @@ Begin with `read_study`.
 import csv
 import io
 import re
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from greybox.data.pandas_frames import Frame
 from greybox.files.arrays import Fields, Labels, Strings, frozen
@@ -215,6 +218,22 @@ def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
     for member in members:
         _require_readable(member)
     return Study(Path(folder), members)
+
+
+def progress(study: Study) -> str:
+    """Return how far a study is: the counts, the time left, and the failures so far."""
+    times = (float(member.answer.get("finished", 0.0)) for member in study.members)
+    ends = sorted(filter(None, times))[-20:]
+    unfinished = study.count("unfinished")
+    lines = [study.state]
+    if unfinished and len(ends) > 2:
+        # The last members show how long the others take; the longest interval may be a pause.
+        seconds = float(np.mean(np.sort(np.diff(ends))[:-1]))
+        lines.append(
+            f"about {number(unfinished * seconds / 60, 2)} min left, at {number(seconds, 2)} s a "
+            f"member; the last one ended {number(time.time() - ends[-1], 2)} s ago."
+        )
+    return "\n\n".join(filter(None, [*lines, study.failures]))
 
 
 def _require_readable(member: StudyMember) -> None:

@@ -109,8 +109,7 @@ def compare(
     different = data_difference(fits, names)
     if different and not held_out:
         raise ValueError(
-            f"{different}: fit them to the same data, or judge them on others, records=[...] or "
-            "--held-out."
+            f"{different}: fit them to the same data, or judge them on others, records=[...]."
         )
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)

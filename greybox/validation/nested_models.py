@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, StringPair, Strings, Values, all_finite, by_name
-from greybox.files.text_table import listed, number, one_line, p_text
+from greybox.files.text_table import Printed, listed, number, p_text
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
 from greybox.modeling.realization import dynamics
@@ -36,8 +36,8 @@ from greybox.validation.same_data import (
 LEAST_DOF = 3  # with fewer, F of one term is significant only above 18
 
 
-@dataclass(frozen=True)
-class NestedTest:
+@dataclass(frozen=True, repr=False)
+class NestedTest(Printed):
     """Whether the data need the terms that only the larger model has; printed, it is a sentence.
 
     Attributes
@@ -66,9 +66,6 @@ class NestedTest:
     statistic: float
     dof: tuple[float, float]
     p_value: float
-
-    def __repr__(self) -> str:
-        return one_line(self, f"{self.small} in {self.large}", p_text(self.p_value))
 
     def __str__(self) -> str:
         verb = "is" if len(self.terms) == 1 else "are"

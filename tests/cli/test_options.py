@@ -105,6 +105,7 @@ def test_probabilities_and_times():
         ("K=2 and settled=3", "K=2 and settled=3"),
         ("settle = 2 s", "settle = 2 s"),
         ("give fixed={'T': ...}.", "give --fix T=...."),
+        ("judge on others, records=[...].", "judge on others, --held-out."),
         ("use OutputError(), not Tilt()", "use output-error, not Tilt()"),
         (
             "give band=['a', 1], input=('a',) or input=['a'].",
@@ -113,7 +114,9 @@ def test_probabilities_and_times():
     ],
 )
 def test_arguments_become_options(text, option):
-    options = argparse.Namespace(settle=2.0, open_loop=False, band=[], input="", fix={})
+    options = argparse.Namespace(
+        settle=2.0, open_loop=False, band=[], input="", fix={}, held_out=[]
+    )
     assert as_options(text, options) == option
 
 

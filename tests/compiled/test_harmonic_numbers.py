@@ -5,7 +5,7 @@ import pytest
 from duffing_oscillator import Spring
 
 import greybox as gb
-from greybox.compiled.harmonic_numbers import with_enough_harmonics
+from greybox.compiled.compiled_problem import with_enough_harmonics
 from greybox.modeling import harmonic_response
 
 OMEGA = np.array([0.4, 0.9])

@@ -181,7 +181,7 @@ def test_gaps_are_closed_by_the_least_change_of_the_outputs(made):
     part, z, trajectory = made
     weight = part.initial_weight()
     linear = part.linearize(trajectory, weight)
-    closed = part.close_gaps(linear, trajectory)
+    closed = part.close_gaps(linear, trajectory, 0 * linear.node_hessian)
     A, _ = dense(part, z, trajectory.nodes, gaps)
     by_nodes, _ = dense(part, z, trajectory.nodes, residuals)
     J = np.kron(weight, np.eye(part.data.samples)) @ by_nodes
@@ -570,7 +570,7 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     moved[1] += 0.3  # the velocity at the first sample, which is known
     assert np.abs(evaluate(z, moved, w)[1].full()).max() == pytest.approx(0.3, rel=0.5)
 
-    cost, following, stayed = program.outcome(z, program.products(z, unknowns, w), w)
+    cost, following, stayed = program.outcome(z, program.products(z, unknowns, w).full(), w)
     assert cost == pytest.approx(part.cost(trajectory))
     assert stayed
     weight = following[: k * k].reshape(k, k, order="F")
@@ -578,7 +578,7 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     assert_allclose(following[k * k :], w[k * k :])
     later = z.copy()
     later[list(nlp.free).index("d")] *= 2  # past the next sample
-    assert not program.outcome(later, program.products(later, unknowns, w), w)[2]
+    assert not program.outcome(later, program.products(later, unknowns, w).full(), w)[2]
 
 
 @pytest.mark.parametrize(("missing", "is_enough"), [(9, True), (10, False)])

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from greybox.data.magnitude_phase import angular_frequency, complex_response
+from greybox.data.response_columns import angular_frequency, complex_response
 
 HERTZ = np.array([0.5, 1.0, 4.0])
 RESPONSE = np.array([1.2 - 0.3j, -0.4 - 0.9j, 0.01 + 0.02j])

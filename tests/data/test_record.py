@@ -213,12 +213,12 @@ def test_what_a_record_says_of_itself():
         "flight",
     )
     assert str(flown) == "flight: 10 samples at 4 Hz, 4.2 s from 2.0 s in 2 pieces: u (m), y"
-    assert repr(flown) == "<Record 'flight', 10 samples, 4.25 s, u, y>"
+    assert repr(flown) == f"<Record {flown}>"
     assert [len(rows) for rows in flown.independent_pieces] == [4, 6]
     assert np.concatenate(flown.independent_pieces).tolist() == list(range(10))
     rows = Record(None, {"x": np.arange(3.0)})
     assert str(rows) == "record: 3 rows without a time: x"
-    assert repr(rows) == "<Record '', 3 rows, x>"
+    assert repr(rows) == f"<Record {rows}>"
     assert (rows.step, rows.rate, rows.has_time, len(rows.pieces)) == (1.0, 1.0, False, 1)
     assert [one.tolist() for one in rows.independent_pieces] == [[0], [1], [2]]
     assert rows.time.tolist() == [0, 1, 2]

@@ -274,3 +274,16 @@ def test_no_more_sines_are_added_than_there_are_frequencies():
 def test_a_signal_that_the_model_does_not_have_is_named():
     with pytest.raises(ValueError, match="Lag has no output 'theta'; it has y"):
         plan_sines(Lag(), LAG, {"K": 0.003}, band=(0.5, 15), amplitude=0.5, noise=0.05)
+
+
+def test_no_sines_are_planned_for_a_loop_that_diverges():
+    with pytest.raises(ValueError, match="loop of NonlinearTilt is unstable"):
+        plan_sines(
+            NonlinearTilt(),
+            TILT,
+            {"a2": 0.05},
+            band=(0.8, 30),
+            amplitude=0.03,
+            noise=NOISE,
+            controller=AttitudeController({"K_theta": -4.0}, rate=RATE),
+        )

@@ -62,7 +62,7 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
     assert (found.tests, found.used, found.controller) == ((), (), "")
     assert found.detail == str(replace(response, about={}))
     assert str(found) == "\n\n".join([*found.choices, found.detail, str(found.quality)])
-    assert repr(found) == f"<Measurement {response!r}, {found.quality!r}>"
+    assert repr(found).startswith("<Measurement <FrequencyResponse ")
     said = measure(swept, Settings(**PAIR, whole=True, open_loop=True, points=12))
     assert said.choices == (f"open loop, as stated: {direct}",)
     same = gb.spectral.spectral_response(said.record, "u", "y", points=12)

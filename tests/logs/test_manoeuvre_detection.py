@@ -249,3 +249,11 @@ def test_a_step_in_noise_begins_before_it_ends(seed, size, noise):
     values = size * (time >= 5) + noise * np.random.default_rng(seed).standard_normal(time.size)
     (step,) = manoeuvres_in(time, values)
     assert 4.5 < step.start < step.end < 5.5
+
+
+def test_a_second_of_rest_at_the_end_of_the_record_ends_a_manoeuvre():
+    flown = pulses(*FLOWN[0])
+    last = np.flatnonzero(flown)[-1]
+    second = last + 1 + round(1 / 0.02)
+    (segment,) = manoeuvres_in(TIME[:second], flown[:second])
+    assert segment.end == pytest.approx(TIME[last], abs=0.05)

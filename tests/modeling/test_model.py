@@ -41,7 +41,7 @@ def test_names_are_read_only():
         Tilt().values().a1 = 3.0
 
 
-@pytest.mark.parametrize("name", ["keys", "values", "label", "derived"])
+@pytest.mark.parametrize("name", ["keys", "values", "label", "derived", "response"])
 def test_a_parameter_may_not_hide_what_a_formula_or_the_framework_calls(name):
     """As a parameter, `values` would replace the method of that name."""
     with pytest.raises(ValueError, match=f"Broken .*{name!r}.*another name"):

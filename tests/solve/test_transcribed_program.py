@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from rate_lag import Lag
@@ -125,7 +126,7 @@ def test_the_cost_of_a_solution_is_the_weighted_sum_of_the_parts():
     def part(k, same):
         def products(z, unknowns, own):
             seen.append((z.tolist(), unknowns, own))
-            return np.full((1, 1), 10.0**k)
+            return ca.DM(10.0**k)
 
         def outcome(z, products, own):
             return products.item(), own + 1, same

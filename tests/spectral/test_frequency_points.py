@@ -188,7 +188,6 @@ def test_points_are_written_and_take_other_variances():
     assert found.notes == ("5 rad/s: n",)
     assert found.findings == ("8 rad/s: f", "sweep from 10.0 s left out: no sine")
     assert str(found) == "\n".join([found.table, *found.notes, *found.findings])
-    assert repr(found) == "<FiniteFrequency 2 frequencies, 1 left out>"
     other = found.with_variance(np.array([4.0, 9.0]))
     assert [p.standard_error for p in other.points] == [2.0, 3.0]
     assert other.response.variance.tolist() == [4.0, 9.0]

@@ -341,7 +341,7 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
     assert quality.refusals == (told["saturation"][2],)
     lines = str(quality).splitlines()
     assert lines[0] == f"refusal: {told['saturation'][2]}"
-    assert repr(quality) == "<Quality not usable, 7 findings>"
+    assert repr(quality).startswith("<Quality refusal: the control u is at a limit for ")
     worse = quality.with_findings(
         Finding("test", "note", 1.0, "a"), Finding("test", "refusal", 2.0, "b")
     )

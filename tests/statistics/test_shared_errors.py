@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.statistics.shared_errors import shared_covariance
 
 TRUTH = {"b": 4.0, "a": 3.0}
 GAINS = (1.0, 0.7, -2.0, 0.4, 1.5)
@@ -59,3 +60,14 @@ def test_standard_errors_hold_whether_responses_share_errors_or_not(share):
     """Taken as independent, shared errors would be 2 times their standard errors."""
     size = np.sqrt(np.mean(deviations(share) ** 2))
     assert 0.6 < size < 2.0
+
+
+def test_independent_errors_seldom_add_up_to_more_than_by_chance():
+    omega, size, shared = np.geomspace(0.3, 30, 20), 5, 0
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        responses = [
+            (omega, random.normal(size=40), random.normal(size=(40, size)), 1.0) for _ in range(6)
+        ]
+        shared += shared_covariance(responses, size)[0].any()
+    assert shared <= 3  # in one of fifty

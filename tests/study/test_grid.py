@@ -58,6 +58,16 @@ def test_what_a_grid_cannot_mean_is_a_sentence():
             gb.study.grid(Tilt(), FIRST, **empty)
 
 
+class Declared(gb.Starts):
+    """The declared starts, by a rule that states no number."""
+
+    def __str__(self):
+        return "as declared"
+
+    def draw(self, parameters):
+        return np.array([[parameter.start for parameter in parameters.values()]])
+
+
 def test_the_default_number_of_starts():
     assert gb.study.Member(pitch_hover.problem()).start_count == 200
     for starts, count in (
@@ -65,6 +75,7 @@ def test_the_default_number_of_starts():
         ([gb.solve.Sobol(50), {}], 51),
         (gb.solve.Sobol(9), 9),
         (1e3, 1000),
+        (Declared(), 1),
     ):
         assert gb.study.Member(pitch_hover.problem(), starts).start_count == count
 

@@ -11,9 +11,8 @@ from small_study import Broken, data
 
 import greybox as gb
 from greybox.study.latex import latex_number, latex_symbol, latex_text
-from greybox.study.progress import progress
 from greybox.study.store import StudyMember
-from greybox.study.study import Study
+from greybox.study.study import Study, progress
 
 
 def test_every_member_and_parameter_has_a_row(small_study):

@@ -52,7 +52,7 @@ def test_the_scaled_ratio_is_held_against_f(drags):
     assert found.dof == (1, large.dof)
     assert found.p_value == pytest.approx(f.sf(ratio / scale, 1, large.dof))
     assert f"scaled by {scale:.3g}" in str(found)
-    assert repr(found).startswith("<NestedTest LinearDrag in Drag, p")
+    assert repr(found).startswith("<NestedTest C_x is needed: LinearDrag is rejected by")
 
 
 def test_fits_are_called_by_their_models(drags):

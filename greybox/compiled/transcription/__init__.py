@@ -2,9 +2,8 @@
 
 `method` says what a transcription is; `multiple_shooting` is the default, `single_shooting` and
 `collocation` are solved by IPOPT. The integrator that a method's equations amount to is its
-`scheme`; new ones are written in `greybox.modeling.integrators`, or, where they are implicit,
-`greybox.modeling.integrators`. A trapezoidal method, written as a user would write it, is
-in `tests/support/recipes.py`.
+`scheme`; `greybox.modeling.integrators` has the base classes of new ones. A trapezoidal method,
+written as a user would write it, is in `tests/support/recipes.py`.
 """
 
 from greybox.compiled.transcription.collocation import Collocation as Collocation

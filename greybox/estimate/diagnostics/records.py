@@ -168,7 +168,7 @@ def _carried_over(pairs: Pairs) -> Findings:
 
 
 def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Findings:
-    """Name outputs with slow errors, where few frequencies show the parameters."""
+    """Name the outputs whose errors are slow, if few frequencies show the parameters."""
     outputs = sum(len(fitted.outputs) for fitted in answer.records)
     for part, errors in nlp.rows_of(RecordPart, accuracy.parts):
         if not (colored := errors.colored):

@@ -134,7 +134,7 @@ def _decoded(
 
     The clock of the whole log needs these times.
     """
-    # A view of a body at every byte of the file, which indexing copies for this layout only.
+    # A view with a body at every byte of the file: indexing copies the messages of this layout.
     size = len(data) - layout.length + 1
     bodies = np.ndarray((size,), layout.dtype, data, 3, (1,))[offsets]
     timer = clock_column(layout)

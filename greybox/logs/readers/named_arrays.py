@@ -120,8 +120,8 @@ def recording(
 
     With the `parameters` of a vehicle, the groups are messages of its flight controller. The
     `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`. With
-    `rows_allowed`, a group without a time becomes a record of rows; otherwise, since it has
-    settings and the like, a finding.
+    `rows_allowed`, a group without a time becomes a record of rows. Otherwise it is reported as a
+    finding: such groups usually hold settings.
     """
     checksum = checksum_of(path)
     by_name = {}

@@ -38,7 +38,8 @@ The nodes follow the data, so an unstable plant does not diverge, whatever the p
    small in standard errors; or when a negligible step finds no decrease.
 
 **Far from the minimum** continuity is a penalty on the gaps instead, with a standard deviation that
-shrinks in stages to zero; the first iterations move the nodes alone.
+shrinks in stages to zero; the first iterations move the nodes alone. Records of more than 160 000
+samples go through these stages on excerpts, if these lead to better predictions of the whole.
 
 **Many starts.** Of the default starts only the promising ones are run: short segments, evaluated
 for all starts at once, give their order. Starts whose number the user chose are all run. A run
@@ -53,6 +54,6 @@ simulated nodes. `settings` has the limits of a run.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is
 exact. Stable predictors forget their initial state and are simulated over whole stretches
-(`greybox.compiled.kalman_gain`). Where the likelihood grows toward their stability limit, steps go
-along it.
+(`greybox.compiled.kalman_gain`). Where the likelihood grows toward the limit of stable predictors,
+steps go along this limit.
 """

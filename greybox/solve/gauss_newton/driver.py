@@ -2,7 +2,6 @@
 
 import math
 import time
-from copy import copy
 from dataclasses import replace
 
 import casadi as ca
@@ -29,6 +28,11 @@ DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 CLOSE = 0.01  # share of the variance that predictions leave where they follow the outputs closely
 
+# Samples of the excerpts on which a run of a record of more than four times as many begins. A fit
+# of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they fill
+# whole batches: memory for another number of columns is not needed.
+EXCERPT = 40_000
+
 
 class GaussNewton(LocalSolver):
     """The solver of one compiled problem with hidden unknowns, built once for all starts.
@@ -50,12 +54,14 @@ class GaussNewton(LocalSolver):
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
-        solver = copy(self)
-        solver.limits = replace(self.limits, low=low, high=high)
+        limits = replace(self.limits, low=low, high=high)
         if equation is not None:
-            solver.limits = solver.limits.with_equation(equation)
-        solver._parts = copy(self._parts)
-        solver._parts.limits = solver.limits
+            limits = limits.with_equation(equation)
+        return self._within(self.nlp, limits)
+
+    def _within(self, nlp: CompiledProblem, limits: Limits) -> "GaussNewton":
+        solver = self.refined(nlp)
+        solver.limits = solver._parts.limits = limits
         return solver
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
@@ -68,7 +74,8 @@ class GaussNewton(LocalSolver):
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,), or from where short segments lead from there.
 
-        It is moved if predictions over whole segments are worse than the means of the outputs.
+        It is moved if predictions over whole segments are worse than the means of the outputs. With
+        long records, excerpts lead on from there.
         """
         parts = self._parts
         begin = parts.at(self._nearest(start))
@@ -81,6 +88,17 @@ class GaussNewton(LocalSolver):
             # From a bound, a run seldom returns, unless that is nearly where it ends.
             if parts.unexplained(moved) < (left if is_inside else CLOSE):
                 begin = moved
+        nlp = self.nlp
+        if max(part.samples for part in nlp.parts) > 4 * EXCERPT:
+            excerpts = replace(nlp, parts=tuple(part.excerpt(EXCERPT) for part in nlp.parts))
+            shorter = self._within(excerpts, self.limits)
+            first = shorter._solved(shorter._parts.at(begin.z), parts.first_progress())
+            after = parts.at(nlp.scaling.to_solver(first.estimate))
+            # Excerpts may lack the manoeuvre that shows a parameter.
+            if parts.unexplained(after) < parts.unexplained(begin):
+                outcome = spent(self._solved(after, EXACT), first)
+                if outcome.converged:
+                    return outcome
         return self._solved(begin, parts.first_progress())
 
     @DIVERGING

@@ -15,6 +15,9 @@ from slow_lag import SlowLag
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.record_part import RecordPart
+from greybox.compiled.segmented_part import SegmentedPart
+from greybox.solve.gauss_newton import driver
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.settings import Settings
 from greybox.solve.minima import Minimum, Multistart
@@ -62,6 +65,49 @@ def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
         around = [solver.cost(nlp.all_values(minimum.estimate + step)) for step in (-h, h)]
         assert min(around) > minimum.cost
         assert around[0] - minimum.cost == pytest.approx(around[1] - minimum.cost, rel=0.02)
+
+
+def linearized(monkeypatch, samples):
+    """Return a list of the samples of every linearization from now on; excerpts have these."""
+    counted = []
+
+    def linearize(part, *arguments):
+        counted.append(part.samples)
+        return SegmentedPart.linearize(part, *arguments)
+
+    monkeypatch.setattr(driver, "EXCERPT", samples)
+    monkeypatch.setattr(RecordPart, "linearize", linearize)
+    return counted
+
+
+def test_a_run_of_a_long_record_begins_where_excerpts_lead(monkeypatch):
+    solver = GaussNewton(compile_problem(gb.Problem(Lag(), record(0), HELD)))
+    counted = linearized(monkeypatch, 300)
+    usual = solver.run(np.array([10.0]))
+    steps = len(counted)
+    counted.clear()
+    monkeypatch.setattr(driver, "EXCERPT", 60)
+    outcome = solver.run(np.array([10.0]))
+    assert outcome.converged
+    assert outcome.estimate == pytest.approx(usual.estimate, rel=1e-6)
+    assert counted.count(300) < steps
+    assert {*counted} == {100, 300}
+
+
+def test_excerpts_without_the_manoeuvre_do_not_mislead_a_run(monkeypatch):
+    """The input moves between two of the five excerpts."""
+    flown = record(0)
+    u = np.where((np.arange(300) > 92) & (np.arange(300) < 110), flown["u"], 0.0)
+    free = gb.simulate(Lag(), {"a": 2.0}, gb.Record(flown.time, {"u": u}), inputs="held")
+    noise = 0.05 * np.random.default_rng(1).normal(size=300)
+    still = gb.Record(flown.time, {"u": u, "x": free["x"] + noise})
+    solver = GaussNewton(compile_problem(gb.Problem(Lag(), still, HELD)))
+    usual = solver.run(np.array([1.0]))
+    counted = linearized(monkeypatch, 60)
+    outcome = solver.run(np.array([1.0]))
+    assert {*counted} == {100, 300}
+    assert outcome.estimate == pytest.approx(usual.estimate, rel=1e-6)
+    assert outcome.cost == pytest.approx(usual.cost, rel=1e-9)
 
 
 def test_an_unfinished_run_is_continued_to_its_minimum():
