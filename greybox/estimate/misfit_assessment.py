@@ -301,11 +301,20 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     terms = _terms(group.parts, determined)
     tried, tested = _ranked(group, [key for key, term in terms.items() if not term.knots])
     columns = np.hstack([group.residuals[:, :0], *(test.column for test in tested)])
-    # Among responses, each family is as likely to be missing, whatever its number of terms.
-    tests = [
-        tried.total() * terms[test.key].tries if group.outputs else len(tried) * tried[test.key[0]]
-        for test in tested
-    ]
+    bounds = sum(count for (kind, *_), count in tried.items() if kind == "bound")
+
+    def alternatives(test: Tested) -> int:
+        """Return how many terms such a one is the best of."""
+        family = test.key[0]
+        if family[0] == "bound":
+            # It is doubted more than terms that nobody thought of.
+            return bounds
+        if group.outputs:
+            return tried.total() * terms[test.key].tries
+        # Among responses, each family is as likely to be missing, whatever its number of terms.
+        return len(tried) * tried[family]
+
+    tests = [*map(alternatives, tested)]
     p_common = 1.0
     p_values = p_correlated = np.array([test.p_white for test in tested]) * tests
     if group.outputs:
