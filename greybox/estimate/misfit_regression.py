@@ -33,7 +33,7 @@ from greybox.files.arrays import (
     real_and_imaginary,
 )
 from greybox.statistics.autoregressive_test import Outputs
-from greybox.statistics.column_space import beside, column_basis, outside
+from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance, score_tests
 
 TINY = 1e-300
@@ -189,8 +189,9 @@ def _offsets(
     others the effects of the terms. Both lose what the parameters take: a gain that makes up for a
     constant leaves residuals unlike one.
     """
-    tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
-    columns = beside(columns, fitted)
+    basis = column_basis(fitted)
+    tests = score_tests(columns[:, 0], basis, columns[:, 1:]).T.tolist()
+    columns = outside(columns, basis)
     pieces = np.arange(len(columns)) * 10 // len(columns)  # whose means show an offset
     # The numbers of a sample, one for each of the outputs, follow one another.
     firsts = outputs * (np.arange(1, 10) * len(columns) // (10 * outputs))
