@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -49,8 +50,8 @@ from greybox.statistics.score_test import (
 
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
-# Evaluations of a fit with autoregressive errors, at most: most take 3 to 8, each of which is a
-# simulation of all records.
+# Evaluations of a fit with autoregressive errors, at most: most take 3 to 8, each of which is two
+# simulations of all records, or of excerpts.
 EVALUATIONS = 15
 # Largest probability at which such a fit does not explain records either. Slow gusts look like a
 # term more often than noise: of 38 right models in gusts, 8 were between this and `FALSE_ALARMS`,
@@ -99,8 +100,7 @@ class Group:
 
     def score_tests(self, columns: Array) -> list[list[float]]:
         """Return the tests of columns (N, c) one by one, see `score_tests`."""
-        residuals = self.white_residuals[:, 0]
-        return score_tests(residuals, self.white_fitted, self.white(columns)).T.tolist()
+        return score_tests(self.white_residuals[:, 0], self.basis, self.white(columns)).T.tolist()
 
     def chances(self, columns: Array, sizes: Sequence[int] = ()) -> Array:
         """Return the probabilities of columns (N, c) of records, see `autoregressive_p_values`."""
@@ -167,7 +167,8 @@ def assessed_misfit(
         group for group in (responses, manoeuvres, regressions) if any(part.terms for part in group)
     ]
     groups = [*map(_group, tested)]
-    misfits = [*map(_of_group, groups, _determined(groups))]
+    answers = [*map(_of_group, groups, _determined(groups))]
+    misfits = [misfit for misfit, _ in answers]
     if all(misfit.explains and not misfit.tried for misfit in misfits):
         return None
 
@@ -192,47 +193,58 @@ def assessed_misfit(
     # Gains of a predictor allow for gusts already, and an autoregression also takes up the growing
     # motions that an unstable model lacks.
     is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
-    if misfit.explains or solver is None or not disturbed or is_excluded:
+    if misfit.explains or solver is None or responses or manoeuvres or is_excluded:
         return misfit
     # Gusts bias the values that a simulation fits, and through a controller they reach the inputs.
     # At biased values, residuals follow the inputs although no term is missing.
-    x = _with_autoregressive_errors(nlp, x, solver, names)
+    x, group = _with_autoregressive_errors(nlp, x, disturbed)
+    [(_, columns)] = answers
+    # Terms that residuals follow there for certain, also as they act here, need no other test.
+    if misfit.tried * min(group.chances(columns), default=1.0) < IN_GUSTS**2:
+        return misfit
     other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates)
     if other is None or other.p_value < IN_GUSTS:
         return misfit
     return replace(misfit, elsewhere=tuple(zip(nlp.free, x.tolist(), strict=True)))
 
 
+@np.errstate(all="ignore")
 def _with_autoregressive_errors(
-    nlp: CompiledProblem, x: Array, solver: LocalSolver, names: Labels
-) -> Array:
+    nlp: CompiledProblem, x: Array, disturbed: Sequence[DisturbedRecord]
+) -> tuple[Array, Group]:
     """Return the values (p,) that fit records best if their errors are autoregressions.
 
     With such errors, a simulation is a predictor by the outputs of the past, whose estimates gusts
     and feedback do not bias: Ljung (1999), System Identification, 2nd ed., section 13.4. The search
-    begins at `x` (p,).
+    begins at `x` (p,). Also return the records there.
     """
     from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
     @lru_cache(2)
     def group_at(*values: float) -> Group:
         x = np.array(values)
-        by_x = np.diag(nlp.scaling.slope(x))
-        records = _disturbed(nlp, solver.profile(x).trajectories, names)
+        z, by_x = nlp.scaling.to_solver(x), np.diag(nlp.scaling.slope(x))
         regressions = []
-        for record in records:
-            # The weights of a fit change with its errors.
-            record.weight = record.part.initial_weight()
+        for here in disturbed:
+            # One step of the initial states suffices, which regressions fit, too.
+            part, weight = here.part, here.weight
+            trajectory = part.trajectory(z, here.trajectory.nodes, simulated=True)
+            step = part.condense(part.linearize(trajectory, weight), trajectory).node_step
+            trajectory = part.trajectory(z, trajectory.nodes + step, simulated=True)
+            record = DisturbedRecord(part, trajectory, here.name)
+            # The weights of a fit would change with its errors.
+            record.weight = weight
             constants = constants_of_record(record)
             regressions.append(
-                regression_of_record(record, constants, (), by_x, record.present, len(records))
+                regression_of_record(record, constants, (), by_x, record.present, len(disturbed))
             )
         group = _group(regressions)
         # Filters that predict the next sample best change to second order with the values.
         return replace(group, filters=[weights / weights[0] for weights in group.filters])
 
-    try:
-        return least_squares(
+    # Far from the fit, simulations of a nonlinear model may not be finite.
+    with suppress(np.linalg.LinAlgError):
+        x = least_squares(
             lambda x: group_at(*x).white_residuals[:, 0],
             x,
             lambda x: group_at(*x).white_fitted,  # pyright: ignore[reportArgumentType]
@@ -241,9 +253,7 @@ def _with_autoregressive_errors(
             x_scale="jac",
             max_nfev=EVALUATIONS,
         ).x
-    except np.linalg.LinAlgError:
-        # Far from the fit, simulations of a nonlinear model may not be finite.
-        return x
+    return x, group_at(*x)
 
 
 def _disturbed(
@@ -253,7 +263,7 @@ def _disturbed(
     records = [
         (part, trajectory, name)
         for part, trajectory, name in nlp.rows_of(RecordPart, trajectories, names)
-        if part.model.has_time and not part.model.is_prior
+        if part.model.has_time
     ]
 
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
@@ -295,8 +305,11 @@ def _determined(groups: Sequence[Group]) -> list[Array]:
     return [unit @ axes[share**2 > 0.1].T for share, axes in pairs]
 
 
-def _of_group(group: Group, determined: Array) -> Misfit:
-    """Return the misfit of a group, whose fit can change the columns of `determined` (d, k)."""
+def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
+    """Return the misfit of a group, whose fit can change the columns of `determined` (d, k).
+
+    Also return the columns (N, c) of the best terms.
+    """
     group = replace(group, fitted=np.hstack([group.fitted @ determined, _known(group.parts)]))
     terms = _terms(group.parts, determined)
     tried, tested = _ranked(group, [key for key, term in terms.items() if not term.knots])
@@ -346,7 +359,7 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     count = len(group.residuals)
     innovations = [count / float(weights[0]) ** 2 for weights in group.filters]
     squares = float(np.sum(group.residuals**2)) + TINY
-    return Misfit(
+    misfit = Misfit(
         left,
         noise,
         tried.total(),
@@ -357,6 +370,7 @@ def _of_group(group: Group, determined: Array) -> Misfit:
         _shape(group, zip(tested, causes, strict=True)),
         group.parts[0].level,
     )
+    return misfit, columns
 
 
 def _terms(parts: Sequence[Regression], determined: Array) -> dict[Key, Term]:
@@ -403,7 +417,8 @@ def _shares(
     if left > LARGE * least:
         # Residuals without noise are whitened by the spectrum of the misfit: slow parts count
         # little.
-        alone = score_tests(residuals[:, 0], group.fitted, columns)[0] / len(residuals)
+        basis = column_basis(group.fitted)
+        alone = score_tests(residuals[:, 0], basis, columns)[0] / len(residuals)
         shares = np.maximum(shares, alone)
     return shares, left, least
 

@@ -35,7 +35,7 @@ from greybox.files.arrays import (
     real_and_imaginary,
 )
 from greybox.statistics.autoregressive_test import Outputs
-from greybox.statistics.column_space import beside, column_basis, outside
+from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance, score_tests
 
 # Largest probability at which a model of responses is called wrong, as `FALSE_ALARMS` of records:
@@ -202,8 +202,9 @@ def _offsets(
     others the effects of the terms. What the parameters explain is removed from both: if a gain
     compensates for a constant, the residuals do not look like a constant.
     """
-    tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
-    columns = beside(columns, fitted)
+    basis = column_basis(fitted)
+    tests = score_tests(columns[:, 0], basis, columns[:, 1:]).T.tolist()
+    columns = outside(columns, basis)
     pieces = np.arange(len(columns)) * 10 // len(columns)  # whose means show an offset
     # The numbers of a sample, one for each of the outputs, follow one another.
     firsts = outputs * (np.arange(1, 10) * len(columns) // (10 * outputs))

@@ -44,9 +44,7 @@ def outside(values: Array, basis: Array) -> Array:
     # In memory, the samples of a column are neighbors.
     columns = values.T.copy()
     least = DEPENDENT**2 * np.einsum("...n,...n->...", columns, columns)
-    # The second time takes out what rounding left the first time.
-    for _ in range(2):
-        columns -= (columns @ basis) @ basis.T
+    columns -= (columns @ basis) @ basis.T
     # A column within the space leaves nothing but rounding.
     columns[np.einsum("...n,...n->...", columns, columns) <= least] = 0.0
     return columns.T

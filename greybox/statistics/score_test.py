@@ -46,7 +46,7 @@ SIZES = np.vstack([RATIOS ** np.isin(TWELFTHS, range(*band)) for band in BANDS])
 Fits = ArrayTriple  # see `correlated_fits`
 
 
-def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
+def score_tests(residuals: Array, basis: Array, terms: Array) -> Array:
     """Test c terms one by one.
 
     Returns
@@ -60,12 +60,11 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
     ----------
     residuals : (N,) array
         White if they are noise.
-    fitted : (N, p) array
-        What the fit can absorb of them.
+    basis : (N, r) array
+        Orthonormal, of what the fit can absorb.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
     """
-    basis = column_basis(fitted)
     residuals = outside(residuals, basis)
     before, terms = np.linalg.norm(terms, axis=0), outside(terms, basis)
     length = np.linalg.norm(terms, axis=0)
@@ -98,9 +97,7 @@ def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Arr
 
     Parameters
     ----------
-    residuals, terms : see `score_tests`
-    basis : (N, r) array
-        Orthonormal, of what the fit can absorb.
+    residuals, basis, terms : see `score_tests`
     """
     effects, residuals = outside(terms, basis), outside(residuals, basis)
     # The product of the effects with themselves takes a third of the time of their singular values,
