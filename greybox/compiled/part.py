@@ -206,6 +206,9 @@ class Information:
         directions of the root of the covariance of the free parameters for white errors times the
         weight of the part. `spread` takes them as white. Directions of unit variance keep their
         digits where parameters are hardly determined.
+    uneven : function of a square root (p, r) of B⁻¹, or None
+        For a manoeuvre, whose errors may be larger at some frequencies than at others: the middle
+        matrix (r, r) in directions as for `colored`, and its degrees of freedom.
     correlated : function of a correction, a root (p, r) of B⁻¹ and degrees of freedom, or None
         The errors of a frequency response if neighboring points are correlated; None where nothing
         is known about that. `spread` takes them as independent.
@@ -228,6 +231,7 @@ class Information:
     reach: Array
     initial: NamedArrays = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None
+    uneven: Callable[[Array], tuple[Array, float]] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     errors: ArrayPair | None = None
     offset: Callable[[float], Array] | None = None

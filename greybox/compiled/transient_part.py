@@ -50,9 +50,10 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
-from greybox.statistics.column_space import beside
+from greybox.statistics.column_space import beside, column_basis
 from greybox.statistics.metrics import size_test
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
+from greybox.statistics.uneven_errors import uneven_errors
 
 
 @frozen
@@ -363,35 +364,28 @@ class TransientPart(Part):
         slope = place(values)[1].full()
         mean, _, change = self.derivatives(at, slope)
         mean, variance, reach = self.fisher_root(at, mean, change)
-        jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
-        # The errors may be larger at some frequencies than at others, as in turbulence, and
-        # correlated between outputs: their covariance is that of the errors at lines nearby. What
-        # the fit took from them is put back, for parameters line by line: MacKinnon and White
-        # (1985), Journal of Econometrics 29 (HC3); for the end term on average.
-        numbers = self.numbers - len(self.states)
-        weighted = at.covariance.weight(at.errors @ at.errors.T) @ at.errors
-        weighted *= math.sqrt(self.numbers / numbers)
-        remaining = beside(np.eye(weighted.size), mean.reshape(-1, len(values))).diagonal()
-        shape = len(self.outputs), 2, len(self.data)
-        # Where the fit leaves less than a tenth of an error, only rounding would remain.
-        errors = (weighted.ravel() / np.maximum(remaining, 0.1)).reshape(shape)
-        lines = np.arange(len(self.data))
-        # The size of the errors is averaged with weights that fall to zero over 4 lines on either
-        # side.
-        nearby = np.maximum(4 - np.abs(lines[:, None] - lines), 0)
-        nearby = nearby / nearby.sum(axis=0) / 2
-        slopes = mean.reshape(*shape, len(values))
-        meat = np.einsum(
-            "icl,jcl,lm,idmx,jdmy->xy", errors, errors, nearby, slopes, slopes, optimize=True
-        )
-        meat += variance.T @ variance
+        mean = mean.reshape(-1, len(values))
+        jacobian = np.vstack([mean, variance])
+        white = jacobian.T @ jacobian
+        weight = at.covariance.weight(at.errors @ at.errors.T)
+        residuals = (weight @ at.errors).reshape(len(self.outputs), 2, -1)
+        by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(len(mean), -1)
+
+        def uneven(root: Array) -> tuple[Array, float]:
+            # The errors may be larger at some frequencies than at others, as in turbulence.
+            p = len(root)
+            certain = variance[:, :p] @ root
+            return uneven_errors(
+                residuals, mean[:, :p] @ root, root, column_basis(by_ends), certain.T @ certain
+            )
 
         return Information(
             self,
             jacobian,
-            numbers,
-            lambda correction: (1.0, meat),
+            self.numbers - len(self.states),
+            lambda correction: (1.0, correction**2 * white),
             reach,
+            uneven=uneven,
             doubtful=tuple(self.doubtful(at)),
         )
 

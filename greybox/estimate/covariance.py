@@ -415,7 +415,12 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     # A whole number for a single part.
     paid = round(float(np.trace(bread)), 9)
     numbers = max(part.numbers - paid, 0.5)
-    colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
+    directions = math.sqrt(problem.weight) * root
+    if part.uneven:
+        meat, dof = part.uneven(directions)
+        meat = problem.weight * meat
+        return PartAccuracy(share, meat, dof, meat, numbers, bread)
+    colored = part.colored and part.colored(directions)
     if colored:
         meat = problem.weight * colored.meat
         return PartAccuracy(share, meat, colored.dof, meat, colored.dof, bread, colored)
