@@ -26,7 +26,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import NO_NODES, Information, Part, Trajectory
+from greybox.compiled.part import NO_NODES, ColoredErrors, Information, Part, Trajectory
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
@@ -364,19 +364,23 @@ class TransientPart(Part):
         slope = place(values)[1].full()
         mean, _, change = self.derivatives(at, slope)
         mean, variance, reach = self.fisher_root(at, mean, change)
-        mean = mean.reshape(-1, len(values))
-        jacobian = np.vstack([mean, variance])
+        jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
         white = jacobian.T @ jacobian
         weight = at.covariance.weight(at.errors @ at.errors.T)
-        residuals = (weight @ at.errors).reshape(len(self.outputs), 2, -1)
-        by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(len(mean), -1)
+        shape = len(self.outputs), 2, len(self.data)
+        ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(-1, len(self.states))
 
-        def uneven(root: Array) -> tuple[Array, float]:
+        def colored(root: Array) -> ColoredErrors:
             # The errors may be larger at some frequencies than at others, as in turbulence.
-            p = len(root)
-            certain = variance[:, :p] @ root
-            return uneven_errors(
-                residuals, mean[:, :p] @ root, root, column_basis(by_ends), certain.T @ certain
+            rows, certain = mean[..., : len(root)] @ root, variance[:, : len(root)] @ root
+            return ColoredErrors(
+                *uneven_errors(
+                    (weight @ at.errors).reshape(shape),
+                    rows.reshape(*shape, -1),
+                    root,
+                    column_basis(ends).reshape(*shape, -1),
+                    certain.T @ certain,
+                )
             )
 
         return Information(
@@ -385,7 +389,7 @@ class TransientPart(Part):
             self.numbers - len(self.states),
             lambda correction: (1.0, correction**2 * white),
             reach,
-            uneven=uneven,
+            colored=colored,
             doubtful=tuple(self.doubtful(at)),
         )
 

@@ -142,8 +142,8 @@ class PartAccuracy:
     bread : (r, r) array
         In the same directions; those of all parts add up to the identity.
     colored : ColoredErrors or None
-        Effect of correlation in time on a record; None for responses, and where errors are taken
-        as white.
+        Effect of correlation in time on a record or a spectrum; None for responses, and where
+        errors are taken as white.
     neighbors : CorrelatedPoints or None
         Effect of correlation along frequency on a response; None for others, and where it is not
         known.
@@ -415,12 +415,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     # A whole number for a single part.
     paid = round(float(np.trace(bread)), 9)
     numbers = max(part.numbers - paid, 0.5)
-    directions = math.sqrt(problem.weight) * root
-    if part.uneven:
-        meat, dof = part.uneven(directions)
-        meat = problem.weight * meat
-        return PartAccuracy(share, meat, dof, meat, numbers, bread)
-    colored = part.colored and part.colored(directions)
+    colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
     if colored:
         meat = problem.weight * colored.meat
         return PartAccuracy(share, meat, colored.dof, meat, colored.dof, bread, colored)

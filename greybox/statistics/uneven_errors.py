@@ -30,42 +30,37 @@ def uneven_errors(
     ----------
     residuals : (k, 2, lines) array
         Of k outputs, real parts and imaginary parts, over their deviations.
-    rows : (2 k lines, r) array
+    rows : (k, 2, lines, r) array
         Derivatives of these in directions of unit variance for white errors.
     root : (p, r) array
         These directions in the parameters: a root of the covariance for white errors.
-    taken : (2 k lines, n) array
+    taken : (k, 2, lines, n) array
         Orthonormal basis of what other unknowns take from the errors.
     certain : (r, r) array
         Covariance of scores that do not come from `residuals`.
     """
-    shape = residuals.shape
-    lines = np.arange(shape[-1])
+    lines = np.arange(residuals.shape[-1])
     nearby = np.maximum(REACH - np.abs(lines[:, None] - lines), 0)
     nearby = nearby / nearby.sum(axis=0) / 2
-    basis = np.hstack([taken, rows])
+    basis = np.concatenate([taken, rows], axis=-1)
     # Where the fit leaves less than a tenth of an error, only rounding would remain.
-    factor = np.maximum(1 - np.sum(basis**2, axis=1), 0.1).reshape(shape) ** -0.5
+    factor = np.maximum(1 - np.sum(basis**2, axis=-1), 0.1) ** -0.5
     errors = residuals * factor
-
-    slopes = rows.reshape(*shape, -1)
-    covariance = certain + np.einsum(
-        "icl,jcl,lm,idmx,jdmy->xy", errors, errors, nearby, slopes, slopes, optimize=True
-    )
+    scores = "icl,jcl,lm,idmx,jdmy->xy"
+    covariance = np.einsum(scores, errors, errors, nearby, rows, rows, optimize=True)
 
     # The variance of each parameter is a quadratic form of the residuals, whose covariance is the
     # identity less the products of the basis.
-    slopes = (rows @ root.T).reshape(*shape, -1)
-    form = np.einsum(
-        "icl,jcl,lm,idmx,jdmx->ijclx", factor, factor, nearby, slopes, slopes, optimize=True
-    )
-    basis = basis.reshape(*shape, -1)
+    slopes = rows @ root.T
+    products = "icl,jcl,lm,idmx,jdmx->ijclx"
+    form = np.einsum(products, factor, factor, nearby, slopes, slopes, optimize=True)
     turned = np.einsum("ijclx,jclq->iclqx", form, basis)
     inner = np.einsum("iclp,iclqx->pqx", basis, turned)
-    mean = np.einsum("iiclx->x", form) - np.einsum("qqx->x", inner)
-    mean += np.einsum("xr,rs,xs->x", root, certain, root)
     spread = np.sum(form**2, axis=(0, 1, 2, 3)) - 2 * np.sum(turned**2, axis=(0, 1, 2, 3))
     spread += np.sum(inner**2, axis=(0, 1))
+    mean = np.einsum("iiclx->x", form) - np.einsum("qqx->x", inner)
+    mean += np.einsum("xr,rs,xs->x", root, certain, root)
     # Those of all parameters hardly differ. One that a bound holds has no variance.
     is_free = mean > 0
-    return covariance, float(1 / np.mean(spread[is_free] / mean[is_free] ** 2))
+    dof = 1 / np.mean(spread[is_free] / mean[is_free] ** 2)
+    return covariance + certain, float(dof)

@@ -176,7 +176,8 @@ def test_the_spread_follows_the_size_of_the_errors_over_the_band(made, equation_
     found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))
     _, variance = np.split(found.jacobian, [part.numbers])
     root = np.linalg.inv(np.linalg.qr(found.jacobian)[1])
-    meat, dof = found.uneven(root)
+    colored = found.colored(root)
+    meat, dof = colored.meat, colored.dof
     # Of white errors this would be the identity. Twelve lines or more have some with larger errors
     # than others, all of the size of the noise.
     assert np.all(np.linalg.eigvalsh(meat) > 0)

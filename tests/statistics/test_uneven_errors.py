@@ -15,20 +15,19 @@ def fits(size, of_parameters):
     """
     random = np.random.default_rng(1)
     band = np.arange(LINES) < of_parameters * LINES
-    slopes = random.normal(size=(2, 2, LINES, 2)) * band[:, None]
-    taken = np.linalg.qr(random.normal(size=(4 * LINES, 1)))[0]
-    rows = slopes.reshape(-1, 2)
-    rows -= taken @ (taken.T @ rows)
-    root = np.linalg.inv(np.linalg.qr(rows)[1])
+    rows = random.normal(size=(2, 2, LINES, 2)) * band[:, None]
+    taken = random.normal(size=(2, 2, LINES, 1))
+    taken /= np.linalg.norm(taken)
+    rows -= taken * np.tensordot(taken[..., 0], rows, 3)
+    root = np.linalg.inv(np.linalg.qr(rows.reshape(-1, 2))[1])
     rows = rows @ root
     variances, estimates, dofs = [], [], []
     for _ in range(400):
-        errors = (size * random.normal(size=(2, 2, LINES))).ravel()
-        estimates.append(root @ (rows.T @ errors))
-        errors -= taken @ (taken.T @ errors) + rows @ (rows.T @ errors)
-        middle, dof = uneven_errors(
-            errors.reshape(2, 2, LINES), rows, root, taken, np.zeros((2, 2))
-        )
+        errors = size * random.normal(size=(2, 2, LINES))
+        scores = np.tensordot(errors, rows, 3)
+        estimates.append(root @ scores)
+        errors -= taken[..., 0] * np.sum(taken[..., 0] * errors) + rows @ scores
+        middle, dof = uneven_errors(errors, rows, root, taken, np.zeros((2, 2)))
         variances.append(np.diag(root @ middle @ root.T))
         dofs.append(dof)
     return np.array(variances), np.var(estimates, axis=0), dofs
@@ -54,10 +53,9 @@ def test_errors_that_grow_along_the_band():
         assert np.mean(variances, axis=0) == pytest.approx(wanted, rel=0.4)
 
 
-def test_one_covariance_for_certain_scores():
+def test_certain_scores():
     """Scores that are no sums of these errors add their covariance, which nobody estimated."""
-    rows, root, taken = np.zeros((4, 1)), np.eye(1), np.zeros((4, 0))
-    rows[0] = 1e-3
-    covariance, dof = uneven_errors(np.ones((1, 2, 2)), rows, root, taken, np.eye(1))
+    rows, taken = np.full((1, 2, 2, 1), 1e-3), np.zeros((1, 2, 2, 0))
+    covariance, dof = uneven_errors(np.ones((1, 2, 2)), rows, np.eye(1), taken, np.eye(1))
     assert covariance == pytest.approx(1, rel=1e-5)
     assert dof > 1e9
