@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.fft import dct
 from scipy.linalg import toeplitz
 from scipy.stats import t
 
@@ -10,6 +11,7 @@ import greybox as gb
 from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,
     averaged_meat,
+    error_kinds,
     neighbor_correlation,
     student_of_average,
 )
@@ -42,8 +44,10 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
     y -= X @ np.linalg.lstsq(X, y, rcond=None)[0]
     found = neighbor_correlation(y[:n] + 1j * y[n:], X, inflation)
     scores, squares = [], []
-    for powers in found.powers:
-        R = np.kron(np.eye(2), toeplitz(powers))
+    cosines = dct(np.eye(n), axis=0, norm="ortho")
+    _, variances = error_kinds(n)
+    for row in variances:
+        R = np.kron(np.eye(2), cosines.T @ np.diag(row) @ cosines)
         # Independent numbers of the residuals: what no parameter reaches.
         free = np.linalg.svd(X)[0][:, 4:]
         V = free.T @ R @ free
@@ -57,17 +61,30 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
         score = (2 * n - 4) * (np.log(size) + inflation * squares / size)
     score = score + scores
     assert not found.powers[0, 1:].any()
-    # 200 that fall exponentially, then those of means that end within half of the points, then some
-    # of these with as large white errors.
-    means = found.powers[200:]
-    assert_allclose(means[:, 7:], 0, atol=1e-5)
-    assert_allclose(means[-3:, 1:], means[[2, 4, 7], 1:] / 2, atol=1e-5)
-    prior = np.repeat([0.25 / 200, 0.25 / len(means)], [200, len(means)])
+    prior = np.full(len(score), 0.5 / (len(score) - 1))
     prior[0] = 0.5
     weight = prior * np.exp(-(score - score.min()) / 2)
     assert_allclose(found.weight, weight / weight.sum(), rtol=1e-6)
     assert_allclose(found.scale, size / size[0], rtol=1e-8)
     assert found.mean == pytest.approx(found.weight @ found.powers[:, 1])
+
+
+def test_cosines_are_the_principal_components_of_the_errors():
+    """The variances of cosines of errors with these correlations, by dense matrices."""
+    n = 60
+    cosines = dct(np.eye(n), axis=0, norm="ortho")
+    correlations, variances = error_kinds(n)
+    for correlation, variance in zip(correlations, variances, strict=True):
+        assert variance.mean() == pytest.approx(1)
+        # The whole record, and the one with the longest correlation, are alike.
+        found = np.diag(cosines @ toeplitz(correlation) @ cosines.T)
+        near = slice(0, 5), slice(5, 20), slice(20, 60)
+        if correlation[8] < 0.5:
+            assert_allclose(
+                [found[part].mean() for part in near],
+                [variance[part].mean() for part in near],
+                rtol=0.25, atol=0.05,
+            )  # fmt: skip
 
 
 def test_the_meat_of_one_correlation_is_that_of_dense_matrices():
