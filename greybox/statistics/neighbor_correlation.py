@@ -46,12 +46,6 @@ UNLIKELY = 0.1
 # % (66 % without white errors beside it).
 LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
 VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
-# Correlations (m, lags) of means of two to eight neighbors, and of means of such means. With slow
-# correlations alone, intervals of 60 points were 1.4 to 1.8 times too wide for means of two and
-# four neighbors and for a Hann window of three.
-_POWER = np.abs(np.fft.rfft(np.tri(8)[1:], 32)) ** 2
-LAGS = np.fft.irfft([*_POWER, *_POWER**2])[:, :16]
-LAGS /= LAGS[:, :1]
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)
 
@@ -161,33 +155,36 @@ def neighbor_correlation(
 
 @lru_cache(4)  # members of a study mostly have equal numbers of points
 def error_kinds(n: int) -> ArrayPair:
-    """Return the correlations (m, n) of n errors, and the variances (m, n) of their cosines."""
-    omega = np.pi * np.arange(n) / n
-    share = VARIANCES / (1 + VARIANCES)
-    slow = (share * np.exp(-np.arange(n) / LENGTHS)).reshape(-1, n)
-    # Errors that are alike over half of the points look like a gain.
-    means = LAGS[np.count_nonzero(LAGS > 1e-3, axis=1) <= max(n / 2, 2), :n]
-    # Few points smear the frequencies that a mean takes out.
-    lines = 2 * means @ np.cos(np.outer(np.arange(means.shape[1]), omega)) - 1
-    lines = np.maximum(lines, 0.0) + 1 / n
-    lines /= lines.mean(axis=1, keepdims=True)
-    powers = np.zeros((1 + len(slow) + len(means), n))
-    powers[1 : 1 + len(slow)] = slow
-    powers[1 + len(slow) :, : means.shape[1]] = means
-    powers[:, 0] = 1
-    return powers, np.vstack([slow_errors(n), lines])
+    """Return the correlations (m, n) of n errors, and the variances (m, n) of their cosines.
 
-
-@lru_cache(4)
-def slow_errors(n: int) -> Array:
-    """Return the variances (kinds, n) of n cosines of white errors above slow ones, with mean one.
-
-    White errors alone come first. Cosines are the principal components of a random walk, and of one
-    that returns to its mean.
+    Independent errors come first.
     """
-    slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * np.arange(n) / n))
+    omega = np.pi * np.arange(n + 1) / n
+    # Means of two to eight neighbors, and means of such means. With slow correlations alone,
+    # intervals of 60 points were 1.4 to 1.8 times too wide for means of two and four neighbors and
+    # for a Hann window of three.
+    count = np.arange(2, 9)
+    power = np.abs(np.tri(8)[1:] @ np.exp(-1j * np.outer(np.arange(8), omega))) ** 2
+    # Errors that are alike over half of the points look like a gain.
+    means = np.vstack([power, power**2])[np.append(count, 2 * count - 1) <= max(n / 2, 2)]
+    # Few points smear the frequencies that a mean takes out.
+    means = means / means.mean(axis=1, keepdims=True) + 1 / n
+    means /= 1 + 1 / n
+    of_means = np.fft.irfft(means)[:, :n]
+    slow = VARIANCES / (1 + VARIANCES) * np.exp(-np.arange(n) / LENGTHS)
+    powers = np.vstack([np.zeros(n), slow.reshape(-1, n), of_means / of_means[:, :1]])
+    powers[:, 0] = 1
+    return powers, np.vstack([slow_errors(omega[:n]), means[:, :n]])
+
+
+def slow_errors(omega: Array) -> Array:
+    """Return the spectra (kinds, n) of white errors above slow ones, with mean one.
+
+    White errors alone come first. Frequencies `omega` are in rad for a point.
+    """
+    slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(omega))
     slow /= slow.mean(axis=1, keepdims=True)
-    return np.vstack([np.ones(n), *((1 + VARIANCES * slow) / (1 + VARIANCES))])
+    return np.vstack([np.ones_like(omega), *((1 + VARIANCES * slow) / (1 + VARIANCES))])
 
 
 def averaged_meat(

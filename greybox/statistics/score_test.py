@@ -141,7 +141,7 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         values = np.hstack([basis, 0 * residuals, *terms, residuals])
         pieces = np.split(values, np.cumsum(lengths[:-1]))
         waves = np.vstack([np.asarray(dct(piece, axis=0, norm="ortho")) for piece in pieces])
-        slow = np.hstack([*map(slow_errors, lengths)])
+        slow = np.hstack([slow_errors(np.pi * np.arange(n) / n) for n in lengths])
         places = np.hstack([(12 * np.arange(n) + 6) // n for n in lengths])
         # All sizes are the same within a twelfth.
         sums = (values.T * (places == TWELFTHS[:, None, None])) @ values

@@ -60,7 +60,7 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
         size = np.maximum(inflation * squares, 1)
         score = (2 * n - 4) * (np.log(size) + inflation * squares / size)
     score = score + scores
-    assert not found.powers[0, 1:].any()
+    assert_allclose(found.powers[0], np.eye(1, n)[0], atol=1e-12)
     prior = np.full(len(score), 0.5 / (len(score) - 1))
     prior[0] = 0.5
     weight = prior * np.exp(-(score - score.min()) / 2)
@@ -75,7 +75,7 @@ def test_cosines_are_the_principal_components_of_the_errors():
     cosines = dct(np.eye(n), axis=0, norm="ortho")
     correlations, variances = error_kinds(n)
     for correlation, variance in zip(correlations, variances, strict=True):
-        assert variance.mean() == pytest.approx(1)
+        assert variance.mean() == pytest.approx(1, rel=0.05)
         # The whole record, and the one with the longest correlation, are alike.
         found = np.diag(cosines @ toeplitz(correlation) @ cosines.T)
         near = slice(0, 5), slice(5, 20), slice(20, 60)
