@@ -161,19 +161,15 @@ class CorrelatedPoints:
 
     Attributes
     ----------
-    meat : (k, k) array
-        Middle matrix of the sandwich.
+    meat : (r, r) array
+        Middle matrix of the sandwich, for the given directions.
     dof : float
         Degrees of freedom of the variances that follow.
-    scale : float
-        How many times larger the variances of errors of the mean correlation are than those of
-        independent ones.
     errors : NeighborCorrelation
     """
 
     meat: Array
     dof: float
-    scale: float
     errors: NeighborCorrelation
 
 

@@ -425,7 +425,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     meat = independent = root.T @ share.meat @ root
     neighbors = part.correlated and part.correlated(share.correction, root, dof)
     if neighbors:
-        meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
+        meat = problem.weight**2 * neighbors.meat
         dof = neighbors.dof
     return PartAccuracy(share, meat, dof, independent, numbers, bread, neighbors=neighbors)
 

@@ -56,7 +56,7 @@ LEVELS = (0.6827, 0.95)
 
 @frozen
 class NeighborCorrelation:
-    """The distribution of the correlation of neighboring errors.
+    """The distribution of the correlation of n neighboring errors.
 
     Attributes
     ----------
@@ -66,11 +66,14 @@ class NeighborCorrelation:
         Their probabilities.
     scale : (m,) array
         Variance of the errors over that of independent ones: fits take more from slow errors.
+    variances : (m, n) array
+        Those of the cosines of errors of variance one.
     """
 
     powers: Array
     weight: Array
     scale: Array
+    variances: Array
 
     @property
     def independent(self) -> float:
@@ -81,6 +84,15 @@ class NeighborCorrelation:
     def mean(self) -> float:
         """The mean correlation of neighbors."""
         return float(self.weight @ self.powers[:, 1])
+
+    def drawn(self, random: np.random.Generator, white: ComplexArray) -> ComplexArray:
+        """Return errors (n,) of one of these correlations from white ones."""
+        from scipy.fft import idct  # noqa: PLC0415  (imports slowly)
+
+        kind = random.choice(len(self.weight), p=self.weight)
+        return np.asarray(
+            idct(np.sqrt(self.scale[kind] * self.variances[kind]) * white, norm="ortho")
+        )
 
 
 def neighbor_correlation(
@@ -150,7 +162,7 @@ def neighbor_correlation(
     # 0.7).
     if weight[0] > 0.6:
         return None
-    return NeighborCorrelation(powers, weight, scale)
+    return NeighborCorrelation(powers, weight, scale, variances)
 
 
 @lru_cache(4)  # members of a study mostly have equal numbers of points
@@ -169,43 +181,37 @@ def error_kinds(n: int) -> ArrayPair:
     means = np.vstack([power, power**2])[np.append(count, 2 * count - 1) <= max(n / 2, 2)]
     # Few points smear the frequencies that a mean takes out.
     means = means / means.mean(axis=1, keepdims=True) + 1 / n
-    means /= 1 + 1 / n
-    of_means = np.fft.irfft(means)[:, :n]
-    slow = VARIANCES / (1 + VARIANCES) * np.exp(-np.arange(n) / LENGTHS)
-    powers = np.vstack([np.zeros(n), slow.reshape(-1, n), of_means / of_means[:, :1]])
-    powers[:, 0] = 1
-    return powers, np.vstack([slow_errors(omega[:n]), means[:, :n]])
+    slow = slow_errors(omega)
+    variances = np.vstack([slow, means])[:, :n]
+    # The mean counts as one of the cosines, and as half of one in a Fourier series.
+    slow[1:, 0] *= 2
+    powers = np.fft.irfft(np.vstack([slow, means]))[:, :n]
+    return powers / powers[:, :1], variances / variances.mean(axis=1, keepdims=True)
 
 
 def slow_errors(omega: Array) -> Array:
-    """Return the spectra (kinds, n) of white errors above slow ones, with mean one.
+    """Return the spectra (kinds, n) of white errors above slow ones.
 
     White errors alone come first. Frequencies `omega` are in rad for a point.
     """
     slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(omega))
     slow /= slow.mean(axis=1, keepdims=True)
-    return np.vstack([np.ones_like(omega), *((1 + VARIANCES * slow) / (1 + VARIANCES))])
+    return np.vstack([np.ones_like(omega), *(1 + VARIANCES * slow)])
 
 
 def averaged_meat(
     scores: ComplexArray,
-    root: Array,
     known: NeighborCorrelation,
     correlation: Callable[[Array], Array],
     dof: float,
-) -> tuple[Array, float, float]:
-    """Return the covariance of the sum of scores, its degrees of freedom, and a scale.
-
-    Errors with the mean correlation, and variances larger than those of independent errors by this
-    scale, make the estimate vary as much.
+) -> tuple[Array, float]:
+    """Return the covariance (r, r) of the sum of scores, and its degrees of freedom.
 
     Parameters
     ----------
-    scores : (n, k) complex array
-        Derivatives of the residuals times the deviations of their scores if the errors are
-        independent, by frequency.
-    root : (k, r) array
-        Root of the inverse bread.
+    scores : (n, r) complex array
+        Derivatives of the residuals, in directions of unit variance for independent errors, times
+        the deviations of their scores if the errors are independent, by frequency.
     known : NeighborCorrelation
     correlation : function of an array
         The correlation of scores by that of their errors.
@@ -217,7 +223,7 @@ def averaged_meat(
     correlations = correlation(known.powers)
     # Sums over all pairs of points at one distance: a correlation, fast by Fourier transforms.
     transform = np.fft.fft(scores, size, axis=0)
-    of_lags = np.fft.ifft(np.sum(np.abs(transform @ root) ** 2, axis=1)).real[:n]
+    of_lags = np.fft.ifft(np.sum(np.abs(transform) ** 2, axis=1)).real[:n]
     of_lags[1:] *= 2
     variances = known.scale * (correlations @ of_lags)
 
@@ -225,12 +231,7 @@ def averaged_meat(
     spectrum = 2 * np.fft.fft(mean, size).real - mean[0]
     meat = (transform.conj().T @ (spectrum[:, None] * transform)).real / size
     variance, dof = student_of_average(known.weight, variances, dof)
-    average = float(known.weight @ variances)
-
-    if not average > 0:
-        return meat, dof, 1.0
-    alike = float(correlation(known.mean ** np.arange(n)) @ of_lags)
-    return meat * (variance / average), dof, variance / alike
+    return meat * (variance / (float(known.weight @ variances) or 1.0)), dof
 
 
 def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
