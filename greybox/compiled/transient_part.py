@@ -21,6 +21,7 @@ which depends on the parameters.
 
 import math
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -50,7 +51,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
-from greybox.statistics.column_space import beside, column_basis
+from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.metrics import size_test
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
 from greybox.statistics.uneven_errors import uneven_errors
@@ -106,6 +107,17 @@ class Along:
     ends: Array
     covariance: ResidualCovariance
     logarithms: float
+
+    @cached_property
+    def weight(self) -> Array:
+        """W (k, k) with WᵀW the inverse of the covariance of the errors."""
+        return self.covariance.weight(self.errors @ self.errors.T)
+
+    @cached_property
+    def taken(self) -> Array:
+        """Orthonormal basis (2 k lines, n) of what the end terms take from weighted errors."""
+        basis = np.einsum("ka,aln->kln", self.weight, self.basis)
+        return column_basis(basis.reshape(self.errors.size, -1))
 
 
 class TransientPart(Part):
@@ -282,11 +294,10 @@ class TransientPart(Part):
         reach : (x,) array
             Lengths of the columns before the end term was fitted.
         """
-        weight = at.covariance.weight(at.errors @ at.errors.T)
+        weight = at.weight
         weighted = np.einsum("ka,alx->klx", weight, mean)
         rows = weighted.reshape(-1, mean.shape[-1])
-        by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(len(rows), -1)
-        projected = beside(rows, by_ends)
+        projected = outside(rows, at.taken)
         turned = np.einsum("ka,labx,bc->lkcx", weight, change, np.linalg.inv(weight))
         hermitian = turned + turned.conj().swapaxes(1, 2)
         variance = np.stack([hermitian.real, hermitian.imag], axis=1)
@@ -332,8 +343,7 @@ class TransientPart(Part):
         """Return gradient (p,) and Fisher information (p, p); end term and noise follow."""
         at: Along = trajectory.detail
         mean, total, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
-        root = at.covariance.weight(trajectory.products)
-        by_errors = np.einsum("kl,klz->z", root.T @ root @ at.errors, total)
+        by_errors = np.einsum("kl,klz->z", at.weight.T @ at.weight @ at.errors, total)
         mean, variance, _ = self.fisher_root(at, mean, change)
         rows = np.vstack([mean.reshape(-1, mean.shape[-1]), variance])
 
@@ -366,19 +376,17 @@ class TransientPart(Part):
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
         white = jacobian.T @ jacobian
-        weight = at.covariance.weight(at.errors @ at.errors.T)
         shape = len(self.outputs), 2, len(self.data)
-        ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(-1, len(self.states))
 
         def colored(root: Array) -> ColoredErrors:
             # The errors may be larger at some frequencies than at others, as in turbulence.
             rows, certain = mean[..., : len(root)] @ root, variance[:, : len(root)] @ root
             return ColoredErrors(
                 *uneven_errors(
-                    (weight @ at.errors).reshape(shape),
+                    (at.weight @ at.errors).reshape(shape),
                     rows.reshape(*shape, -1),
                     root,
-                    column_basis(ends).reshape(*shape, -1),
+                    at.taken.reshape(*shape, -1),
                     certain.T @ certain,
                 )
             )

@@ -14,7 +14,7 @@ degrees of freedom of all residuals, they held in 90.3 to 97.1 %.
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, positive_or_one
 
 # The covariance of errors is averaged with weights that fall to zero over this many lines on either
 # side.
@@ -49,18 +49,17 @@ def uneven_errors(
     scores = "icl,jcl,lm,idmx,jdmy->xy"
     covariance = np.einsum(scores, errors, errors, nearby, rows, rows, optimize=True)
 
-    # The variance of each parameter is a quadratic form of the residuals, whose covariance is the
-    # identity less the products of the basis.
-    slopes = rows @ root.T
+    # The variance of each parameter, over that of white errors, is a quadratic form of residuals
+    # whose covariance is the identity less the products of the basis. A parameter that a bound
+    # holds has none.
+    units = root / positive_or_one(np.linalg.norm(root, axis=1, keepdims=True))
+    slopes = rows @ units.T
     products = "icl,jcl,lm,idmx,jdmx->ijclx"
     form = np.einsum(products, factor, factor, nearby, slopes, slopes, optimize=True)
     turned = np.einsum("ijclx,jclq->iclqx", form, basis)
     inner = np.einsum("iclp,iclqx->pqx", basis, turned)
-    spread = np.sum(form**2, axis=(0, 1, 2, 3)) - 2 * np.sum(turned**2, axis=(0, 1, 2, 3))
-    spread += np.sum(inner**2, axis=(0, 1))
     mean = np.einsum("iiclx->x", form) - np.einsum("qqx->x", inner)
-    mean += np.einsum("xr,rs,xs->x", root, certain, root)
-    # Those of all parameters hardly differ. One that a bound holds has no variance.
-    is_free = mean > 0
-    dof = 1 / np.mean(spread[is_free] / mean[is_free] ** 2)
-    return covariance + certain, float(dof)
+    mean += np.einsum("xr,rs,xs->x", units, certain, units)
+    # The degrees of freedom of all parameters hardly differ.
+    spread = float(np.sum(form**2) - 2 * np.sum(turned**2) + np.sum(inner**2))
+    return covariance + certain, float(np.sum(mean**2)) / spread if spread > 0 else np.inf
