@@ -395,7 +395,7 @@ class TransientPart(Part):
             self,
             jacobian,
             self.numbers - len(self.states),
-            lambda correction: (1.0, correction**2 * white),
+            lambda correction: (1.0, white),
             reach,
             colored=colored,
             doubtful=tuple(self.doubtful(at)),
@@ -447,14 +447,12 @@ def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function
 def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -> ArrayPair:
     """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
     ends = np.zeros(basis.shape[-1])
-    if not ends.size:
-        return errors, ends
     last, remaining = math.inf, errors
     # Weights and end terms follow each other. Each time the change of the cost falls to the share
     # of the numbers that end terms take up, a tenth or less.
     for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
-        rows = np.einsum("ka,aln->kln", weight, basis).reshape(-1, len(ends))
+        rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
         size = positive_or_one(np.linalg.norm(rows, axis=0))
         # Smaller singular values are rounding, as for a state that no output shows.
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size

@@ -180,7 +180,7 @@ def error_kinds(n: int) -> ArrayPair:
     # Errors that are alike over half of the points look like a gain.
     means = np.vstack([power, power**2])[np.append(count, 2 * count - 1) <= max(n / 2, 2)]
     # Few points smear the frequencies that a mean takes out.
-    means = means / means.mean(axis=1, keepdims=True) + 1 / n
+    means += means.mean(axis=1, keepdims=True) / n
     slow = slow_errors(omega)
     variances = np.vstack([slow, means])[:, :n]
     # The mean counts as one of the cosines, and as half of one in a Fourier series.
@@ -246,7 +246,7 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
     from scipy.special import stdtr, stdtrit  # noqa: PLC0415
 
-    if variance.size == 1 or not variance.min() > 0 or math.isinf(dof):
+    if not variance.min() > 0 or math.isinf(dof):
         return float(weight @ variance), dof
 
     # The interval of the average lies between those of the narrowest and the widest distribution.

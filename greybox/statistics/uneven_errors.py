@@ -16,10 +16,6 @@ import numpy as np
 
 from greybox.files.arrays import Array, positive_or_one
 
-# The covariance of errors is averaged with weights that fall to zero over this many lines on either
-# side.
-REACH = 4
-
 
 def uneven_errors(
     residuals: Array, rows: Array, root: Array, taken: Array, certain: Array
@@ -40,7 +36,9 @@ def uneven_errors(
         Covariance of scores that do not come from `residuals`.
     """
     lines = np.arange(residuals.shape[-1])
-    nearby = np.maximum(REACH - np.abs(lines[:, None] - lines), 0)
+    # The covariance of errors is averaged with weights that fall to zero over 4 lines on either
+    # side.
+    nearby = np.maximum(4 - np.abs(lines[:, None] - lines), 0)
     nearby = nearby / nearby.sum(axis=0) / 2
     basis = np.concatenate([taken, rows], axis=-1)
     # Where the fit leaves less than a tenth of an error, only rounding would remain.

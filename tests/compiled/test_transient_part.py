@@ -167,7 +167,7 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
     assert found.numbers == part.numbers - len(part.states)
     one, meat = found.spread(2.0)
     assert one == 1
-    assert_allclose(meat, 4 * information)
+    assert_allclose(meat, information)
 
 
 def test_the_spread_follows_the_size_of_the_errors_over_the_band(made, equation_error):

@@ -220,7 +220,8 @@ def test_the_mean_and_the_powers_of_weighted_correlations():
 
 
 def test_one_variance_or_none_is_its_own_average():
-    assert student_of_average(np.ones(1), np.array([3.0]), 7.0) == (3.0, 7.0)
+    found = student_of_average(np.ones(1), np.array([3.0]), 7.0)
+    assert found == pytest.approx((3.0, 7.0), rel=1e-6)
     assert student_of_average(np.array([0.25, 0.75]), np.array([0.0, 4.0]), 7.0) == (3.0, 7.0)
     variance, dof = student_of_average(np.array([0.25, 0.75]), np.array([4.0, 4.0]), 7.0)
     assert (variance, dof) == pytest.approx((4.0, 7.0), rel=1e-6)
