@@ -181,7 +181,8 @@ def error_kinds(n: int) -> ArrayPair:
     means = np.vstack([power, power**2])[np.append(count, 2 * count - 1) <= max(n / 2, 2)]
     # Few points smear the frequencies that a mean takes out.
     means += means.mean(axis=1, keepdims=True) / n
-    slow = slow_errors(omega)
+    # A longer correlation is an error of all points, which looks like a gain.
+    slow = slow_errors(omega, LENGTHS[LENGTHS[:, 0] <= n])
     variances = np.vstack([slow, means])[:, :n]
     # The mean counts as one of the cosines, and as half of one in a Fourier series.
     slow[1:, 0] *= 2
@@ -189,12 +190,12 @@ def error_kinds(n: int) -> ArrayPair:
     return powers / powers[:, :1], variances / variances.mean(axis=1, keepdims=True)
 
 
-def slow_errors(omega: Array) -> Array:
+def slow_errors(omega: Array, lengths: Array = LENGTHS) -> Array:
     """Return the spectra (kinds, n) of white errors above slow ones.
 
     White errors alone come first. Frequencies `omega` are in rad for a point.
     """
-    slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(omega))
+    slow = 1 / (np.cosh(1 / lengths) - np.cos(omega))
     slow /= slow.mean(axis=1, keepdims=True)
     return np.vstack([np.ones_like(omega), *(1 + VARIANCES * slow)])
 
@@ -231,7 +232,7 @@ def averaged_meat(
     spectrum = 2 * np.fft.fft(mean, size).real - mean[0]
     meat = (transform.conj().T @ (spectrum[:, None] * transform)).real / size
     variance, dof = student_of_average(known.weight, variances, dof)
-    return meat * (variance / (float(known.weight @ variances) or 1.0)), dof
+    return meat * (variance / (known.weight @ variances or 1.0)), dof
 
 
 def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:

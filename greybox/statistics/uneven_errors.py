@@ -59,5 +59,5 @@ def uneven_errors(
     mean = np.einsum("iiclx->x", form) - np.einsum("qqx->x", inner)
     mean += np.einsum("xr,rs,xs->x", units, certain, units)
     # The degrees of freedom of all parameters hardly differ.
-    spread = float(np.sum(form**2) - 2 * np.sum(turned**2) + np.sum(inner**2))
-    return covariance + certain, float(np.sum(mean**2)) / spread if spread > 0 else np.inf
+    spread = np.sum(form**2) - 2 * np.sum(turned**2) + np.sum(inner**2)
+    return covariance + certain, float(np.sum(mean**2) / spread) if spread > 0 else np.inf
