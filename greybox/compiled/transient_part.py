@@ -446,7 +446,7 @@ def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function
 
 def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -> ArrayPair:
     """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
-    ends = np.zeros(basis.shape[-1])
+    ends = np.zeros(0)
     last, remaining = math.inf, errors
     # Weights and end terms follow each other. Each time the change of the cost falls to the share
     # of the numbers that end terms take up, a tenth or less.
