@@ -40,10 +40,10 @@ from greybox.statistics.column_space import column_basis
 # Probability of independent errors below which a correlation is reported: in simulated fits of 10
 # to 100 points it is reported in at most 1 % of those with independent errors.
 UNLIKELY = 0.1
-# Lengths of a slow correlation in points, the longest of which is an error common to all points,
-# and variances over that of the white errors above it. A slow effect beneath noise is mostly taken
-# by parameters: where two thirds of the variance of 40 points are a random walk, intervals cover 84
-# % (66 % without white errors beside it).
+# Lengths of a slow correlation in points, the longest of which is mostly an error common to all
+# points, and variances over that of the white errors above it. Parameters take most of a slow
+# effect beneath noise: where two thirds of the variance of 40 points are a random walk, intervals
+# cover 78 % (66 % with white errors beside means of neighbors alone).
 LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
 VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
 # Residuals over the sizes of the errors below which data are fitted exactly.
@@ -158,8 +158,7 @@ def neighbor_correlation(
     weight = prior * np.exp((score.min() - score) / 2)
     weight /= weight.sum()
     # Above this posterior probability errors count as independent. Intervals of independent errors
-    # of 8 to 40 points are then 4 to 20 % wider in the mean, and cover 95 to 97 % (5 to 27 % with
-    # 0.7).
+    # of 8 to 40 points are then 2 to 18 % wider in the mean, and cover 95 to 97 %.
     if weight[0] > 0.6:
         return None
     return NeighborCorrelation(powers, weight, scale, variances)
