@@ -138,21 +138,21 @@ class ColoredErrors:
     dof : float
         Degrees of freedom of the variances that follow.
     spectrum : ErrorSpectrum or None
-        Spectrum of the errors, enlarged for what the fit took from them; None where all residuals
-        are zero.
+        Of a record, spectrum of the errors, enlarged for what the fit took from them; None where
+        all residuals are zero.
     process_noise : function
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
-        gusts.
+        gusts. Of a record only.
     slow_errors : function
         Returns 2 log of the evidence for slow errors of every output, not white ones, and the
-        number of frequencies that show the parameters: (2, outputs).
+        number of frequencies that show the parameters: (2, outputs). Of a record only.
     """
 
     meat: Array
     dof: float
-    spectrum: ErrorSpectrum | None
-    process_noise: Callable[[], float]
-    slow_errors: Callable[[], Array]
+    spectrum: ErrorSpectrum | None = None
+    process_noise: Callable[[], float] = float
+    slow_errors: Callable[[], Array] = lambda: NO_NODES
 
 
 @frozen
@@ -161,19 +161,15 @@ class CorrelatedPoints:
 
     Attributes
     ----------
-    meat : (k, k) array
-        Middle matrix of the sandwich.
+    meat : (r, r) array
+        Middle matrix of the sandwich, for the given directions.
     dof : float
         Degrees of freedom of the variances that follow.
-    scale : float
-        How many times larger the variances of errors of the mean correlation are than those of
-        independent ones.
     errors : NeighborCorrelation
     """
 
     meat: Array
     dof: float
-    scale: float
     errors: NeighborCorrelation
 
 
@@ -202,7 +198,8 @@ class Information:
         How the initial states follow the values, in changes that the data notice; empty without
         states.
     colored : function of a square root (p, r) of B⁻¹, or None
-        For a record whose errors are taken as correlated in time: what that makes of it, for the
+        Where errors are taken as correlated in time, so that their size changes over the lines of
+        a spectrum: what that makes of it, for the
         directions of the root of the covariance of the free parameters for white errors times the
         weight of the part. `spread` takes them as white. Directions of unit variance keep their
         digits where parameters are hardly determined.

@@ -216,34 +216,32 @@ class ResponsePart(Part):
         # because the fit follows these errors.
         independent = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
 
-        def common_meat(bread: float) -> Array:
-            shift = bread * jacobian.T @ common
+        def common_meat(bread: float, directions: Array) -> Array:
+            shift = bread * directions.T @ common
             return shift @ shift.T
 
         def spread(correction: float) -> tuple[float, Array]:
             bread, meat = criterion.spread(response, data, correction)
             weighted = (independent * meat)[:, None] * jacobian
-            return bread, jacobian.T @ weighted + common_meat(bread)
+            return bread, jacobian.T @ weighted + common_meat(bread, jacobian)
 
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
             if data.has_independent_errors:
                 return None
-            own = _own_directions(jacobian[:, : len(root)] @ root)
-            neighbors = self.neighbors(values, root @ own, correction)
+            directions = jacobian[:, : len(root)] @ root
+            neighbors = self.neighbors(values, root @ _own_directions(directions), correction)
             if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")
             bread, meat = criterion.spread(response, data, correction)
             # Neighbors in frequency are neighbors in correlation: the order matters here alone.
-            halves = np.split(np.sqrt(independent * meat)[:, None] * jacobian, 2)
-            scores = complex_array(*halves)[order]
-            constants = np.zeros((jacobian.shape[1] - len(root), root.shape[1]))
-            middle, remaining_dof, scale = averaged_meat(
-                scores, np.vstack([root, constants]), neighbors, criterion.score_correlation, dof
+            halves = np.split(np.sqrt(independent * meat)[:, None] * directions, 2)
+            middle, remaining_dof = averaged_meat(
+                complex_array(*halves)[order], neighbors, criterion.score_correlation, dof
             )
-            meat = middle + common_meat(bread)
+            meat = middle + common_meat(bread, directions)
 
-            return CorrelatedPoints(meat, remaining_dof, scale, neighbors)
+            return CorrelatedPoints(meat, remaining_dof, neighbors)
 
         @cache
         def offset(correction: float) -> Array:

@@ -21,12 +21,13 @@ which depends on the parameters.
 
 import math
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import NO_NODES, Information, Part, Trajectory
+from greybox.compiled.part import NO_NODES, ColoredErrors, Information, Part, Trajectory
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
@@ -51,9 +52,10 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
-from greybox.statistics.column_space import beside
+from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.metrics import size_test
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
+from greybox.statistics.uneven_errors import uneven_errors
 
 
 @frozen
@@ -106,6 +108,17 @@ class Along:
     ends: Array
     covariance: ResidualCovariance
     logarithms: float
+
+    @cached_property
+    def weight(self) -> Array:
+        """W (k, k) with WᵀW the inverse of the covariance of the errors."""
+        return self.covariance.weight(self.errors @ self.errors.T)
+
+    @cached_property
+    def taken(self) -> Array:
+        """Orthonormal basis (2 k lines, n) of what the end terms take from weighted errors."""
+        basis = np.einsum("ka,aln->kln", self.weight, self.basis)
+        return column_basis(basis.reshape(self.errors.size, -1))
 
 
 class TransientPart(Part):
@@ -295,11 +308,10 @@ class TransientPart(Part):
         reach : (x,) array
             Lengths of the columns before the end term was fitted.
         """
-        weight = at.covariance.weight(at.errors @ at.errors.T)
+        weight = at.weight
         weighted = np.einsum("ka,alx->klx", weight, mean)
         rows = weighted.reshape(-1, mean.shape[-1])
-        by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(len(rows), -1)
-        projected = beside(rows, by_ends)
+        projected = outside(rows, at.taken)
         turned = np.einsum("ka,labx,bc->lkcx", weight, change, np.linalg.inv(weight))
         hermitian = turned + turned.conj().swapaxes(1, 2)
         variance = np.stack([hermitian.real, hermitian.imag], axis=1)
@@ -345,8 +357,7 @@ class TransientPart(Part):
         """Return gradient (p,) and Fisher information (p, p); end term and noise follow."""
         at: Along = trajectory.detail
         mean, total, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
-        root = at.covariance.weight(trajectory.products)
-        by_errors = np.einsum("kl,klz->z", root.T @ root @ at.errors, total)
+        by_errors = np.einsum("kl,klz->z", at.weight.T @ at.weight @ at.errors, total)
         mean, variance, _ = self.fisher_root(at, mean, change)
         rows = np.vstack([mean.reshape(-1, mean.shape[-1]), variance])
 
@@ -376,34 +387,29 @@ class TransientPart(Part):
         mean, _, change = self.derivatives(at, slope.full())
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
-        # The errors may be larger at some frequencies than at others, as in turbulence, and
-        # correlated between outputs: their covariance is that of the errors at lines nearby. What
-        # the fit took from them is put back, for parameters line by line: MacKinnon and White
-        # (1985), Journal of Econometrics 29 (HC3); for the end term on average.
-        numbers = self.numbers - len(self.states)
-        weighted = at.covariance.weight(at.errors @ at.errors.T) @ at.errors
-        weighted *= math.sqrt(self.numbers / numbers)
-        remaining = beside(np.eye(weighted.size), mean.reshape(-1, len(values))).diagonal()
+        white = jacobian.T @ jacobian
         shape = len(self.outputs), 2, len(self.data)
-        # Where the fit leaves less than a tenth of an error, only rounding would remain.
-        errors = (weighted.ravel() / np.maximum(remaining, 0.1)).reshape(shape)
-        lines = np.arange(len(self.data))
-        # The size of the errors is averaged with weights that fall to zero over 4 lines on either
-        # side.
-        nearby = np.maximum(4 - np.abs(lines[:, None] - lines), 0)
-        nearby = nearby / nearby.sum(axis=0) / 2
-        slopes = mean.reshape(*shape, len(values))
-        meat = np.einsum(
-            "icl,jcl,lm,idmx,jdmy->xy", errors, errors, nearby, slopes, slopes, optimize=True
-        )
-        meat += variance.T @ variance
+
+        def colored(root: Array) -> ColoredErrors:
+            # The errors may be larger at some frequencies than at others, as in turbulence.
+            rows, certain = mean[..., : len(root)] @ root, variance[:, : len(root)] @ root
+            return ColoredErrors(
+                *uneven_errors(
+                    (at.weight @ at.errors).reshape(shape),
+                    rows.reshape(*shape, -1),
+                    root,
+                    at.taken.reshape(*shape, -1),
+                    certain.T @ certain,
+                )
+            )
 
         return Information(
             self,
             jacobian,
-            numbers,
-            lambda correction: (1.0, meat),
+            self.numbers - len(self.states),
+            lambda correction: (1.0, white),
             reach,
+            colored=colored,
             doubtful=tuple(self.doubtful(at)),
         )
 
@@ -452,15 +458,13 @@ def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function
 
 def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -> ArrayPair:
     """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
-    ends = np.zeros(basis.shape[-1])
-    if not ends.size:
-        return errors, ends
+    ends = np.zeros(0)
     last, remaining = math.inf, errors
     # Weights and end terms follow each other. Each time the change of the cost falls to the share
     # of the numbers that end terms take up, a tenth or less.
     for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
-        rows = np.einsum("ka,aln->kln", weight, basis).reshape(-1, len(ends))
+        rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
         size = positive_or_one(np.linalg.norm(rows, axis=0))
         # Smaller singular values are rounding, as for a state that no output shows.
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size

@@ -142,8 +142,8 @@ class PartAccuracy:
     bread : (r, r) array
         In the same directions; those of all parts add up to the identity.
     colored : ColoredErrors or None
-        Effect of correlation in time on a record; None for responses, and where errors are taken
-        as white.
+        Effect of correlation in time on a record or a spectrum; None for responses, and where
+        errors are taken as white.
     neighbors : CorrelatedPoints or None
         Effect of correlation along frequency on a response; None for others, and where it is not
         known.
@@ -425,7 +425,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     meat = independent = root.T @ share.meat @ root
     neighbors = part.correlated and part.correlated(share.correction, root, dof)
     if neighbors:
-        meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
+        meat = problem.weight**2 * neighbors.meat
         dof = neighbors.dof
     return PartAccuracy(share, meat, dof, independent, numbers, bread, neighbors=neighbors)
 

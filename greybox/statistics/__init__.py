@@ -16,6 +16,7 @@ time.
 | `variance_components` | the variances of sensors and process noise in residuals |
 | `residual_spectrum` | covariance of an estimate whose errors are correlated in time |
 | `neighbor_correlation` | the same for errors that are correlated along frequency |
+| `uneven_errors` | the same for errors that are larger at some frequencies than at others |
 | `shared_errors` | the same for errors that several responses share |
 | `column_space` | what fitted parameters can take from residuals |
 """

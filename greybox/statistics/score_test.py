@@ -13,13 +13,13 @@ applications to model specification in econometrics, Review of Economic Studies 
 
 import itertools
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from greybox.files.arrays import Array, ArrayTriple, of_diagonal
 from greybox.statistics.column_space import column_basis, outside
+from greybox.statistics.neighbor_correlation import slow_errors
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
 # integration, or the effect of another parameter.
@@ -30,11 +30,6 @@ FEWEST = 6.0  # numbers beyond those that the parameters take
 ROUNDING = 1e-12  # of products of columns
 TINY = 1e-300
 
-# Correlated errors that are tried, in addition to white ones: lengths of the correlation in
-# points, the longest of which is an error common to all points, and variances over that of the
-# white ones.
-LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
-VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
 # Squares of errors that are smaller or larger in a band of points than elsewhere, by twelfths of
 # these. Without bands in the middle, a third of right models is called wrong where errors grow to
 # both ends; with them, as many wrong models are called wrong.
@@ -144,7 +139,7 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         values = np.hstack([basis, 0 * residuals, *terms, residuals])
         pieces = np.split(values, np.cumsum(lengths[:-1]))
         waves = np.vstack([np.asarray(dct(piece, axis=0, norm="ortho")) for piece in pieces])
-        slow = np.hstack([*map(_variances, lengths)])
+        slow = np.hstack([slow_errors(np.pi * np.arange(n) / n) for n in lengths])
         places = np.hstack([(12 * np.arange(n) + 6) // n for n in lengths])
         # All sizes are the same within a twelfth.
         sums = (values.T * (places == TWELFTHS[:, None, None])) @ values
@@ -183,18 +178,6 @@ def p_values_of_fits(without: Fits, beside: Fits) -> list[float]:
     # Before the data, white errors are as likely as all others.
     weight[0] *= len(weight) - 1
     return np.average(p_values, axis=0, weights=weight).tolist()
-
-
-@lru_cache(4)  # real and imaginary parts, and mostly all parts, have equal numbers of points
-def _variances(n: int) -> Array:
-    """Return the variances (kinds, n) of n cosines of errors, white ones first.
-
-    Cosines are the principal components of a random walk, and of one that returns to its mean.
-    """
-    rows = np.arange(n) / n
-    slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * rows))
-    slow /= slow.mean(axis=1, keepdims=True)
-    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)])
 
 
 def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:

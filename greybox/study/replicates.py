@@ -32,6 +32,7 @@ from greybox.solve.local_solver import Runner
 from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, ResponseSolver
 from greybox.solve.runs import IMPROVED, Outcome, Outcomes
 from greybox.statistics.error_spectrum import ErrorSpectrum
+from greybox.statistics.neighbor_correlation import NeighborCorrelation
 
 
 @frozen
@@ -222,9 +223,8 @@ class DrawnResponse:
         Degrees of freedom of `size` where it was estimated.
     common : (m, n) complex array or None
         Errors that all points have in common; `size` does not contain them.
-    neighbors : (float, float) or None
-        If errors are correlated along frequency: the correlation of neighbors, and the factor on
-        the variance.
+    neighbors : NeighborCorrelation or None
+        If errors are correlated along frequency.
     """
 
     omega: Array
@@ -233,14 +233,18 @@ class DrawnResponse:
     deviation: float
     dof: Array | None = None
     common: ComplexArray | None = None
-    neighbors: tuple[float, float] | None = None
+    neighbors: NeighborCorrelation | None = None
 
     def drawn(self, random: np.random.Generator) -> ComplexArray:
         """Return the fitted response with normal errors."""
         count = len(self.response)
         normal = random.standard_normal(count) + 1j * random.standard_normal(count)
         if self.neighbors is not None:
-            normal = self._correlated(normal, *self.neighbors)
+            # Noise in magnitude and noise in phase are correlated each along frequency, while real
+            # and imaginary part turn with the response.
+            places = np.argsort(np.argsort(self.omega, kind="stable"))
+            normal = self.neighbors.drawn(random, normal)[places]
+            normal = normal * np.exp(1j * np.angle(self.response))
         # The size is an estimate itself: the errors over it have Student's t distribution.
         if self.dof is not None:
             normal = normal / np.sqrt(random.chisquare(self.dof) / self.dof)
@@ -248,18 +252,6 @@ class DrawnResponse:
         if self.common is not None:
             measured = measured + random.standard_normal(len(self.common)) @ self.common
         return measured
-
-    def _correlated(self, normal: ComplexArray, correlation: float, scale: float) -> ComplexArray:
-        """Return errors that are correlated between neighbors, along and across the response."""
-        # Noise in magnitude and noise in phase are correlated each along frequency, while real and
-        # imaginary part turn with the response.
-        from scipy.signal import lfilter  # noqa: PLC0415 - takes a third of a second to import
-
-        order = np.argsort(self.omega, kind="stable")
-        normal = math.sqrt(scale) * normal[order]
-        normal[1:] *= math.sqrt(1 - correlation**2)
-        normal = np.asarray(lfilter([1.0], [1.0, -correlation], normal))
-        return normal[np.argsort(order)] * np.exp(1j * np.angle(self.response))
 
 
 def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int) -> Draws:
@@ -320,7 +312,7 @@ def _drawn_part(
         math.sqrt(variance),
         dof=part.data.dof if has_variances else None,
         common=part.data.common_errors,
-        neighbors=neighbors and (neighbors.errors.mean, neighbors.scale),
+        neighbors=neighbors and neighbors.errors,
     )
 
 

@@ -165,22 +165,23 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
         information * factor * factor[:, None], wanted, rtol=1e-4, atol=1e-6 * np.abs(wanted).max()
     )
     assert found.numbers == part.numbers - len(part.states)
-    one, meat = found.spread(1.0)
+    one, meat = found.spread(2.0)
     assert one == 1
-    # The errors themselves show what a fit took from them.
-    assert_allclose(found.spread(2.0)[1], meat)
+    assert_allclose(meat, information)
 
 
 def test_the_spread_follows_the_size_of_the_errors_over_the_band(made, equation_error):
     nlp, part, z, trajectory = made
     x = nlp.scaling.to_parameters(z)
     found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))
-    mean, variance = np.split(found.jacobian, [part.numbers])
-    meat = found.spread(1.0)[1] - variance.T @ variance
-    assert np.all(np.linalg.eigvalsh(meat) > -1e-9 * np.abs(meat).max())
-    # Twelve lines or more have some with larger errors than others, all of the size of the noise.
-    bread = mean.T @ mean
-    ratio = np.trace(np.linalg.solve(bread, meat)) / len(bread)
-    assert 0.3 < ratio < 6
+    _, variance = np.split(found.jacobian, [part.numbers])
+    root = np.linalg.inv(np.linalg.qr(found.jacobian)[1])
+    colored = found.colored(root)
+    meat, dof = colored.meat, colored.dof
+    # Of white errors this would be the identity. Twelve lines or more have some with larger errors
+    # than others, all of the size of the noise.
+    assert np.all(np.linalg.eigvalsh(meat) > 0)
+    assert 0.3 < np.trace(meat) / len(meat) < 6
+    assert 3 < dof < found.numbers
     assert variance.any() == equation_error
     assert part.has_states

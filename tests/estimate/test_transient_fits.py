@@ -150,7 +150,8 @@ def test_several_manoeuvres_say_more(clean, spectrum, fit):
     second = study.measured(study.short_period_record(6.0, (0.5, 1.2, 1.9), [0.0, 0.0]), {"q": 0.02},
                             np.random.default_rng(2))  # fmt: skip
     two = fitted(gb.several(ShortPeriod(), [spectrum, transient_spectrum(second, "u", "q", BAND)]))
-    assert two.dof == pytest.approx(fit.dof + 2 * len(two.spectra[1].data) - 2)
+    # The size of the errors is that of few lines, in both.
+    assert fit.dof < two.dof < 2 * sum(len(part.data) for part in two.spectra) - 9
     assert [set(part.ends) for part in two.spectra] == [{"q_0", "q_1"}] * 2
     # On average: each error varies with the few lines nearby, and that of a delay with its fraction
     # of a sample.

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.fft import dct
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
 from greybox.solve.interruption import limited
 from greybox.solve.runs import SEARCH_OVER
+from greybox.statistics.neighbor_correlation import NeighborCorrelation
 from greybox.study.replicates import DrawnResponse, Draws, ResponseReplicates, response_draws
 
 
@@ -179,15 +181,21 @@ def test_a_replicate_is_refitted_as_its_data_would_be(monkeypatch, by_ipopt):
 
 
 def test_errors_of_neighbors_in_frequency_are_correlated_along_and_across_the_response():
-    """Of points that are not in order, by the autocorrelation of an AR(1); variances are enlarged in all of them."""
+    """Of points that are not in order, by the variances of cosines of two kinds of errors, of which each draw has one."""
     omega = np.array([3.0, 1.0, 4.0, 2.0])
     response = np.array([1.0, 2j, -3.0, 2 - 1j])
     size = np.array([1.0, 0.5, 2.0, 1.5])
     part = {"omega": omega, "response": response, "size": size, "deviation": 0.3}
-    made = draws(points=4, neighbors=(0.8, 2.5), **part)
+    variances = np.array([[3.0, 0.6, 0.3, 0.1], [1.0, 1.0, 1.0, 1.0]])
+    weight, scale = np.array([0.7, 0.3]), np.array([2.5, 1.0])
+    neighbors = NeighborCorrelation(np.eye(2, 4), weight, scale, variances)
+    made = draws(points=4, neighbors=neighbors, **part)
     errors = (measured_points(made, range(2000)) - response) / size
     turned = errors * np.exp(-1j * np.angle(response))
-    wanted = 2.5 * 0.09 * 0.8 ** np.abs(omega - omega[:, None])
+    cosines = dct(np.eye(4), axis=0, norm="ortho")
+    by_frequency = cosines.T @ np.diag(weight * scale @ variances) @ cosines
+    places = np.array([2, 0, 3, 1])
+    wanted = 0.09 * by_frequency[np.ix_(places, places)]
     for component in (turned.real, turned.imag):
         assert component.T @ component / 2000 == pytest.approx(wanted, abs=0.025)
     assert turned.real.T @ turned.imag / 2000 == pytest.approx(np.zeros((4, 4)), abs=0.025)
