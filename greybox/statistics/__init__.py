@@ -17,5 +17,6 @@ time.
 | `residual_spectrum` | covariance of an estimate whose errors are correlated in time |
 | `neighbor_correlation` | the same for errors that are correlated along frequency |
 | `shared_errors` | the same for errors that several responses share |
+| `disturbed_errors` | whether errors along frequency are those of a disturbance, such as a gust |
 | `column_space` | what fitted parameters can take from residuals |
 """
