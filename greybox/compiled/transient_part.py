@@ -180,7 +180,8 @@ class TransientPart(Part):
             by_ends = C @ inverse
             # For an equation error, of all states or of the one output; errors drive the last
             # states: all, or the gusts.
-            transform: Any = np.broadcast_to(np.eye(k, dtype=complex), (len(pencil), k, k))
+            outputs = np.broadcast_to(np.eye(k, dtype=complex), (len(pencil), k, k))
+            transform: Any = outputs
             if self._is_equation_error and k == 1:
                 transform = np.linalg.det(pencil)[:, None, None]
             elif self._is_equation_error:
@@ -217,9 +218,7 @@ class TransientPart(Part):
             delay_slopes=delay_slopes,
             signals=np.vstack([states, inputs]),
             inverse=inverse,
-            to_outputs=np.concatenate(
-                [by_ends, np.broadcast_to(np.eye(k, dtype=complex), transform.shape)], 2
-            ),
+            to_outputs=np.concatenate([by_ends, outputs], 2),
             first_slopes=first_slopes.reshape(*first.T.shape, len(q)).swapaxes(0, 1),
             beside=beside,
             by_delays=by_delays,
@@ -258,13 +257,11 @@ class TransientPart(Part):
         mean = -self._real(np.einsum("lab,blx->alx", at.transform, modeled))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
-        if not self._is_equation_error:
-            return mean, mean, relative
         k = len(self.outputs)
-        if k == 1:
+        if self._is_equation_error and k == 1:
             # d log det P = tr(P⁻¹ dP), with P = jωI - A.
             relative -= np.einsum("lij,jix->lx", at.inverse, slopes[:n, :n])[:, None, None, :]
-        else:
+        elif self._is_equation_error:
             # With T⁻¹ = C P⁻¹ E, dT T⁻¹ is -T (dC + C P⁻¹ dA) P⁻¹ E.
             left = at.transform @ at.to_outputs
             relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse[:, :, -k:])
@@ -351,10 +348,9 @@ class TransientPart(Part):
         mean, _, change = self.derivatives(at, slope)
         mean, variance, reach = self.fisher_root(at, mean, change)
         errors, basis = at.weight @ at.errors, column_basis(np.hstack([mean, at.by_ends]))
-        # How errors follow gusts on each state and each output, fast and slow ones.
+        # How errors follow slow gusts on each state and each output. Fast ones differ little.
         gusts = np.einsum("ij,ljk,lks->sil", at.weight, at.transform, at.to_outputs)
-        gusts = np.concatenate([gusts, gusts / self.data.omega])
-        is_doubtful = undisturbed(errors, basis, gusts) < UNLIKELY
+        white = undisturbed(errors, basis, gusts / self.data.omega)
         # The errors may be larger at some frequencies than at others, as in light turbulence, and
         # correlated between outputs: their covariance is that of the errors at lines nearby, with
         # weights that fall to zero over 4 lines on either side. What the fit took from them is put
@@ -383,7 +379,7 @@ class TransientPart(Part):
             self.numbers - len(self.states),
             lambda correction: (1.0, meat),
             reach,
-            doubtful=is_doubtful,
+            doubtful=white < UNLIKELY,
         )
 
 
@@ -432,14 +428,12 @@ def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function
 def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -> ArrayPair:
     """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
     ends = np.zeros(basis.shape[-1])
-    if not ends.size:
-        return errors, ends
     last, remaining = math.inf, errors
     # Weights and end terms follow each other. Each time the change of the cost falls to the share
     # of the numbers that end terms take up, a tenth or less.
     for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
-        rows = np.einsum("ka,aln->kln", weight, basis).reshape(-1, len(ends))
+        rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
         size = positive_or_one(np.linalg.norm(rows, axis=0))
         # Smaller singular values are rounding, as for a state that no output shows.
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.files.arrays import Array, ComplexArray, positive_or_one
 
 # Mean power of a disturbance over that of the white errors; the first stands for none.
-SIZES = np.array([0.0, 0.5, 2.0, 8.0, 32.0, 128.0, 512.0, 4096.0])[:, None, None]
+SIZES = np.array([0.0, 1.0, 8.0, 64.0, 512.0, 4096.0])[:, None, None]
 
 
 def undisturbed(errors: Array, basis: Array, disturbances: ComplexArray) -> float:
@@ -33,9 +33,9 @@ def undisturbed(errors: Array, basis: Array, disturbances: ComplexArray) -> floa
         Outputs that follow each disturbance, in any unit.
     """
     columns = np.column_stack([errors.ravel(), basis])
-    real, imaginary = columns.reshape(len(errors), 2, -1, columns.shape[1]).swapaxes(0, 1)
+    parts = columns.reshape(len(errors), 2, -1, columns.shape[1])
     # What each disturbance reaches of the columns, by line.
-    reached = np.einsum("skl,klc->slc", disturbances.conj(), real + 1j * imaginary)
+    reached = np.einsum("skl,p,kplc->slc", disturbances.conj(), [1, 1j], parts)
     power = np.sum(np.abs(disturbances) ** 2, axis=1)
     size = SIZES / positive_or_one(power.mean(axis=1, keepdims=True))
     excess = size * power
@@ -48,4 +48,5 @@ def undisturbed(errors: Array, basis: Array, disturbances: ComplexArray) -> floa
     score = -(dof * squares + information) / 2 - np.log1p(excess).sum(axis=2)
     likelihood = np.exp(score - score.max())
     # Before the data, no disturbance is as likely as some.
-    return float(likelihood[0].mean() / (likelihood[0].mean() + likelihood[1:].mean()))
+    none, some = likelihood[0].mean(), likelihood[1:].mean()
+    return float(none / (none + some))
