@@ -330,13 +330,12 @@ def regression_of_manoeuvre(
     """
     places, located = np.flatnonzero(moves), part.located(names)
     fitted: Along = trajectory.detail
-    weight = fitted.covariance.weight(fitted.errors @ fitted.errors.T)
     # What a model leaves out is smooth along the lines only beside the phase of the modeled output.
     turned = np.exp(-1j * np.angle(fitted.modeled))[..., None]
 
     def rows(columns: ComplexArray, at: Along = fitted) -> Array:
         columns = columns.reshape(*turned.shape[:2], -1)
-        weighted = np.einsum("ka,lab,blc->klc", weight, at.transform, columns)
+        weighted = np.einsum("ka,lab,blc->klc", fitted.weight, at.transform, columns)
         return real_and_imaginary(weighted * turned, 1).reshape(-1, columns.shape[2])
 
     def modeled(x: Array, at: Along) -> tuple[ComplexArray, ComplexArray]:

@@ -146,24 +146,16 @@ def _require_data_once(problem: Sum[Any]) -> None:
         With the stretch.
     """
     records = problem.parts_with(Record)
-    estimated = [
-        *(
-            ("response", part, part.data.stretches)
-            for part in problem.parts_with(FrequencyResponse)
-        ),
-        *(
-            ("spectrum", part, [part.data.stretch])
-            for part in problem.parts_with(TransientSpectrum)
-        ),
-    ]
-    for noun, part, stretches in estimated:
+    for part in problem.parts_with(FrequencyResponse | TransientSpectrum):
+        data = part.data
+        stretches = data.stretches if isinstance(data, FrequencyResponse) else [data.stretch]
         for stretch in filter(None, stretches):
             used = next((record for record in records if _holds(record.data, stretch)), None)
             if used is not None:
                 raise ValueError(
-                    f"the {noun} {part.name!r} was estimated from {stretch.start:g} to "
-                    f"{stretch.end:g} s of the record {used.name!r}, which would count the same "
-                    "data twice: leave one of them out, or fit the record between other times, "
+                    f"{part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s of "
+                    f"the record {used.name!r}, which would count the same data twice: leave one "
+                    "of them out, or fit the record between other times, "
                     "record.between(start, end)."
                 )
 

@@ -136,7 +136,7 @@ def _alike(series: Arrays, shifts: int) -> float:
     return 1 + max(2 * float((1 - np.arange(1, shifts) / shifts) @ squares), 0.0)
 
 
-def size_test(squares: Array, dof: Array | float = math.inf) -> float:
+def size_test(squares: Array, dof: Array | float) -> float:
     """Return the probability that chance makes errors so much larger in a part of the band.
 
     A variance that is a parabola over the points is judged by its score, by the likelihood of
@@ -147,8 +147,8 @@ def size_test(squares: Array, dof: Array | float = math.inf) -> float:
     ----------
     squares : (n,) array
         Squared magnitudes of errors over their sizes, by frequency.
-    dof : (n,) array, optional
-        Degrees of freedom of sizes that are estimates.
+    dof : (n,) array or float
+        Degrees of freedom of sizes that are estimates, else infinite.
 
     Source: Cook and Weisberg (1983), Diagnostics for heteroscedasticity in regression, Biometrika
     70.

@@ -87,11 +87,7 @@ def warnings(
         *repeated_data(nlp),
         *discretization_warnings(nlp, trajectories, error),
         *(() if explained else (UNEXPLAINED,)),
-        *(
-            record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy)
-            if answer.records
-            else ()
-        ),
+        *record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy),
         *gusts(nlp, trajectories, accuracy, noisy=noisy),
         *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),
@@ -107,7 +103,7 @@ def warnings(
         *coarse_pade(answer.responses),
         *delays_within_a_sample(nlp, answer),
         *unlikely_noise(nlp, trajectories),
-        *(manoeuvre_warnings(accuracy, answer) if answer.spectra else ()),
+        *manoeuvre_warnings(accuracy),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
         *(() if exact else outlying_points(nlp, best.estimate, explained=explained)),

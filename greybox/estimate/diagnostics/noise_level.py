@@ -25,7 +25,6 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.records import gust_criterion
 from greybox.estimate.diagnostics.repeated import Finding, Findings, once
-from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, by_name
 from greybox.files.text_table import counted, percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
@@ -228,29 +227,18 @@ def correlated_frequencies(
                 )
 
 
-def manoeuvre_warnings(accuracy: Accuracy, answer: Fit) -> Iterator[str]:
-    """Name manoeuvres whose errors leave no intervals, and gusts whose time constants they leave.
-
-    All intervals depend on these time constants.
-    """
+def manoeuvre_warnings(accuracy: Accuracy) -> Iterator[str]:
+    """Name manoeuvres whose errors leave no intervals."""
     for information in accuracy.informations:
         if information.doubtful:
             yield (
-                f"the errors of {some(information.doubtful)} of {information.part.name!r} "
-                "are larger in a part of the band, or correlated along frequency, like those of "
-                "turbulence, of noise of the outputs in equation error, or of a model "
+                f"the errors of {information.part.name!r} are larger in a part of the band, like "
+                "those of turbulence, of noise of the outputs in equation error, or of a model "
                 "that misses something. Intervals would be too narrow, so there are none. For "
                 "noise of the outputs, use OutputError(); in turbulence, EquationError(gusts=True) "
                 "or, if that says the same, the record itself with "
                 "PredictionError(process_noise=states) or PredictionError(disturbance={state: "
                 "'colored'})."
-            )
-    for name, (low, _) in {} if answer.directions is None else answer.interval().items():
-        if name.startswith("T_gust") and not low > 0:
-            yield (
-                f"the data hardly determine {name}, the time constant of the gusts, on which all "
-                "intervals depend: they may be too narrow (95 % intervals of one manoeuvre of 8 s "
-                "covered 83 to 96 % in simulated turbulence). Repeat the manoeuvre."
             )
 
 

@@ -1,0 +1,72 @@
+"""Evidence for disturbances against dense matrices, and against simulated errors."""
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+from greybox.statistics.column_space import column_basis
+from greybox.statistics.disturbed_errors import SIZES, undisturbed
+
+LINES = 10
+
+
+def disturbance(pole=2.0):
+    """How two outputs follow a disturbance through a lag, one of them its integral."""
+    omega = 0.5 * np.arange(1, LINES + 1)
+    rate = 1 / (1j * omega + pole)
+    return np.array([rate, rate / (1j * omega)])
+
+
+def as_real(values):
+    """Complex values (k, lines) as rows, real parts first."""
+    return np.hstack([values.real, values.imag])
+
+
+def circular(random, shape):
+    return random.normal(size=shape) + 1j * random.normal(size=shape)
+
+
+def fitted_errors(random, size, directions=4):
+    """White errors with a disturbance, less what a fit of random directions takes."""
+    h = disturbance()
+    h = h / np.sqrt(np.mean(np.sum(np.abs(h) ** 2, axis=0)))
+    errors = as_real(circular(random, (2, LINES)) + np.sqrt(size) * h * circular(random, LINES))
+    basis = column_basis(random.normal(size=(errors.size, directions)))
+    flat = errors.ravel()
+    return (flat - basis @ (basis.T @ flat)).reshape(errors.shape), basis
+
+
+def test_the_probability_is_that_of_dense_matrices():
+    """The likelihood of what no parameter takes, with the size of the errors fitted."""
+    errors, basis = fitted_errors(np.random.default_rng(1), 0.5)
+    h = disturbance()
+    power = np.mean(np.sum(np.abs(h) ** 2, axis=0))
+    # A unit disturbance with a real and an imaginary part at each line.
+    effects = np.array(
+        [as_real(h * unit).ravel() for line in np.eye(LINES) for unit in (line, 1j * line)]
+    )
+    free = null_space(basis.T)
+    values = free.T @ errors.ravel()
+    logarithms = []
+    for size in SIZES.ravel():
+        covariance = free.T @ (np.eye(errors.size) + size / power * effects.T @ effects) @ free
+        squares = values @ np.linalg.solve(covariance, values)
+        logarithms.append(-np.linalg.slogdet(covariance)[1] / 2 - len(values) / 2 * np.log(squares))
+    likelihood = np.exp(logarithms - np.max(logarithms))
+    wanted = likelihood[0] / (likelihood[0] + likelihood[1:].mean())
+    assert 0.001 < wanted < 0.5
+    assert undisturbed(errors, basis, 7.0 * h[None]) == pytest.approx(wanted, rel=1e-8)
+
+
+@pytest.mark.parametrize(("size", "least", "most"), [(0.0, 0.0, 0.04), (10.0, 0.9, 1.0)])
+def test_disturbances_are_recognized_and_white_errors_are_not_called_disturbed(size, least, most):
+    random = np.random.default_rng(3)
+    probabilities = [
+        undisturbed(*fitted_errors(random, size), disturbance()[None]) for _ in range(200)
+    ]
+    assert least <= np.mean(np.array(probabilities) < 0.2) <= most
+
+
+def test_a_disturbance_that_no_output_follows_is_neither_likely_nor_unlikely():
+    errors, basis = fitted_errors(np.random.default_rng(4), 0.0)
+    assert undisturbed(errors, basis, 0 * disturbance()[None]) == pytest.approx(0.5)
