@@ -92,7 +92,7 @@ def warnings(
             if answer.records
             else ()
         ),
-        *gusts(nlp, trajectories, accuracy, noisy=noisy),
+        *gusts(nlp, trajectories, accuracy, noisy=noisy, explained=explained),
         *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),

@@ -255,7 +255,12 @@ def manoeuvre_warnings(accuracy: Accuracy, answer: Fit) -> Iterator[str]:
 
 
 def gusts(
-    nlp: CompiledProblem, trajectories: Sequence[Trajectory], accuracy: Accuracy, *, noisy: bool
+    nlp: CompiledProblem,
+    trajectories: Sequence[Trajectory],
+    accuracy: Accuracy,
+    *,
+    noisy: bool,
+    explained: bool,
 ) -> Iterator[str]:
     """Name the records with gusts and the criterion for them, and test sizes that ended at zero.
 
@@ -270,10 +275,12 @@ def gusts(
         # A difference of 10 in -2 log evidence is very strong: Kass and Raftery (1995), JASA 90.
         if noisy and part.problem.model.state_names and evidence() > 10.0:
             cure = "start process noise above zero" if part.gains else f"use {gust_criterion(part)}"
-            yield (
-                f"the residuals of {part.name!r} look like gusts, not like noise of sensors: "
-                f"{cure}."
+            like = (
+                "not like noise of sensors:"
+                if explained
+                else "or like what the model lacks: mend the model first, and if they still do,"
             )
+            yield f"the residuals of {part.name!r} look like gusts, {like} {cure}."
         elif part.gains:
             verdict = "show no process noise" if evidence() < 0 else "hardly show process noise"
             yield (
