@@ -30,6 +30,7 @@ from greybox.estimate.diagnostics.noise_level import (
     correlated_frequencies,
     gusts,
     manoeuvre_warnings,
+    narrow_modes,
     unlikely_noise,
 )
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
@@ -107,6 +108,7 @@ def warnings(
         *coarse_pade(answer.responses),
         *delays_within_a_sample(nlp, answer),
         *unlikely_noise(nlp, trajectories),
+        *once(narrow_modes(answer)),
         *(manoeuvre_warnings(accuracy, answer) if answer.spectra else ()),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),

@@ -14,6 +14,7 @@ of both were compared for the standard errors, see `greybox.statistics.residual_
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -22,9 +23,11 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import SPACING
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.records import gust_criterion
 from greybox.estimate.diagnostics.repeated import Finding, Findings, once
+from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, by_name
 from greybox.files.text_table import counted, percent, some
@@ -36,6 +39,10 @@ LEAST_RATIO = 0.4
 # Factor on standard errors from which better weights are named. Records of 60 samples with white
 # errors have up to 1.1.
 NOTICEABLE = 1.25
+
+# Half-power width of a mode in spectral lines below which intervals of its damping held in 171 of
+# 201 fits of simulated sweeps and noise; in 82 of 85 from 4 to 6 lines, in 294 of 296 above.
+NARROW = 4.0
 
 
 def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[str]:
@@ -226,6 +233,26 @@ def correlated_frequencies(
                     f"account for what {len(part.data)} points show of the first, but not for the "
                     "second."
                 )
+
+
+def narrow_modes(answer: Fit) -> Findings:
+    """Name modes that are too narrow for the spectra from which a response was estimated."""
+    for k, part in enumerate(answer.parts):
+        if not isinstance(part, FittedResponse) or SPACING not in part.data.about:
+            continue
+        poles = np.empty(0)
+        with suppress(LookupError, ValueError):  # of a model without a rational form
+            poles = answer.transfer_function(k).poles
+        size, lines = np.abs(poles), 2 * np.abs(poles.real) / float(part.data.about[SPACING])
+        is_measured = (part.data.omega.min() < size) & (size < part.data.omega.max())
+        for mode in np.flatnonzero((poles.imag > 0) & is_measured & (lines < NARROW)):
+            yield (
+                "mode",
+                part.name,
+                f"the mode at {size[mode]:.3g} rad/s is {lines[mode]:.2g} spectral lines wide, too "
+                f"narrow for the estimate of {part.name!r} (such 95 % intervals of a damping held "
+                "in 85 % of simulated tests): fit the record itself, or fly longer.",
+            )
 
 
 def manoeuvre_warnings(accuracy: Accuracy, answer: Fit) -> Iterator[str]:
