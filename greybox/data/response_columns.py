@@ -171,12 +171,14 @@ def find_column(text: str, header: Labels) -> Column:
     """
     name, _, unit = text.rpartition(":")
     # The whole text is tried first: a name may have a colon or brackets of its own.
-    bare = [heading(cell).name for cell in header]
+    headings = [heading(cell) for cell in header]
+    bare = [h.name for h in headings]
     for wanted, stated in ((text, ""), (name, unit)):
-        for names in (list(header), bare):
-            if names.count(wanted) > 1:
+        # Units in brackets of either kind are one heading.
+        for label, labels in ((heading(wanted), headings), (wanted, bare)):
+            if labels.count(label) > 1:
                 raise ValueError(f"has two columns {wanted!r}: rename or remove one.")
-            if wanted in names:
-                place = names.index(wanted)
-                return Column(place, stated or heading(header[place]).unit)
+            if label in labels:
+                place = labels.index(label)
+                return Column(place, stated or headings[place].unit)
     raise ValueError(f"has no column {name or text!r}; it has {alternatives(name or text, header)}")
