@@ -103,7 +103,7 @@ def _determined(fit: Any) -> tuple[bool, str]:
             f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity)"
         )
         # Of such a term the data show no effect: its value is zero, or the test does not excite it.
-        absent = [name for name in beyond if not alone[name] < ZERO]
+        absent = [name for name in beyond if ZERO < alone[name] < np.inf]
         if absent:
             texts.append(f"{some(absent)} may be zero, even if all others were known")
 

@@ -251,7 +251,7 @@ def narrow_modes(answer: Fit) -> Findings:
                 part.name,
                 f"the mode at {size[mode]:.3g} rad/s is {lines[mode]:.2g} spectral lines wide, too "
                 f"narrow for the estimate of {part.name!r} (such 95 % intervals of a damping held "
-                "in 85 % of simulated tests): fit the record itself, or fly longer.",
+                "in 84 % of simulated tests): fit the record itself, or fly longer.",
             )
 
 
