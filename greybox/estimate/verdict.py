@@ -1,5 +1,6 @@
 """The verdict on a fit in a few sentences: model, minimum, parameters."""
 
+import math
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, Literal
@@ -103,7 +104,7 @@ def _determined(fit: Any) -> tuple[bool, str]:
             f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity)"
         )
         # Of such a term the data show no effect: its value is zero, or the test does not excite it.
-        absent = [name for name in beyond if ZERO < alone[name] < np.inf]
+        absent = [name for name in beyond if ZERO < alone[name] < math.inf]
         if absent:
             texts.append(f"{some(absent)} may be zero, even if all others were known")
 
