@@ -22,11 +22,10 @@ def write_excitation(excitation: Record, path: str | Path) -> None:
     The header has the units, and where they are known the holds, as `gb.read` reads them:
     ``time [s], u [rad held]``.
     """
-    words = {seconds: word for word, seconds in BETWEEN.items()}
     columns = {"time [s]": excitation.time} if excitation.has_time else {}
     for name, values in excitation.signals.items():
-        word = words.get(excitation.hold.get(name), "")
-        unit = f"{excitation.units.get(name, '')} {word}".strip()
+        holds = [word for word, hold in BETWEEN.items() if excitation.hold.get(name) == hold]
+        unit = " ".join([excitation.units.get(name, ""), *holds]).strip()
         columns[f"{name} [{unit}]" if unit else name] = values
     write_delimited(Path(path), {}, columns)
 
