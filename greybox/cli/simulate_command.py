@@ -5,7 +5,7 @@ import argparse
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.predict_command import LOG_OPTIONS, flown_record
 from greybox.cli.saved_fits import saved_fit
-from greybox.files.delimited_text import write_delimited
+from greybox.experiment.scripts import write_excitation
 from greybox.simulation.simulate import simulate
 
 EXAMPLES = (
@@ -26,8 +26,5 @@ def run(options: argparse.Namespace) -> Answer:
     require_writable(options.out, options.force, (".csv",), "table")
     fit = saved_fit(options.result, options)
     motion = simulate(fit, record=flown_record(fit, options), initial=options.initial)
-    columns = {"time [s]": motion.time}
-    for name, values in motion.signals.items():
-        columns[f"{name} [{motion.units.get(name, '1')}]"] = values
-    write_delimited(options.out, {}, columns)
+    write_excitation(motion, options.out)
     return {"file": options.out}, motion.name, f"wrote {options.out}"

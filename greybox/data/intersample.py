@@ -27,6 +27,8 @@ CONTINUOUS = 0.0
 # seconds, or a fit has divided it out.
 HOLD = "hold of the input, s"
 NO_HOLD = "hold divided out, s"
+# Key of a response from a sweep or noise.
+SPACING = "spacing of the spectral lines, rad/s"
 # Key of a response that was multiplied by a function of frequency: it is not that of samples.
 MULTIPLIED = "multiplied to"
 

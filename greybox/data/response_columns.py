@@ -183,14 +183,15 @@ def find_column(text: str, header: Labels) -> Column:
     """
     name, _, unit = text.rpartition(":")
     # The whole text is tried first: a name may have a colon or brackets of its own.
-    bare = [heading(cell).name for cell in header]
+    headings = [heading(cell) for cell in header]
     for wanted, stated in ((text, ""), (name, unit)):
-        for names in (list(header), bare):
-            if names.count(wanted) > 1:
-                raise ValueError(f"has two columns {wanted!r}: rename or remove one.")
-            if wanted in names:
-                place = names.index(wanted)
-                return Column(place, stated or heading(header[place]).unit)
+        # Units in brackets of either kind are one heading; without a unit, the name decides.
+        whole = [k for k, h in enumerate(headings) if h == heading(wanted)]
+        places = whole or [k for k, h in enumerate(headings) if h.name == wanted]
+        if len(places) > 1:
+            raise ValueError(f"has two columns {wanted!r}: rename or remove one.")
+        if places:
+            return Column(places[0], stated or headings[places[0]].unit)
     raise ValueError(f"has no column {name or text!r}; it has {alternatives(name or text, header)}")
 
 

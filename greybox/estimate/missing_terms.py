@@ -47,7 +47,8 @@ TEXTS = {
     ),
     "hold": (
         "a delay of {a} by {size} s, about half a step, as if it were held between samples",
-        "hold={{'{a}': math.inf}} in the record if it is held, or delays = {{'{a}': 'T_delay'}}",
+        "hold={{'{a}': math.inf}} in the record if it is held ('held' after the unit in the header "
+        "of a table), or delays = {{'{a}': 'T_delay'}}",
     ),
     "lag": (
         "a lag of {a} by {size} s, one more pole",

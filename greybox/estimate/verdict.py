@@ -1,17 +1,18 @@
 """The verdict on a fit in a few sentences: model, minimum, parameters."""
 
+import math
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, Literal
 
-import numpy as np
-
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Strings, by_name
 from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
 
 Grade = Literal["good", "doubt", "poor", "failed"]
+
+ZERO = 0.5  # of the value: a standard error at which zero lies inside the 95 % interval
 
 LEVELS = {
     "good": "Good: use the values with their intervals.",
@@ -89,27 +90,34 @@ def _determined(fit: Any) -> tuple[bool, str]:
             "The data give no standard errors, so the estimate cannot be judged by itself.",
         )
 
+    # Biases and sizes of noise, which the criterion adds, are no less known for being near zero.
+    added = {part.outside(name) for part in fit.parts for name in part.added}
+    errors = {n: e for n, e in by_name(judged.names, judged.error).items() if n not in added}
+    alone = by_name(judged.names, judged.insensitivity)
+    beyond = [name for name in judged.beyond if name in errors]
     texts = []
     if at_bound:
         texts.append(f"{some(at_bound)} ended at a bound")
-    if judged.beyond:
+    if beyond:
         texts.append(
-            f"{some(judged.beyond)} exceeded the guidelines ({100 * ERROR_GUIDELINE:.0f} % error, "
+            f"{some(beyond)} exceeded the guidelines ({100 * ERROR_GUIDELINE:.0f} % error, "
             f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity)"
         )
+        # Of such a term the data show no effect: its value is zero, or the test does not excite it.
+        absent = [name for name in beyond if ZERO < alone[name] < math.inf]
+        if absent:
+            texts.append(f"{some(absent)} may be zero, even if all others were known")
 
     if texts:
-        well = len(fit.free) - len({*at_bound, *judged.beyond})
+        well = len(fit.free) - len({*at_bound, *beyond})
         return (
             # Insensitivity is the error if all others were known: it limits no use of an estimate
             # whose error, which is larger, is within the guideline.
-            not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),
+            not at_bound and all(error <= ERROR_GUIDELINE for error in errors.values()),
             f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
             f"determined; {'; '.join(texts)}. To determine more, fix a parameter or add data.",
         )
 
-    # NaN belongs to parameters at a bound, which were named above.
-    worst = int(np.nanargmax(judged.error))
-    most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
-
-    return True, f"The free parameters are well determined, with standard errors of at most {most}."
+    worst = max(errors, key=errors.__getitem__, default="")
+    most = f" of at most {percent(errors[worst])} % ({worst})" if worst else ""
+    return True, f"The free parameters are well determined, with standard errors{most}."

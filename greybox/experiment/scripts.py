@@ -3,10 +3,12 @@
 import math
 from pathlib import Path
 
+from greybox.data.record import Record
 from greybox.experiment.excitation import DWELL, Excitation
 from greybox.files.arrays import Labels
 from greybox.files.delimited_text import write_delimited
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
+from greybox.logs.named_columns import BETWEEN
 from greybox.modeling.model import require_known
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
@@ -14,13 +16,18 @@ AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first t
 FLOWN_AXES: Labels = SYSTEMID_AXES[:13]
 
 
-def write_excitation(excitation: Excitation, path: str | Path) -> None:
-    """Write time in s and the signals to a CSV file, atomically."""
-    columns = {
-        f"{name} [{unit}]" if (unit := excitation.units.get(name)) else name: values
-        for name, values in excitation.signals.items()
-    }
-    write_delimited(Path(path), {}, {"time_s": excitation.time, **columns})
+def write_excitation(excitation: Record, path: str | Path) -> None:
+    """Write a test signal, or another record, to a CSV file, atomically.
+
+    The header has the units, and where they are known the holds, as `gb.read` reads them:
+    ``time [s], u [rad held]``.
+    """
+    columns = {"time [s]": excitation.time} if excitation.has_time else {}
+    for name, values in excitation.signals.items():
+        holds = [word for word, hold in BETWEEN.items() if excitation.hold.get(name) == hold]
+        unit = " ".join([excitation.units.get(name, ""), *holds]).strip()
+        columns[f"{name} [{unit}]" if unit else name] = values
+    write_delimited(Path(path), {}, columns)
 
 
 def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:

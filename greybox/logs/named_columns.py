@@ -37,7 +37,8 @@ def renamed(
         except ValueError as error:
             sentence = str(error)
             joint = " " if sentence.startswith("has ") else f": {text}: "
-            raise ValueError(f"{source}{joint}{sentence.rstrip('.')}.") from None
+            stop = "" if sentence.endswith((".", "?")) else "."
+            raise ValueError(f"{source}{joint}{sentence}{stop}") from None
 
     # The others stay under their own names, which may be those of the model.
     unnamed = [name for name in own if name not in (*own_names, *own_names.values())]

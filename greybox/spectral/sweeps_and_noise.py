@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.intersample import HOLD, response_of_hold
+from greybox.data.intersample import HOLD, SPACING, response_of_hold
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray, Interval, Labels, NamedStrings
 from greybox.spectral.estimated_points import HZ, measured_in, response_at, without_incoherent
@@ -118,6 +119,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         estimated = points_at(lines, grid)
 
     response = response_at(estimated, (input, output, name), stretches)
+    response = replace(response, about={**response.about, SPACING: f"{lines.spacing:.6g}"})
     return response if omega is not None else without_incoherent(response)
 
 

@@ -359,3 +359,35 @@ def test_what_the_criterion_does_not_use_is_mentioned(criterion, columns, said, 
     assert [text[: len(said)] for text in found] == ([said] if said else [])
     gb.save(fit, tmp_path / "fit.h5")
     assert gb.load(tmp_path / "fit.h5").notes == fit.notes
+
+
+class Flexible(gb.StateSpace):
+    """A lag with a flexible mode."""
+
+    states, inputs, outputs = ("p", "x", "v"), ("u",), ("p",)
+    L = gb.Parameter(2.0, bounds=(0.5, 10))
+    omega = gb.Parameter(9.0, bounds=(5, 20))
+    zeta = gb.Parameter(0.02, bounds=(0.001, 0.2))
+
+    def derivative(self, x, u, p):
+        mode = p.omega**2 * (0.02 * u.u - x.x) - 2 * p.zeta * p.omega * x.v
+        return p.L * (u.u - x.p), x.v, mode
+
+    def output(self, x, u, p):
+        return (x.p + x.v,)
+
+
+# The mode is 2 ζ ω = 0.36 rad/s wide; at 15.5 rad/s it lies outside the band.
+@pytest.mark.parametrize(
+    ("seconds", "omega", "is_named"), [(60, 9.0, True), (100, 9.0, False), (60, 15.5, False)]
+)
+def test_a_mode_that_is_too_narrow_for_the_spectra_is_named(seconds, omega, is_named):
+    truth = {"L": 3.0, "omega": omega, "zeta": 0.18 / omega}
+    exact = gb.frequency_response(Flexible(), truth, np.geomspace(1, 15, 40))
+    noise = np.random.default_rng(0).standard_normal((2, 40)).T @ (0.01, 0.01j)
+    spacing = {"spacing of the spectral lines, rad/s": f"{2 * np.pi / seconds}"}
+    measured = gb.FrequencyResponse(exact.omega, exact.response * (1 + noise), about=spacing)
+    fit = gb.fit(gb.Problem(Flexible(), measured), starts=5, progress=False, profiles=False)
+    named = [text for text in fit.warnings if "spectral lines wide" in text]
+    assert len(named) == is_named
+    assert not named or f"the mode at {fit.estimate['omega']:.3g} rad/s is 3." in named[0]

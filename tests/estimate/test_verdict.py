@@ -68,12 +68,19 @@ def test_a_failed_fit_has_no_estimate(fit):
     assert judged.sentences[0].startswith("There is no estimate: no start converged")
 
 
+def determined(beyond=(), names="abc", error=(0.05, np.nan, 0.012), alone=0.1):
+    return SimpleNamespace(
+        beyond=tuple(beyond),
+        names=tuple(names),
+        error=np.broadcast_to(error, len(names)),
+        insensitivity=np.full(len(names), alone),
+    )
+
+
 def told(**parts):
     """What is said of a fit that holds no more than this."""
-    directions = SimpleNamespace(
-        beyond=(), error=np.array([0.05, np.nan, 0.012]), names=("a", "b", "c")
-    )
     given = {
+        "parts": (),
         "misfit": None,
         "responses": (),
         "records": (),
@@ -88,7 +95,7 @@ def told(**parts):
         "agreeing": 3,
         "minima": [None],
     }
-    return verdict(SimpleNamespace(**(given | {"identifiability": directions} | parts)))
+    return verdict(SimpleNamespace(**(given | {"identifiability": determined()} | parts)))
 
 
 @pytest.mark.parametrize(
@@ -140,7 +147,7 @@ def quantity(name, at_bound):
         ),
         (
             {
-                "identifiability": SimpleNamespace(beyond=("c",), error=np.array([0.3])),
+                "identifiability": determined("c", "c", 0.3),
                 "quantities": (quantity("a", True),),
             },
             "Of 3 free parameters, 1 is well determined; a ended at a bound; c exceeded the guidelines (20 % error, "
@@ -149,11 +156,17 @@ def quantity(name, at_bound):
         ),
         (
             {
-                "identifiability": SimpleNamespace(beyond=tuple("abcd"), error=np.full(6, 0.3)),
+                "identifiability": determined("abcd", "abcdef", 0.3),
                 "free": tuple("abcdef"),
             },
             "Of 6 free parameters, 2 are well determined; a, b, c and d exceeded the guidelines (20 % error, 10 % "
             "insensitivity). To determine more, fix a parameter or add data.",
+            False,
+        ),
+        (
+            {"identifiability": determined("c", error=(0.1, 0.1, 3.0), alone=0.6)},
+            "Of 3 free parameters, 2 are well determined; c exceeded the guidelines (20 % error, 10 % insensitivity); c "
+            "may be zero, even if all others were known. To determine more, fix a parameter or add data.",
             False,
         ),
     ],
@@ -180,7 +193,7 @@ def test_a_warning_leaves_a_fit_in_doubt():
 
 def test_grades_differ_by_what_is_wrong():
     # An insensitivity beyond its guideline alone leaves a fit good.
-    insensitive = SimpleNamespace(beyond=("b",), error=np.full(3, 0.1))
+    insensitive = determined("b", error=0.1)
     assert told(identifiability=insensitive).grade == "good"
     for explains, is_large, grade in ((0, 1, "poor"), (0, 0, "doubt"), (1, 0, "good")):
         misfit = SimpleNamespace(
@@ -209,3 +222,36 @@ def test_a_model_is_poor_where_it_leaves_far_more_than_noise(lag_s, grade):
     data = gb.FrequencyResponse(s.imag, measured).with_independent_errors()
     fit = gb.fit(gb.Problem(OneLag(), data), starts=5, profiles=False)
     assert verdict(fit).grade == grade
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.3])
+def test_a_bias_near_zero_is_as_well_known_as_another(bias):
+    time = np.arange(0, 10, 0.05)
+    data = gb.Record(
+        time,
+        {
+            "u": np.sign(np.sin(1.5 * time)),
+            "x": bias + 0.02 * np.random.default_rng(2).standard_normal(time.size),
+        },
+    )
+    flown = gb.simulate(Lagging(), {"K": 1.0, "a": 2.0}, record=data, initial={"x": 0.0})
+    data = data.with_signals(x=data["x"] + flown["x"])
+    fit = gb.fit(
+        gb.Problem(Lagging(), data, gb.OutputError(biases=("x",))), starts=3, progress=False
+    )
+    assert abs(fit.estimate["x_bias"] - bias) < 0.01
+    assert verdict(fit).grade == "good"
+
+
+class Lagging(gb.StateSpace):
+    """A lag in time."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    K = gb.Parameter(1.0, bounds=(0.1, 10))
+    a = gb.Parameter(1.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return (p.a * (p.K * u.u - x.x),)
+
+    def output(self, x, u, p):
+        return (x.x,)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.experiment.excitation import sine_schedule, sweep
+import greybox as gb
+from greybox.experiment.excitation import multisine, sine_schedule, sweep
 from greybox.experiment.scripts import ardupilot_script, systemid_parameters, write_excitation
 
 HZ = 2 * math.pi
@@ -47,9 +48,22 @@ def test_csv_comes_back_exactly(tmp_path):
     write_excitation(made, tmp_path / "sweep.csv")
     with (tmp_path / "sweep.csv").open() as file:
         header, *rows = csv.reader(file)
-    assert header == ["time_s", "u [rad/s]"]
+    assert header == ["time [s]", "u [rad/s]"]
     np.testing.assert_array_equal(np.array(rows, float).T, [made.time, made["u"]])
     assert [path.name for path in tmp_path.iterdir()] == ["sweep.csv"]
+
+
+def test_units_and_holds_come_back(tmp_path):
+    made = multisine(1, 20, 10, 50, signals=("u", "v", "w"), unit="N")
+    hold = {"u": math.inf, "v": 0.0}
+    write_excitation(replace(made, hold=hold), tmp_path / "three.csv")
+    [record] = gb.read(tmp_path / "three.csv").values()
+    assert record.hold == hold
+    assert record.units == made.units
+    rows = gb.Record(None, {"v": np.ones(3)})
+    write_excitation(rows, tmp_path / "rows.csv")
+    [record] = gb.read(tmp_path / "rows.csv").values()
+    assert not record.has_time
 
 
 STAND_IN = """

@@ -49,7 +49,11 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
     response = found.response
     assert 1.9 < response.omega[0] < response.omega[-1] < 12.1
     assert np.abs(response.response / truth(response.omega) - 1).max() < 0.02
-    assert response.about == {
+    about = dict(response.about)
+    assert float(about.pop("spacing of the spectral lines, rad/s")) == pytest.approx(
+        2 * np.pi / 60, 1e-5
+    )
+    assert about == {
         "log": "made.bin",
         "log sha256": "0123",
         "signals": "u = IN.u, y = OUT.y",

@@ -35,6 +35,18 @@ def test_names_may_be_replaced(tmp_path):
     assert record.rate == pytest.approx(100)
 
 
+def test_a_heading_is_found_as_it_is_written(tmp_path):
+    path = tmp_path / "dive.csv"
+    np.savetxt(
+        path, TABLE, delimiter=",", header="Time (ms),Thruster (rpm),u DVL (m/s)", comments=""
+    )
+    columns = {"n": "Thruster (rpm)", "u": "u DVL [m/s]"}
+    record = gb.read(path, columns=columns)["dive"]
+    assert dict(record.units) == {"n": "rad/s", "u": "m/s"}
+    with pytest.raises(ValueError, match=r"did you mean 'Thruster \[rpm\]'\?$"):
+        gb.read(path, columns={"n": "Thrster [rpm]"})
+
+
 def test_a_first_column_remains_the_clock_when_others_get_names(tmp_path):
     path = tmp_path / "flight.csv"
     np.savetxt(path, TABLE, delimiter=",", header="Zeit [ms],stick,angle", comments="")

@@ -1,13 +1,12 @@
 """Profiles show the numbers that they hold."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from drawn_lines import named
 from matplotlib.figure import Figure
 
 import greybox as gb
+from greybox.estimate.profile_result import ProfileOf
 from greybox.plotting.profile import profile_figures
 
 VALUES = np.array([0.7, 1.0, 1.4])
@@ -21,15 +20,23 @@ def profile(**given):
         "standard_error": 0.15,
         "unit": "s",
         "name": "T",
+        "values": VALUES,
+        "costs": VALUES,
+        "roots": np.array([-2.5, 0.0, 2.6]),
+        "others": VALUES[:, None],
+        "ends": ("crossed", "flat"),
+        "bounds": (0.0, np.inf),
     }
-    return SimpleNamespace(values=VALUES, roots=np.array([-2.5, 0.0, 2.6]), **known | given)
+    return ProfileOf(**known | given)
+
+
+def profiles_of(*profiles, limit):
+    return gb.Profiles("lag", 0.95, limit, ("T",), profiles)
 
 
 def test_a_profile_has_its_limit_its_interval_and_the_cone_of_the_standard_error():
     profiles = [profile(), profile(name="K", unit="", standard_error=np.nan)]
-    first, second = profile_figures(
-        SimpleNamespace(profiles=profiles, limit={"T": 2.0, "K": 3.0}, level=0.95)
-    )
+    first, second = profile_figures(profiles_of(*profiles, limit={"T": 2.0, "K": 3.0}))
     (panel,) = first.panels
     curve, points = named(panel, "profile", "line"), named(panel, "", "points")
     assert points.y == pytest.approx([2.5, 0.0, 2.6])
@@ -50,7 +57,7 @@ def test_a_profile_has_its_limit_its_interval_and_the_cone_of_the_standard_error
 
 
 def test_profiles_stand_in_a_grid_or_in_axes_of_a_user():
-    four = SimpleNamespace(profiles=[profile() for _ in range(4)], limit={"T": 2.0}, level=0.95)
+    four = profiles_of(*(profile() for _ in range(4)), limit={"T": 2.0})
     axes = gb.plotting.profiles(four)
     assert len(axes[0].figure.axes) == len(axes) == 4  # of a grid of six
     assert axes[0].get_xlim() == (0.7, 1.4)

@@ -272,7 +272,7 @@ def test_dropped_points_are_told():
         " points, with a coherence below 0.6, or too uncertain at an end, at "
         in got.about["dropped"]
     )
-    assert spectral_response(record(u=u, theta=lfilter(b, a, u))).about == {}
+    assert "dropped" not in spectral_response(record(u=u, theta=lfilter(b, a, u))).about
 
 
 def test_the_grid_reaches_from_six_periods_of_the_record_to_four_tenths_of_the_sampling_rate():

@@ -30,6 +30,7 @@ from greybox.estimate.diagnostics.noise_level import (
     correlated_frequencies,
     gusts,
     manoeuvre_warnings,
+    narrow_modes,
     unlikely_noise,
 )
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
@@ -88,7 +89,7 @@ def warnings(
         *discretization_warnings(nlp, trajectories, error),
         *(() if explained else (UNEXPLAINED,)),
         *record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy),
-        *gusts(nlp, trajectories, accuracy, noisy=noisy),
+        *gusts(nlp, trajectories, accuracy, noisy=noisy, explained=explained),
         *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),
@@ -103,6 +104,7 @@ def warnings(
         *coarse_pade(answer.responses),
         *delays_within_a_sample(nlp, answer),
         *unlikely_noise(nlp, trajectories),
+        *once(narrow_modes(answer)),
         *manoeuvre_warnings(accuracy),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
