@@ -254,7 +254,6 @@ def regression_of_response(
     part: ResponsePart, part_name: str, values: Array, names: Labels, moves: BoolArray
 ) -> Regression:
     """Return the regression of a response at all `values`; of the free ones some are fitted."""
-    free, places = moves.size, np.flatnonzero(moves)
     response, criterion, data = part.response(values), part.criterion, part.data
     # Where the modeled response is zero, all of the measured one is misfit.
     size = criterion.error_size(response if response.any() else data.response, data)
@@ -265,7 +264,7 @@ def regression_of_response(
         size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
     used = size > 0
     # A single outlier would look like a narrow mode.
-    worst = largest_deviation(part, values, free)
+    worst = largest_deviation(part, values, moves.size)
     if worst and len(used) * worst.probability < SIZE:
         used[worst.index] = False
     order = np.argsort(data.omega, kind="stable")
@@ -275,15 +274,6 @@ def regression_of_response(
         turned = columns[order] * np.exp(-1j * np.angle(response[order]))[:, None]
         return real_and_imaginary(turned / size[order, None])
 
-    def again(change: Array, factors: ComplexArray) -> Array:
-        x = values.copy()
-        x[places] += change
-        model, slopes = part.response(x), part.sensitivity(x)[:, places]
-        by_term = model * (factors[1:] - factors[0]) / STEP
-        columns = -np.vstack([slopes.T * factors[0], by_term])
-        return rows(np.column_stack([data.response - model * factors[0], *columns]))
-
-    relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = part.problem.model.state_names, part.problem.amplitude
     orders = [("own", part_name, 1.0)]
     orders += [
@@ -292,7 +282,6 @@ def regression_of_response(
     ]
     if sine is not None:
         orders += [("amplitude", sine.signal, sine.amplitude)]
-    own = _own_terms(relative, names, moves, orders)
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     path = Cause(
         f"a response of {data.output or 'the output'} to {data.input or 'the input'}",
@@ -303,17 +292,18 @@ def regression_of_response(
         0.0,
         0.0,
     )
-    measured, left = rows(data.response[:, None]), rows((data.response - response)[:, None])
-    return Regression(
-        measured,
-        left,
-        rows(-part.sensitivity(values)[:, places]),
-        _numbered([*terms_of_response(*data.omega.tolist()), *own]) if order.size else {},
-        lambda terms: rows(np.column_stack([response * term.values for term in terms])),
-        again if order.size else None,
-        causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),
-        level=OF_RESPONSES,
+    regression = _of_curve(
+        lambda x: (part.response(x), part.sensitivity(x)),
+        data.response,
+        rows,
+        values,
+        names,
+        moves,
+        terms=terms_of_response(*data.omega.tolist()),
+        orders=orders,
     )
+    left, whole = (np.sum(each**2) for each in (regression.residuals, regression.measured))
+    return replace(regression, causes=() if left < whole / 2 else (path,), level=OF_RESPONSES)
 
 
 def regression_of_manoeuvre(
@@ -328,75 +318,88 @@ def regression_of_manoeuvre(
 
     Its integrals at the lines of all outputs follow one another, as those of a response.
     """
-    places, located = np.flatnonzero(moves), part.located(names)
+    located, outputs = part.located(names), len(part.outputs)
     fitted: Along = trajectory.detail
     # What a model leaves out is smooth along the lines only beside the phase of the modeled output.
     turned = np.exp(-1j * np.angle(fitted.modeled))[..., None]
 
-    def rows(columns: ComplexArray, at: Along = fitted) -> Array:
+    def rows(columns: ComplexArray) -> Array:
         columns = columns.reshape(*turned.shape[:2], -1)
-        weighted = np.einsum("ka,lab,blc->klc", fitted.weight, at.transform, columns)
+        weighted = np.einsum("ka,lab,blc->klc", fitted.weight, fitted.transform, columns)
         return real_and_imaginary(weighted * turned, 1).reshape(-1, columns.shape[2])
 
-    def modeled(x: Array, at: Along) -> tuple[ComplexArray, ComplexArray]:
-        """Return the modeled integrals (n,) at all values x (k,), and their derivatives (n, k)."""
-        slopes = part.modeled_slopes(at, located(x)[1].full())
-        return at.modeled.ravel(), slopes.reshape(-1, len(x))
+    def curve(x: Array) -> tuple[ComplexArray, ComplexArray]:
+        parameters, slopes = located(x)
+        at = part.along(parameters.full().ravel())
+        if at is None:
+            raise np.linalg.LinAlgError
+        return at.modeled.ravel(), part.modeled_slopes(at, slopes.full()).reshape(-1, len(x))
+
+    omega = np.tile(part.data.omega, outputs)
+    # In turbulence, lines are larger here and there, which looks like a mode or a step.
+    terms = [term for term in terms_of_response(*omega.tolist()) if term.kind in SMOOTH]
+    if len(part.inputs) > 1:
+        by_delays = (fitted.by_delays / fitted.modeled[:, None]).swapaxes(0, 1)
+        rows_of_inputs = by_delays.reshape(len(part.inputs), -1)
+        terms += [
+            Term("timing", row, a=a) for a, row in zip(part.inputs, rows_of_inputs, strict=True)
+        ]
+    if outputs > 1:
+        late = np.repeat(np.eye(outputs), len(part.data), 1) * -1j * omega
+        terms += [Term("sensor", row, b=b) for b, row in zip(part.outputs, late, strict=True)]
+    orders = [("own", part_name, 1.0)]
+    regression = _of_curve(curve, part.measured.ravel(), rows, values, names, moves, terms, orders)
+    # The drift of an output leaves what a straight line would.
+    lines = np.einsum("kc,l->klc", np.eye(outputs), 1 / (1j * part.data.omega))
+    ends = fitted.to_outputs[:, :, : len(part.states)].swapaxes(0, 1)
+    return replace(regression, known=rows(np.concatenate([ends, lines], 2)), pieces=2 * outputs)
+
+
+def _of_curve(
+    curve: Callable[[Array], tuple[ComplexArray, ComplexArray]],
+    measured: ComplexArray,
+    rows: Callable[[ComplexArray], Array],
+    values: Array,
+    names: Labels,
+    moves: BoolArray,
+    *,
+    terms: Iterable[Term],
+    orders: Sequence[tuple[str, str, Any]],
+) -> Regression:
+    """Return the regression of a measured curve (n,) over frequency, which has `terms` to try.
+
+    The function `curve` returns the modeled one at all values x (k,), with its derivatives (n, k);
+    `rows` returns real rows of columns (n, c), in which errors are alike. Values may depend on what
+    `orders` lists, as kinds of terms with a name and the number that grows.
+    """
+    places = np.flatnonzero(moves)
+    model, slopes = curve(values)
 
     def again(change: Array, factors: ComplexArray) -> Array:
         x = values.copy()
         x[places] += change
-        at = part.along(located(x)[0].full().ravel())
-        if at is None:
-            raise np.linalg.LinAlgError
-        model, slopes = modeled(x, at)
+        model, slopes = curve(x)
         by_term = model * (factors[1:] - factors[0]) / STEP
         columns = -np.vstack([slopes[:, places].T * factors[0], by_term])
-        return rows(np.column_stack([part.measured.ravel() - model * factors[0], *columns]), at)
+        return rows(np.column_stack([measured - model * factors[0], *columns]))
 
-    model, slopes = modeled(values, fitted)
-    unit = model[:, None] + TINY
-    # The drift of an output leaves what a straight line would.
-    lines = np.einsum("kc,l->klc", np.eye(len(part.outputs)), 1 / (1j * part.data.omega))
-    ends = fitted.to_outputs[:, :, : len(part.states)].swapaxes(0, 1)
-    omega = np.tile(part.data.omega, len(part.outputs))
-    # In turbulence, lines are larger here and there, which looks like a mode or a step.
-    terms = [term for term in terms_of_response(*omega.tolist()) if term.kind in SMOOTH]
-    if len(part.inputs) > 1:
-        by_delays = fitted.by_delays.swapaxes(1, 2).reshape(len(model), -1) / unit
-        terms += [Term("timing", row, a=a) for a, row in zip(part.inputs, by_delays.T, strict=True)]
-    if len(part.outputs) > 1:
-        late = np.repeat(np.eye(len(part.outputs)), len(part.data), 1) * -1j * omega
-        terms += [Term("sensor", row, b=b) for b, row in zip(part.outputs, late, strict=True)]
-    own = _own_terms(slopes / unit, names, moves, [("own", part_name, 1.0)])
-    return Regression(
-        rows(part.measured),
-        rows(part.measured - fitted.modeled),
-        rows(-slopes[:, places]),
-        _numbered([*terms, *own]),
-        lambda terms: rows(np.column_stack([model * term.values for term in terms])),
-        again,
-        known=rows(np.concatenate([ends, lines], 2)),
-        pieces=2 * len(part.outputs),
-    )
-
-
-def _own_terms(
-    relative: ComplexArray,
-    names: Labels,
-    moves: BoolArray,
-    orders: Sequence[tuple[str, str, Any]],
-) -> list[Term]:
-    """Return the terms of values that a part needs, from derivatives (n, k) of a curve over it."""
-    return [
+    relative = slopes / np.where(model == 0, np.inf, model)[:, None]
+    own = [
         Term(kind, column * value, a=name, b=b)
         for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
         for kind, b, value in (
-            orders
-            if k < moves.size and moves[k]
-            else [("bound" if k < moves.size else "fixed", "", 1.0)]
+            orders if k in places else [("bound" if k < moves.size else "fixed", "", 1.0)]
         )
     ]
+    residuals = rows((measured - model)[:, None])
+    return Regression(
+        rows(measured[:, None]),
+        residuals,
+        rows(-slopes[:, places]),
+        _numbered([*terms, *own]) if residuals.size else {},
+        lambda terms: rows(np.column_stack([model * term.values for term in terms])),
+        again if residuals.size else None,
+    )
 
 
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
