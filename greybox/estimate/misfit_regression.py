@@ -348,7 +348,9 @@ def regression_of_manoeuvre(
         late = np.repeat(np.eye(outputs), len(part.data), 1) * -1j * omega
         terms += [Term("sensor", row, b=b) for b, row in zip(part.outputs, late, strict=True)]
     orders = [("own", part_name, 1.0)]
-    regression = _of_curve(curve, part.measured.ravel(), rows, values, names, moves, terms, orders)
+    regression = _of_curve(
+        curve, part.measured.ravel(), rows, values, names, moves, terms=terms, orders=orders
+    )
     # The drift of an output leaves what a straight line would.
     lines = np.einsum("kc,l->klc", np.eye(outputs), 1 / (1j * part.data.omega))
     ends = fitted.to_outputs[:, :, : len(part.states)].swapaxes(0, 1)
