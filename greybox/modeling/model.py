@@ -298,8 +298,12 @@ def merged_parameters(owners: Iterable[Any]) -> dict[str, Parameter]:
 
 def equation(model: Model | type[Model]) -> str:
     """Return the docstring of a model: its equation and source."""
-    owner = model if isinstance(model, type) else type(model)
-    return inspect.cleandoc(owner.__doc__ or "")
+    return inspect.cleandoc(class_of(model).__doc__ or "")
+
+
+def class_of(model: Model | type[Model]) -> type[Model]:
+    """Return the class of a model, or the class itself."""
+    return model if isinstance(model, type) else type(model)
 
 
 def _intersect(name: str, what: str, a: Interval, b: Interval) -> Interval:
