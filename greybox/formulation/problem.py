@@ -426,7 +426,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
         outside = {name: self.outside(name) for name in self.declared}
         of_model = {name: p for name, p in self._stated.items() if name in self.model.parameters}
-        return tuple(normal_priors(of_model, self.tied, self.prior, outside))
+        return tuple(normal_priors(of_model, self.prior, outside))
 
     @property
     def response(self) -> FrequencyResponse:
