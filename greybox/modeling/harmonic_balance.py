@@ -444,8 +444,6 @@ def _mean_conditions(*slopes: Array) -> list[int] | None:
     rank = np.linalg.matrix_rank(rows, 1e-9)
     chosen: list[int] = []
     for k, condition in enumerate(conditions):
-        if rank == rows.shape[1]:
-            break
         further = np.vstack([closed, condition])
         # Smaller singular values are rounding alone.
         further_rank = np.linalg.matrix_rank(further, 1e-9)
