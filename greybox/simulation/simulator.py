@@ -187,7 +187,7 @@ class Simulator:
         w, length = windows.rows.shape
         # Rows have no states, but a noise, to which all of their errors belong.
         lead = windows.lead or length
-        data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
+        data = sample_data(windows, model.system.inputs, model.delays)
         k = len(self._outputs)
         _, values, present, _ = np.split(data, [-1 - 2 * k, -1 - k, -1])
         measured = np.moveaxis(np.where(present, values, np.nan), 0, -1)
