@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, NamedStrings, Strings, frozen
+from greybox.files.arrays import Array, NamedStrings, Strings, by_name, frozen
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
@@ -50,10 +50,7 @@ class NormalPrior:
     def stated(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation by name."""
         sigma = np.sqrt(np.diag(self.covariance))
-        return {
-            name: (float(m), float(s))
-            for name, m, s in zip(self.names, self.mean, sigma, strict=True)
-        }
+        return by_name(self.names, zip(self.mean.tolist(), sigma.tolist(), strict=True))
 
 
 def normal_priors(
