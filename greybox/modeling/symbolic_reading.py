@@ -58,8 +58,8 @@ def input_symbols(function: ca.Function) -> list[Any]:
 def split(model: StateSpace, z: Any) -> tuple[Names, Names]:
     """Name the states and the inputs in the stacked vector `z`."""
     n = len(model.states)
-    x = Names(entries_by_name(model.states, z[:n]), f"{model.label}.states")
-    u = Names(entries_by_name(model.inputs, z[n:]), f"{model.label}.inputs")
+    x = Names({name: z[k] for k, name in enumerate(model.states)}, f"{model.label}.states")
+    u = Names({name: z[n + k] for k, name in enumerate(model.inputs)}, f"{model.label}.inputs")
     return x, u
 
 
