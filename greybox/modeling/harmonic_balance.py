@@ -260,7 +260,7 @@ def _equations(
     moving = {*range(n), driven} - {held}
     unknown, per_amplitude = _all_coefficients(len(names), columns, moving, held)
 
-    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(columns // 2)
+    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(harmonics)
     series = amplitude * per_amplitude + point @ constant
     switches = has_switches(formulas)
     sizes = _rms(series @ by_phase)

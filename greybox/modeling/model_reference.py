@@ -23,8 +23,8 @@ class UnknownModelError(LookupError):
         The message without the cure, which differs on the command line.
     """
 
-    def __init__(self, missing: str, cure: str) -> None:
-        super().__init__(f"{missing}: {cure}.")
+    def __init__(self, missing: str) -> None:
+        super().__init__(f"{missing}: give its class or file, gb.load(path, models=[...]).")
         self.missing = missing
 
 
@@ -50,14 +50,13 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         If it is neither, or does not take the stored arguments.
     """
     module_name, _, class_name = stored["class"].partition(":")
-    name = f"{printable(class_name)} of the module {module_name!r}"
-    missing = f"the model {name} is needed and was not found"
-    cure = "give its class or file, gb.load(path, models=[...])"
+    missing = (
+        f"the model {printable(class_name)} of the module {module_name!r} is needed and was not "
+        "found"
+    )
     model = _given(module_name, class_name, given) or included_model(module_name, class_name)
     if model is None:
-        raise UnknownModelError(
-            f"{missing} among those that greybox includes or that were given", cure
-        )
+        raise UnknownModelError(f"{missing} among those that greybox includes or that were given")
 
     if isinstance(model, Model):
         return model
