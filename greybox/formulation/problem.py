@@ -362,8 +362,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
             raise TypeError(f"constraints is {self.constraints!r:.60}: give a list of functions.")
         label = self.model.label
-        functions: dict[str, ParameterFormula]
-        functions = {f"tied[{name!r}]": itemgetter(name) for name in self.tied}
+        functions: dict[str, ParameterFormula] = {
+            f"tied[{name!r}]": itemgetter(name) for name in self.tied
+        }
         functions |= {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
         functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
         parameters = self.parameters

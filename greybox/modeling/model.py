@@ -292,7 +292,7 @@ def merged_parameters(owners: Iterable[Any]) -> dict[str, Parameter]:
     result: dict[str, Parameter] = {}
     for owner in owners:
         for name, parameter in owner.parameters.items():
-            result[name] = merge(name, result.get(name, parameter), parameter)
+            result[name] = merge(name, result.setdefault(name, parameter), parameter)
     return result
 
 

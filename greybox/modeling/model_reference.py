@@ -95,8 +95,8 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
     included = {f"greybox.models.{item.name}" for item in pkgutil.iter_modules(package.__path__)}
     if module_name in included:
         models += models_of(importlib.import_module(module_name))
-    wanted = module_name, class_name
-    return next((m for m in models if (m.__module__, m.__qualname__) == wanted), None)
+    place = module_name, class_name
+    return next((m for m in models if (m.__module__, m.__qualname__) == place), None)
 
 
 def source_text(function: Callable[..., Any]) -> str:

@@ -174,7 +174,7 @@ class Simulator:
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
             by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
         error, unknown = _standard_errors(by_value[0], variance[0], model)
-        errors = {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
+        errors = by_name([name + ERROR for name in self._outputs], error.T)
         return signals, errors, unknown
 
     def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
