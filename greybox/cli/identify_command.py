@@ -99,8 +99,11 @@ def run(options: argparse.Namespace) -> Answer:
         answer["error"] = selection.verdict
         return answer, *text
 
-    following = [["report", str(result)], ["profile", str(result)]]
-    following.append(["predict", str(result), "ANOTHER_LOG"])
+    following = [
+        ["report", str(result)],
+        ["profile", str(result)],
+        ["predict", str(result), "ANOTHER_LOG"],
+    ]
     # Only a log with parameters has the gains of the controllers.
     has_axis = axis_of(next(iter(identification.measurements[0].signals.values())))
     if has_axis and recordings[0].metadata.get("parameters"):

@@ -90,7 +90,6 @@ def run(options: argparse.Namespace) -> Answer:
     is_single = is_fit and len(fits) == 1
     log = flight_log(first, options.results[0], options) if is_single else None
     if log:
-        refuse_controllers(options)
         flown = shipped_module("models", "firmware").loop_of_log(
             log,
             *fits.values(),
@@ -139,16 +138,6 @@ def _fits(options: argparse.Namespace) -> Fields:
         else:
             fits[str(path)] = saved_fit(path, options)
     return fits
-
-
-def refuse_controllers(options: argparse.Namespace) -> None:
-    """Refuse options that state a controller together with a log, which has the one that flew."""
-    for name in ("controller", "set", "rate"):
-        if getattr(options, name):
-            raise UsageError(
-                f"--{name} states a controller, and --log has the one that flew: leave out one of "
-                "them."
-            )
 
 
 def stated_controllers(options: argparse.Namespace) -> list[Controller]:

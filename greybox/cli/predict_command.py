@@ -70,13 +70,14 @@ def _signals_of(fit: Fit) -> dict[str, str]:
     if fit.records:
         return {name: name for name in fit.records[0].data.signals}
     # `greybox response` notes in the file which signals of the log it has used.
-    texts = [part.data.about.get("signals", "") for part in fit.responses]
-    pairs = dict(pair.split(" = ") for pair in texts[0].split(", ")) if texts and texts[0] else {}
-    model = fit.model_of(0) if pairs else None
-    names = (*model.input_names, *model.output_names) if model else ()
-    if not set(names) <= set(pairs) or not names:
-        raise UsageError(f"{fit.name} has no signals of its log: give --signals NAME=SIGNAL ...")
-    return {name: pairs[name] for name in names}
+    noted = fit.responses[0].data.about.get("signals") if fit.responses else None
+    if noted:
+        pairs = dict(pair.split(" = ") for pair in noted.split(", "))
+        model = fit.model_of(0)
+        names = (*model.input_names, *model.output_names)
+        if set(names) <= set(pairs):
+            return {name: pairs[name] for name in names}
+    raise UsageError(f"{fit.name} has no signals of its log: give --signals NAME=SIGNAL ...")
 
 
 def _json(prediction: Prediction) -> dict[str, Any]:

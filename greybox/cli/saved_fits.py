@@ -9,6 +9,7 @@ from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.record import Recording
 from greybox.estimate.result import Fit
+from greybox.estimate.storage import load, save
 from greybox.files.safe_files import HDF5
 from greybox.logs.readers import read
 from greybox.study.catalog import find_problem
@@ -32,8 +33,6 @@ def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
     ValueError, OSError
         If the file is not a fit.
     """
-    from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
-
     return load(path, models=options.model)
 
 
@@ -42,9 +41,9 @@ def held_out_records(options: argparse.Namespace, first: Fit | Study) -> list[An
 
     All models must have the outputs that are compared.
     """
-    if not options.held_out and (options.columns or options.rate):
-        raise UsageError("--columns and --rate go with --held-out.")
     if not options.held_out:
+        if options.columns or options.rate:
+            raise UsageError("--columns and --rate go with --held-out.")
         return []
     fit: Any = first if isinstance(first, Fit) else first.done[0].fit
     model = fit.model_of()
@@ -62,16 +61,22 @@ def flight_log(fit: Fit, path: Path, options: argparse.Namespace) -> Recording |
     Raises
     ------
     UsageError
-        If the log beside the fit is not the one of the fit.
+        If the log beside the fit is not the one of the fit, or if a controller is stated as well.
     """
     about = getattr(fit.parts[0].data, "about", {})
     # Only its name: a file from a stranger must not choose the folder.
     beside = path.parent / Path(about.get("log", "")).name
-    if options.log or options.controller or not beside.is_file():
-        return read(options.log) if options.log else None
-    log = read(beside)
-    if log.checksum != about.get("log sha256"):
+    if not options.log and (options.controller or not beside.is_file()):
+        return None
+    log = read(options.log or beside)
+    if not options.log and log.checksum != about.get("log sha256"):
         raise UsageError(f"{beside} is not the log of {path}: give the right one with --log.")
+    for name in ("controller", "set", "rate"):
+        if getattr(options, name):
+            raise UsageError(
+                f"--{name} states a controller, and --log has the one that flew: leave out one of "
+                "them."
+            )
     return log
 
 
@@ -103,7 +108,5 @@ def save_fit(fit: Fit, path: Path | None) -> list[str]:
     """Save a fit and return a line that reports it; without a path, do nothing."""
     if path is None:
         return []
-    from greybox.estimate.storage import save  # noqa: PLC0415  (needs h5py)
-
     save(fit, path)
     return [f"saved {path}"]

@@ -2,11 +2,7 @@
 
 import argparse
 
-from greybox.cli.margins_command import (
-    CONTROLLER_OPTIONS,
-    refuse_controllers,
-    stated_controllers,
-)
+from greybox.cli.margins_command import CONTROLLER_OPTIONS, stated_controllers
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.experiment.gain_file import write_gains
@@ -68,7 +64,6 @@ def run(options: argparse.Namespace) -> Answer:
     )
     log = flight_log(fits[0], options.fits[0], options)
     if log:
-        refuse_controllers(options)
         safe = shipped_module("models", "firmware").safe_gains_of_log(
             fits,
             log,

@@ -2,8 +2,11 @@
 
 Fourth powers of the numbers, as in squares of sums of squares, must be finite. No physical quantity
 in any unit is outside this range, but damaged files have such numbers.
+
+Checksums of the arrays, by which equal data are recognized.
 """
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -102,6 +105,14 @@ def within_range(values: Array) -> Array:
     inside = np.where(outside, limit, values)
     inside.setflags(write=False)
     return inside
+
+
+def checksum_of(*items: str | NDArray) -> str:
+    """Return the SHA-256 of names and arrays, one after the other."""
+    digest = hashlib.sha256()
+    for item in items:
+        digest.update(item.encode() if isinstance(item, str) else item.tobytes())
+    return digest.hexdigest()
 
 
 def out_of_range(values: NDArray) -> BoolArray:

@@ -1,13 +1,18 @@
 """The measured frequency response of one input-output pair."""
 
-import hashlib
 import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.checked_array import checked_array, finite_array, require, require_size
+from greybox.data.checked_array import (
+    checked_array,
+    checksum_of,
+    finite_array,
+    require,
+    require_size,
+)
 from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
@@ -238,14 +243,11 @@ class FrequencyResponse(Printed):
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
         # Not the name, the source or the remarks: the same numbers are the same data.
-        digest = hashlib.sha256(f"{self.input}->{self.output}".encode())
-        for name in COLUMNS:
-            values = getattr(self, name)
-            # The mark keeps a variance and a coherence of the same numbers apart.
-            digest.update(b"-" if values is None else values.tobytes())
-        if self.common_errors is not None:
-            digest.update(self.common_errors.tobytes())
-        return digest.hexdigest()
+        columns = [getattr(self, name) for name in COLUMNS]
+        # The mark keeps a variance and a coherence of the same numbers apart.
+        marked = ["-" if values is None else values for values in columns]
+        common = [] if self.common_errors is None else [self.common_errors]
+        return checksum_of(f"{self.input}->{self.output}", *marked, *common)
 
     def where(self, selected: BoolArray | IntArray) -> "FrequencyResponse":
         """Return the points for which `selected` (n,) is true, or that have these places."""

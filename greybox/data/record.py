@@ -1,9 +1,9 @@
 """Measured time histories: one experiment on one time base, and all records of a log file."""
 
-import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
+from itertools import chain
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import (
     checked_array,
+    checksum_of,
     require,
     require_size,
     seconds_from_first,
@@ -154,7 +155,7 @@ class Record(Printed):
             if (printed := all_printable(name)) in signals
         }
         # A given checksum is that of the file: excerpts of one log are recognized by it.
-        checksum = self.checksum or _digest(time, signals)
+        checksum = self.checksum or checksum_of(time, *chain.from_iterable(signals.items()))
         findings = (*self.findings, *lost)
         vars(self).update(
             time=time, signals=signals, hold=hold, checksum=checksum, findings=findings
@@ -499,11 +500,3 @@ def _read_only(values: ArrayLike, name: str) -> Array:
         if is_frozen and not values.flags.writeable:
             return values
     return checked_array(name, values)
-
-
-def _digest(time: Array, signals: NamedArrays) -> str:
-    digest = hashlib.sha256(time.tobytes())
-    for name, values in signals.items():
-        digest.update(name.encode())
-        digest.update(values.tobytes())
-    return digest.hexdigest()

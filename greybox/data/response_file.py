@@ -84,11 +84,17 @@ def read_response(
     pair = {"output": output, "input": input} if output and {*PAIR} <= {*table.header} else {}
     values = table.numbers({role: column.place for role, column in places.items()}, pair)
     # The comments of a file describe its only response, not those of a matrix.
-    about = described({} if prefix else table.facts)
-    about["input"] = input or about["input"]
-    about["output"] = output or about["output"]
+    facts = {} if prefix else table.facts
     try:
-        return assembled(values, places, **about | {"name": name or path.stem, "source": path.name})
+        return assembled(
+            values,
+            places,
+            input=input or facts.get("input", ""),
+            output=output or facts.get("output", ""),
+            name=name or path.stem,
+            source=path.name,
+            **described(facts),
+        )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -188,7 +194,7 @@ def require_csv(path: Path) -> None:
 
 
 def described(facts: NamedStrings) -> Fields:
-    """Return input, output, units, remarks and stretches from the facts of a file."""
+    """Return units, remarks and stretches from the facts of a file."""
     units, about, stretches = {}, {}, []
     for key, text in facts.items():
         if key.startswith(UNIT):
@@ -201,10 +207,4 @@ def described(facts: NamedStrings) -> Fields:
         elif key not in NAMES:
             about[key] = text
 
-    return {
-        "input": facts.get("input", ""),
-        "output": facts.get("output", ""),
-        "units": units,
-        "about": about,
-        "stretches": tuple(stretches),
-    }
+    return {"units": units, "about": about, "stretches": tuple(stretches)}

@@ -1,13 +1,12 @@
 """Fourier integrals of inputs and outputs over one manoeuvre, not divided by one another."""
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import field
 from typing import ClassVar
 
 import numpy as np
 
-from greybox.data.checked_array import finite_array, require_size
+from greybox.data.checked_array import checksum_of, finite_array, require_size
 from greybox.data.frequency_response import Stretch
 from greybox.files.arrays import Array, ComplexArray, NamedStrings, Strings, Values, frozen
 from greybox.files.text_table import as_names, one_line, printable, write_out
@@ -120,11 +119,10 @@ class TransientSpectrum:
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
         # As for a response: the same numbers are the same data, whatever their name and source.
-        digest = hashlib.sha256(f"{', '.join(self.inputs)}->{', '.join(self.outputs)}".encode())
-        ends = [self.duration, self.step, *map(self.change, self.inputs)]
-        for values in (self.omega, *self.inputs.values(), *self.outputs.values(), np.array(ends)):
-            digest.update(values.tobytes())
-        return digest.hexdigest()
+        names = f"{', '.join(self.inputs)}->{', '.join(self.outputs)}"
+        ends = np.array([self.duration, self.step, *map(self.change, self.inputs)])
+        spectra = (*self.inputs.values(), *self.outputs.values())
+        return checksum_of(names, self.omega, *spectra, ends)
 
     def is_same_as(self, other: "TransientSpectrum") -> bool:
         """Return whether another spectrum has the same data."""

@@ -67,9 +67,9 @@ class Criterion(AnyCriterion):
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return the mismatch of the response `model` (n,) and `data`."""
 
-    def scale(self, model: ComplexArray, data: FrequencyResponse) -> ComplexArray:
-        """Return the divisor of the derivatives of the response (n,), by default the response."""
-        return model
+    def scale(self, model: ComplexArray, data: FrequencyResponse) -> Array:
+        """Return what the errors are divided by (n,): by default the model's magnitude."""
+        return np.abs(model)
 
     def jacobian(
         self,
@@ -82,7 +82,8 @@ class Criterion(AnyCriterion):
         `sensitivity` (n, p) are the derivatives of the response `model` (n,). The first n rows are
         along the response, the others across.
         """
-        return real_and_imaginary(sensitivity / self.scale(model, data)[:, None])
+        scale = self.scale(model, data) * np.exp(1j * np.angle(model))
+        return real_and_imaginary(sensitivity / scale[:, None])
 
     @abstractmethod
     def spread(
@@ -163,15 +164,11 @@ class _Relative(Criterion):
 
     def errors(self, model: Any, data: FrequencyResponse) -> Any:
         """Relative errors, (n,) complex, of numbers or of `Complex`."""
-        return (model - data.response) / self.magnitude(model, data)
+        return (model - data.response) / self.scale(model, data)
 
-    def magnitude(self, model: Any, data: FrequencyResponse) -> Any:
-        """Return what the errors are divided by, (n,)."""
+    def scale(self, model: Any, data: FrequencyResponse) -> Any:
+        """Return what the errors are divided by (n,), of numbers or of `Complex`."""
         return np.abs(data.response) if self.normalized == "measured" else abs(model)
-
-    def scale(self, model: ComplexArray, data: FrequencyResponse) -> ComplexArray:
-        """Return the magnitude that divides the errors, in the direction of the response."""
-        return self.magnitude(model, data) * np.exp(1j * np.angle(model))
 
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float
@@ -433,15 +430,15 @@ class MaximumLikelihood(Criterion):
         logarithm = np.log1p if isinstance(squares, np.ndarray) else ca.log1p
         return total((data.dof + 2) / 2 * logarithm(2 * squares / data.dof))
 
-    def scale(self, model: ComplexArray, data: FrequencyResponse) -> ComplexArray:
-        """Return the standard deviations of the errors, in the direction of the response.
+    def scale(self, model: ComplexArray, data: FrequencyResponse) -> Array:
+        """Return the standard deviations of the errors.
 
         Where they are estimates, large residuals count for less.
         """
         variance = _variance(data)
         if data.dof is not None:
             variance = variance * (1 + 2 * self._squares(model, data) / data.dof)
-        return np.sqrt(variance) * np.exp(1j * np.angle(model))
+        return np.sqrt(variance)
 
     def spread(
         self, model: ComplexArray, data: FrequencyResponse, correction: float

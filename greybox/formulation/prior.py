@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Named, NamedStrings, Strings, frozen
+from greybox.files.arrays import Array, NamedStrings, Strings, by_name, frozen
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
@@ -50,21 +50,18 @@ class NormalPrior:
     def stated(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation by name."""
         sigma = np.sqrt(np.diag(self.covariance))
-        return {
-            name: (float(m), float(s))
-            for name, m, s in zip(self.names, self.mean, sigma, strict=True)
-        }
+        return by_name(self.names, zip(self.mean.tolist(), sigma.tolist(), strict=True))
 
 
 def normal_priors(
     declared: Parameters,
-    tied: Named,
     prior: Any,
     outside: NamedStrings,
 ) -> list[NormalPrior]:
     """Return the priors of free parameters: those of `prior`, else those of the model.
 
-    `declared` are the model's parameters by names inside, `outside` maps these to names outside.
+    `declared` are the model's parameters that are not tied, by names inside; `outside` maps these
+    to names outside.
 
     Raises
     ------
@@ -72,9 +69,7 @@ def normal_priors(
         For a parameter that is not free, a fit without the covariance of a parameter, or values
         that are not two numbers.
     """
-    free = [
-        name for name, parameter in declared.items() if not parameter.fixed and name not in tied
-    ]
+    free = [name for name, parameter in declared.items() if not parameter.fixed]
     if isinstance(prior, HeldEstimate):
         knowledge = shared_parameters(prior, {name: outside[name] for name in free}, "prior")
     elif isinstance(prior, Mapping):

@@ -6,6 +6,7 @@ from dataclasses import field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
 from itertools import combinations
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self, TypeVar, overload
 
@@ -361,19 +362,19 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
             raise TypeError(f"constraints is {self.constraints!r:.60}: give a list of functions.")
         label = self.model.label
-        functions = {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
+        functions: dict[str, ParameterFormula] = {
+            f"tied[{name!r}]": itemgetter(name) for name in self.tied
+        }
+        functions |= {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
         functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
         parameters = self.parameters
         numbers = self.local_values({name: p.start for name, p in parameters.items()})
-        for name in self.tied:
-            _require_number(numbers[name], f"tied[{name!r}]")
+        for what, function in functions.items():
+            _require_number(_call(function, numbers, what), what)
 
         # `if`, `max` and `math.exp` work with numbers and fail here.
         symbols = self.local_values({name: ca.SX.sym(name) for name in parameters})
-        for name in self.tied:
-            require_no_nan(f"tied[{name!r}]", ca.SX(symbols[name]))
         for what, function in functions.items():
-            _require_number(_call(function, numbers, what), what)
             require_no_nan(what, ca.SX(_call(function, symbols, what)))
 
     @cached_property
@@ -426,7 +427,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
         outside = {name: self.outside(name) for name in self.declared}
         of_model = {name: p for name, p in self._stated.items() if name in self.model.parameters}
-        return tuple(normal_priors(of_model, self.tied, self.prior, outside))
+        return tuple(normal_priors(of_model, self.prior, outside))
 
     @property
     def response(self) -> FrequencyResponse:

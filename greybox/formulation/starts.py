@@ -4,7 +4,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import chain
 from typing import Any
 
@@ -57,6 +56,8 @@ class Sobol(Starts):
 
     def draw(self, parameters: Parameters) -> Array:
         """Return the points, spread over the boxes."""
+        from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
+
         # Not before: in a study, too large a number is the failure of this member alone.
         if self.number > MOST:
             raise ValueError(f"{self.number} Sobol points are too many: give at most {MOST}.")
@@ -71,17 +72,10 @@ class Sobol(Starts):
 
         # A sequence is balanced at powers of two; scipy warns otherwise.
         power = math.ceil(math.log2(self.number))
-        shares = _sobol_points(len(parameters), power, self.seed)[: self.number].T
+        sequence = qmc.Sobol(len(parameters), scramble=True, rng=np.random.default_rng(self.seed))
+        shares = sequence.random_base2(power)[: self.number].T
         pairs = zip(parameters.values(), shares, strict=True)
         return np.column_stack([parameter.in_box(share) for parameter, share in pairs])
-
-
-@lru_cache(maxsize=4)  # the members of a study begin at the same points
-def _sobol_points(dimensions: int, power: int, seed: int) -> Array:
-    """Return the first 2^`power` points of a scrambled sequence."""
-    from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
-
-    return qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random_base2(power)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ArrayPair, Values, by_name
+from greybox.files.arrays import Array, Values, by_name
 from greybox.modeling.linearization import linearize
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -34,7 +34,9 @@ class GivenModel:
     at: Values
     name: str = ""
 
-    def polynomials(self, pade: int | None, input: str, output: str) -> ArrayPair:
+    def polynomials(
+        self, pade: int | None, input: str, output: str
+    ) -> tuple[list[float], list[float]]:
         """Return numerator and denominator, highest power of s first."""
         # Order 0 leaves the delay out: the ratio is then exact for the model without delay.
         order = pade or None
@@ -44,7 +46,7 @@ class GivenModel:
         if pade != 0:
             self._require_no_delay({input: float(ratio.delay)})
 
-        return np.array(ratio.numerator, dtype=float), np.array(ratio.denominator, dtype=float)
+        return ratio.numerator, ratio.denominator
 
     @one_thread_at_a_time
     def matrices(self, pade: int | None) -> tuple[Dynamics, list[Array]]:

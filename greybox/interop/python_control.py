@@ -164,10 +164,7 @@ def from_control(
                 f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one "
                 "of its pairs, system[0, 0]."
             )
-        numerator, denominator = (
-            polynomial[0][0].tolist() for polynomial in (system.num, system.den)
-        )
-        return KnownTransferFunction(numerator, denominator, u[0], y[0])
+        return KnownTransferFunction(system.num[0][0], system.den[0][0], u[0], y[0])
 
     x = _signal_names((), system.state_labels)
     return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y)

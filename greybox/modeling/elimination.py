@@ -19,7 +19,7 @@ from greybox.files.arrays import AnyArray, Array
 def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> list[list[Any]]:
     """Return the responses of a system [[-A, B], [-C, D]]; None is an entry that is always zero."""
     n = len(order)
-    corner = range(len(order), len(system))
+    corner = range(n, len(system))
     # Entries that are always zero are not stored, which keeps the expressions short.
     rows = [{k: v for k, v in enumerate(row) if v is not None} for row in system]
     for i in range(n):

@@ -28,7 +28,7 @@ def _function(casadi: Callable[..., Any], numpy: np.ufunc, doc: str) -> Callable
                     "response as a ratio of polynomials of s, with delays as gb.exp(-s * T)."
                 )
             return method()
-        return casadi(x) if is_casadi(x) else numpy(x)
+        return _applied(casadi, numpy, x)
 
     apply.__name__ = apply.__qualname__ = name
     apply.__doc__ = f"{doc}, of numbers, CasADi expressions and functions of s."

@@ -260,7 +260,7 @@ def _equations(
     moving = {*range(n), driven} - {held}
     unknown, per_amplitude = _all_coefficients(len(names), columns, moving, held)
 
-    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(columns // 2)
+    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(harmonics)
     series = amplitude * per_amplitude + point @ constant
     switches = has_switches(formulas)
     sizes = _rms(series @ by_phase)
@@ -297,7 +297,7 @@ def _equations(
     parts = [rows, *(ca.jacobian(rows, x) for x in (every, symbol))]
     at_samples = ca.Function("at_samples", [unknown, settings, symbol], parts)
     x: Any = at_samples.mx_in()[:2]
-    sampled, slopes = _harmonics(formulas, point, p, *signals(*x), switches=switches)
+    sampled, slopes = _harmonics(formulas, point, p, *signals(*x))
     rows, direct, by_samples = at_samples(*x, sampled)
     total = direct + by_samples @ slopes
     numbers = ca.Function("numbers", x, [ca.densify(total[:-2, : unknown.numel()])])
@@ -359,8 +359,6 @@ def _harmonics(
     sizes: Any,
     p: Any,
     by_every: Any,
-    *,
-    switches: bool,
 ) -> tuple[Any, Any]:
     """Return the coefficients of sampled `formulas` (k, 1), (2h + 1, k), and their slopes.
 
@@ -368,6 +366,7 @@ def _harmonics(
     slopes are by all symbols, as `by_every` those of series, sizes and parameters.
     """
     harmonics = series.size2() // 2
+    switches = has_switches(formulas)
     # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
     # counts as if sampled twice as often. With 129, a relay and a saturation are exact to 1.5e-4,
     # and dry friction to 7e-4, which its truncation exceeds.
@@ -444,8 +443,6 @@ def _mean_conditions(*slopes: Array) -> list[int] | None:
     rank = np.linalg.matrix_rank(rows, 1e-9)
     chosen: list[int] = []
     for k, condition in enumerate(conditions):
-        if rank == rows.shape[1]:
-            break
         further = np.vstack([closed, condition])
         # Smaller singular values are rounding alone.
         further_rank = np.linalg.matrix_rank(further, 1e-9)

@@ -45,7 +45,7 @@ def first_terms(response: Callable[[float], Any], hold: float) -> tuple[Any, Any
     return 2 * far - near, 2e2 * (near - far)
 
 
-def folded_back(x: Any, late: Any = 0.0) -> tuple[Any, Any, Any]:
+def folded_back(x: Any, late: Any) -> tuple[Any, Any, Any]:
     """Return what sampling adds to the responses 1 and 1 / x to a held input, x = s hold.
 
     They are `late` holds late; the results are without this delay. The last one is the derivative

@@ -60,8 +60,7 @@ def jacobians(model: StateSpace) -> ca.Function:
     x, u = z[:n], z[n:]
     f = derivative_function(model)(z, p)
     h = traced_column(model, "output", z, p)
-    blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
-
+    blocks = [ca.jacobian(formula, by) for formula in (f, h) for by in (x, u)]
     return ca.Function("jacobians", [p, x, u], blocks)
 
 

@@ -292,14 +292,18 @@ def merged_parameters(owners: Iterable[Any]) -> dict[str, Parameter]:
     result: dict[str, Parameter] = {}
     for owner in owners:
         for name, parameter in owner.parameters.items():
-            result[name] = merge(name, result[name], parameter) if name in result else parameter
+            result[name] = merge(name, result.setdefault(name, parameter), parameter)
     return result
 
 
 def equation(model: Model | type[Model]) -> str:
     """Return the docstring of a model: its equation and source."""
-    owner = model if isinstance(model, type) else type(model)
-    return inspect.cleandoc(owner.__doc__ or "")
+    return inspect.cleandoc(class_of(model).__doc__ or "")
+
+
+def class_of(model: Model | type[Model]) -> type[Model]:
+    """Return the class of a model, or the class itself."""
+    return model if isinstance(model, type) else type(model)
 
 
 def _intersect(name: str, what: str, a: Interval, b: Interval) -> Interval:

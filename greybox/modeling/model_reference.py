@@ -9,7 +9,7 @@ from typing import Any
 from greybox.files.text_table import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, class_of
 from greybox.modeling.model_file import models_of
 from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, SeriesConnection
 
@@ -23,8 +23,8 @@ class UnknownModelError(LookupError):
         The message without the cure, which differs on the command line.
     """
 
-    def __init__(self, missing: str, cure: str) -> None:
-        super().__init__(f"{missing}: {cure}.")
+    def __init__(self, missing: str) -> None:
+        super().__init__(f"{missing}: give its class or file, gb.load(path, models=[...]).")
         self.missing = missing
 
 
@@ -50,14 +50,13 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         If it is neither, or does not take the stored arguments.
     """
     module_name, _, class_name = stored["class"].partition(":")
-    name = f"{printable(class_name)} of the module {module_name!r}"
-    missing = f"the model {name} is needed and was not found"
-    cure = "give its class or file, gb.load(path, models=[...])"
-    model = _given(stored["class"], given) or included_model(module_name, class_name)
+    missing = (
+        f"the model {printable(class_name)} of the module {module_name!r} is needed and was not "
+        "found"
+    )
+    model = _given(module_name, class_name, given) or included_model(module_name, class_name)
     if model is None:
-        raise UnknownModelError(
-            f"{missing} among those that greybox includes or that were given", cure
-        )
+        raise UnknownModelError(f"{missing} among those that greybox includes or that were given")
 
     if isinstance(model, Model):
         return model
@@ -72,38 +71,32 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         ) from None
 
 
-def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Model] | None:
+def _given(
+    module_name: str, class_name: str, given: Sequence[Model | type[Model]]
+) -> Model | type[Model] | None:
     """Return the given model of this class, if possible of the same module."""
-    module, _, qualname = name.partition(":")
-    kinds = [(model if isinstance(model, type) else type(model), model) for model in given]
-    named = [(kind, model) for kind, model in kinds if kind.__qualname__ == qualname]
+    named = [model for model in given if class_of(model).__qualname__ == class_name]
     # The same file has the module ``__main__`` when it is run.
-    from_module = [model for kind, model in named if kind.__module__ == module]
-    return next(iter([*from_module, *(model for _, model in named)]), None)
+    return min(named, key=lambda model: class_of(model).__module__ != module_name, default=None)
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:
     """Return the class of an included model, of a connection or of a system of known numbers."""
-    kinds = (
+    models: list[type[Model]] = [
         SeriesConnection,
         RenamedParameters,
         FeedbackLoop,
         KnownTransferFunction,
         KnownStateSpace,
         ColoredDisturbance,
-    )
-    for kind in kinds:
-        if (kind.__module__, kind.__qualname__) == (module_name, class_name):
-            return kind
-
+    ]
     # By name, since models come after modeling; only modules of this package are imported.
     package = importlib.import_module("greybox.models")
     included = {f"greybox.models.{item.name}" for item in pkgutil.iter_modules(package.__path__)}
-    if module_name not in included:
-        return None
-
-    models = models_of(importlib.import_module(module_name))
-    return next((model for model in models if model.__qualname__ == class_name), None)
+    if module_name in included:
+        models += models_of(importlib.import_module(module_name))
+    place = module_name, class_name
+    return next((m for m in models if (m.__module__, m.__qualname__) == place), None)
 
 
 def source_text(function: Callable[..., Any]) -> str:

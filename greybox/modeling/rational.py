@@ -7,6 +7,7 @@ The factored form of (3.18): gain, zeros, time constants and quadratics of a rat
 
 import math
 from collections.abc import Sequence
+from itertools import zip_longest
 from typing import Any
 
 import casadi as ca
@@ -221,10 +222,9 @@ def _cancel(numerator: list[Any], denominator: list[Any]) -> tuple[list[Any], li
 
 
 def _sum(a: list[Any], b: list[Any]) -> list[Any]:
-    # Both have the same length with zeros in front of the shorter one.
-    padding = [0.0] * abs(len(a) - len(b))
-    shorter, longer = sorted((a, b), key=len)
-    return [x + y for x, y in zip(padding + shorter, longer, strict=True)]
+    # The lowest powers are last: from there, the shorter one is filled up with zeros.
+    pairs = zip_longest(reversed(a), reversed(b), fillvalue=0.0)
+    return [x + y for x, y in pairs][::-1]
 
 
 def _convolve(a: list[Any], b: list[Any]) -> list[Any]:

@@ -60,10 +60,9 @@ class Dynamics:
     delay_rest: ca.Function = ca.Function()
 
     @property
-    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def symbols(self) -> list[ca.SX]:
         """Symbols of states (n,), inputs (m,) and parameters."""
-        x, u, p = self.output.sx_in()
-        return x, u, p
+        return self.output.sx_in()
 
     @property
     def delayed(self) -> bool:

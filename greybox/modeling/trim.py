@@ -145,18 +145,14 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
     point[unknown] = w
     derivative = ca.substitute(derivative, z, point)
     residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
-    guess, rows = _presolve(model, at, residual, start_values(model.parameters), len(unknown))
+    guess, rows = _presolve(model, at, residual)
     return _rootfinder(model, w, p, point, derivative, guess, rows)
 
 
-def _presolve(
-    model: StateSpace,
-    at: Values,
-    residual: ca.Function,
-    start: Array,
-    size: int,
-) -> tuple[Array, list[int]]:
+def _presolve(model: StateSpace, at: Values, residual: ca.Function) -> tuple[Array, list[int]]:
     """Solve the trim at the start values; return it and as many independent equations."""
+    start = start_values(model.parameters)
+    size = residual.size1_in(0)
     random = np.random.default_rng(0)
     # Zero itself is left out: kinks and roots have no slope there.
     guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)]

@@ -1,7 +1,7 @@
 """A model at one estimate: values, their covariance, and the assumptions of the fit."""
 
 from collections.abc import Mapping
-from dataclasses import field, replace
+from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -67,7 +67,7 @@ class ModelAtEstimate:
     covariance: Array | None
     criterion: TimeCriterion
     part: Any
-    declared: Parameters = field(default_factory=dict)
+    declared: Parameters
     own: Strings = ()
     held: tuple[bool, ...] = ()
 

@@ -34,7 +34,6 @@ BLIND = 1e-9  # relative eigenvalue of the information below which a direction i
 def with_own_values(
     model: ModelAtEstimate,
     windows: Windows,
-    outputs: Strings,
     integrator: Integrator | None,
     own: Labels,
 ) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], Strings]:
@@ -57,11 +56,11 @@ def with_own_values(
         signal = name.removesuffix("_bias")
         if name not in parameters and np.isfinite(record.signals.get(signal, np.nan)).any():
             parameters[name] = bias_parameter(signal, record)
-    simulator = Simulator(biased, outputs, integrator)
+    simulator = Simulator(biased, windows.outputs, integrator)
 
     # Short windows come first: they follow the record even with wrong values.
     estimate = _determined(simulator, biased, windows, parameters)
-    for longer in _longer(biased, windows, outputs):
+    for longer in _longer(biased, windows):
         candidate = _determined(simulator, estimate.model, longer, parameters)
         # Up to a tenth more in rms is due to slow errors of the model. With more, the free
         # simulation no longer follows the record.
@@ -85,7 +84,7 @@ def with_own_values(
     errors = np.sqrt(np.diag(covariance)[estimate.places]).tolist()
     values = by_name(estimate.names, zip(estimate.values.tolist(), errors, strict=True))
     rows = np.unique(estimate.windows.rows)
-    numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in outputs)
+    numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in windows.outputs)
     note = _note(values, parameters, numbers, title)
     return replace(estimate.model, covariance=covariance), values, (note, *notes)
 
@@ -153,12 +152,12 @@ class _Estimate:
         return len(self.places), -float(np.sum(np.log(np.diag(self.covariance))))
 
 
-def _longer(model: ModelAtEstimate, windows: Windows, outputs: Strings) -> Iterator[Windows]:
+def _longer(model: ModelAtEstimate, windows: Windows) -> Iterator[Windows]:
     """Yield windows of the record four times as long, and so on to the longest stretch.
 
     The longer a free simulation is, the better it shows constant errors.
     """
-    record = windows.record
+    record, outputs = windows.record, windows.outputs
     if not record.has_time:
         return
 

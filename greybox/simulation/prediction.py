@@ -219,6 +219,8 @@ class Windows:
 
     Attributes
     ----------
+    outputs : tuple of str
+        The outputs to predict, all in the record.
     rows : (w, lead + horizon) int array
         Indices in the record.
     lead, horizon : int
@@ -226,6 +228,7 @@ class Windows:
     """
 
     record: Record
+    outputs: Strings
     rows: IntArray
     lead: int
     horizon: int
@@ -325,17 +328,17 @@ def cut(
             f"s with measured outputs: its longest stretch without a gap lasts {seconds(longest)} "
             f"s; give a shorter lead or {called}, or a longer record."
         )
-    return Windows(record, rows, lead_samples, horizon_samples)
+    return Windows(record, outputs, rows, lead_samples, horizon_samples)
 
 
-def sample_data(windows: Windows, inputs: Strings, outputs: Strings, delays: Array) -> Array:
+def sample_data(windows: Windows, inputs: Strings, delays: Array) -> Array:
     """Return the data of all samples in the windows, (width, w, samples), see `SampledData.rows`.
 
     The inputs before a window are those of its stretch. Outputs are left out as long as the delayed
     inputs are unknown, see `gapless`.
     """
     record = windows.record
-    stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
+    stretches = gapless(record, inputs, windows.outputs, lead=np.maximum(delays, 0.0))
     # Windows index the record, the data its stretches without gaps.
     column = np.full(len(record), -1)
     rows = np.concatenate([s.rows for s in stretches])

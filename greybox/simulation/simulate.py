@@ -233,7 +233,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
             f"({', '.join(estimated.system.outputs)}); it has {', '.join(record.signals)}."
         )
     windows = cut(record, estimated.system.inputs, outputs, lead=lead, horizon=horizon)
-    prediction, _, trouble = predict_windows(estimated, windows, outputs, integrator, own)
+    prediction, _, trouble = predict_windows(estimated, windows, integrator, own)
     if trouble:
         raise ValueError(f"{trouble}: {cure('horizon')}.")
     return prediction
@@ -242,11 +242,10 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
 def predict_windows(
     model: ModelAtEstimate,
     windows: Windows,
-    outputs: Strings,
     integrator: Integrator | None = None,
     own: Labels | None = None,
 ) -> tuple[Prediction, BoolArray, str]:
-    """Predict `outputs`, which the record has, over given windows.
+    """Predict the outputs of given windows.
 
     The values `own` are estimated first, on a new record by default those of the model. Also
     returned are the windows (w,) that are not finite, and the first reason, without a full stop.
@@ -264,8 +263,8 @@ def predict_windows(
     if own is None:
         new = model.part is not None and not share_samples(model.part.data, windows.record)
         own = model.own if new else ()
-    model, values, notes = with_own_values(model, windows, outputs, integrator, as_names(own))
-    simulator = Simulator(model, outputs, integrator)
+    model, values, notes = with_own_values(model, windows, integrator, as_names(own))
+    simulator = Simulator(model, windows.outputs, integrator)
     simulated = simulator.windows(windows)
     error, unknown = simulator.standard_errors(simulated)
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
@@ -278,7 +277,7 @@ def predict_windows(
         label=model.label,
         data=windows.record,
         inputs=model.system.inputs,
-        outputs=outputs,
+        outputs=windows.outputs,
         states=model.system.states,
         lead=lead,
         horizon=horizon,
@@ -291,19 +290,17 @@ def predict_windows(
         notes=notes,
         own=values,
     )
-    return prediction, simulated.not_finite, _not_finite(simulated, windows, outputs, model)
+    return prediction, simulated.not_finite, _not_finite(simulated, windows, model)
 
 
-def _not_finite(
-    simulated: WindowSimulations, windows: Windows, outputs: Strings, model: ModelAtEstimate
-) -> str:
+def _not_finite(simulated: WindowSimulations, windows: Windows, model: ModelAtEstimate) -> str:
     """Return the number of windows that are not finite, and the first such signal with its time."""
     if not simulated.not_finite.any():
         return ""
 
     # The first signal that is lost points to the formula to mend.
     first = int(np.argmax(simulated.not_finite))
-    names = (*model.system.states, *outputs)
+    names = (*model.system.states, *windows.outputs)
     lost = ~np.isfinite(np.hstack([simulated.states[first], simulated.outputs[first]]))
     when = int(np.argmax(lost.any(axis=1)))
     name = names[int(np.argmax(lost[when]))] if lost.any() else "the sensitivity of its outputs"

@@ -174,7 +174,7 @@ class Simulator:
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
             by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
         error, unknown = _standard_errors(by_value[0], variance[0], model)
-        errors = {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
+        errors = by_name([name + ERROR for name in self._outputs], error.T)
         return signals, errors, unknown
 
     def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
@@ -187,7 +187,7 @@ class Simulator:
         w, length = windows.rows.shape
         # Rows have no states, but a noise, to which all of their errors belong.
         lead = windows.lead or length
-        data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
+        data = sample_data(windows, model.system.inputs, model.delays)
         k = len(self._outputs)
         _, values, present, _ = np.split(data, [-1 - 2 * k, -1 - k, -1])
         measured = np.moveaxis(np.where(present, values, np.nan), 0, -1)

@@ -61,7 +61,7 @@ def predict_same_windows(
         inputs = dict.fromkeys(name for model in models for name in model.system.inputs)
         outputs = shared_outputs(models, record)
         windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
-        results = [predict_windows(model, windows, outputs) for model in models]
+        results = [predict_windows(model, windows) for model in models]
         predictions, record_notes = where_all_are_finite(results, labels)
         by_record.append(predictions)
         notes += record_notes

@@ -118,7 +118,7 @@ def test_the_input_must_be_there():
 def test_the_data_of_a_window_are_those_of_its_stretch():
     data = record(missing=[30])
     windows = cut(data, ["u"], ["y"], lead=0.5, horizon=1.0)
-    whole, *around, measured, present, step = sample_data(windows, ("u",), ("y",), np.array([0.2]))
+    whole, *around, measured, present, step = sample_data(windows, ("u",), np.array([0.2]))
     assert_allclose(step, 0.1)
     assert_allclose(whole, 2)
     # whole samples of the delay, and the inputs before, at and after the delayed one; held before a
