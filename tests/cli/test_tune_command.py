@@ -85,13 +85,21 @@ def test_the_controllers_of_a_log_have_the_gains_of_the_firmware(capsys, tmp_pat
     gb.save(gb.fit(sitl_pitch.problem(), starts=1, profiles=False, progress=False), path)
     words = ("--log", sitl_pitch.LOG, "--parameters", out)
     status, text, _ = run(
-        capsys, "tune", path, *words, "--gains", "ATC_RAT_PIT_P=0.05:0.15", "--json"
+        capsys,
+        "tune",
+        path,
+        *words,
+        "--gains",
+        "ATC_RAT_PIT_P=0.1:0.15",
+        "--level",
+        "0.8",
+        "--json",
     )
     assert status == 0
     answer = json.loads(text)
     assert answer["today"] == {"ATC_RAT_PIT_P": pytest.approx(0.135)}
     name, value = out.read_text(encoding="utf-8").strip().split(",")
     assert name == "ATC_RAT_PIT_P"
-    assert 0.05 <= float(value) <= 0.15
+    assert 0.1 <= float(value) <= 0.15
     message = refused(capsys, "tune", path, *words, "--force", "--gains", "P=0.1:0.2")
     assert "ATC_ANG_PIT_P, ATC_RAT_PIT_P" in message
