@@ -50,15 +50,11 @@ class Scaling:
         """Return z for x, along the last axis."""
         # A lower bound of zero has no logarithm: -inf, no bound, is right.
         with np.errstate(divide="ignore"):
-            return np.where(
-                self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor
-            )
+            return np.log(x, out=x / self.factor, where=self.logarithmic)
 
     def to_parameters(self, z: Array) -> Array:
         """Return x for z, along the last axis."""
-        return np.where(
-            self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z * self.factor
-        )
+        return np.exp(z, out=z * self.factor, where=self.logarithmic)
 
     def slope(self, x: Array) -> Array:
         """Return dz/dx (p,)."""
@@ -171,6 +167,11 @@ class CompiledProblem(Portable):
     def has_states(self) -> bool:
         """Whether states are unknowns besides the parameters, as in every record."""
         return any(part.has_states for part in self.parts)
+
+    @property
+    def numbers(self) -> int:
+        """Real numbers of the data that are compared."""
+        return sum(part.numbers for part in self.parts)
 
     @property
     def names(self) -> Strings:

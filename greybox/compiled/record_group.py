@@ -63,14 +63,14 @@ class RecordGroup(SegmentedPart):
     def _located(self) -> tuple[ca.Function, IntArray]:
         """Return the placement of all distinct records as a function of z, and their indices."""
         distinct = {part.model.expressions: part.model for part in self.parts}
-        numbers = {key: k for k, key in enumerate(distinct)}
+        keys = [*distinct]
         [z] = self.model.locate.sx_in()
         results: list[Any] = [model.locate(z) for model in distinct.values()]
 
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
         pairs = zip(sides, zip(*results, strict=True), strict=True)
         stacked = [ca.densify(side(*values)) for side, values in pairs]
-        index = np.array([numbers[part.model.expressions] for part in self.parts])
+        index = np.array([keys.index(part.model.expressions) for part in self.parts])
         return ca.Function("located", [z], stacked), index
 
     def place(self, z: Array) -> Placed:

@@ -91,7 +91,7 @@ class StructuralIdentifiability(Printed):
             return
 
         for group in self.groups:
-            members = [*group.names, *(f"the initial state of {name}" for name in group.states)]
+            members = group.members
             if len(members) == 1:
                 yield f"  {members[0]} has no effect: fix it or remove it."
             else:
@@ -252,8 +252,8 @@ def _of_responses(
             ones = np.ones(FREQUENCIES, dtype=complex)
             responses.append(FrequencyResponse(omega, ones, input, output))
 
-    data = responses[0] if len(responses) == 1 else responses
-    nlp = compile_problem(Problem(model, data, SquaredRelativeError("model"), at=at, **options))
+    stated = Problem(model, responses, SquaredRelativeError("model"), at=at, **options)
+    nlp = compile_problem(stated)
     x = np.array([values[name] for name in nlp.free])
     # A response of zero at all frequencies would count every parameter as lost.
     [seen] = nlp.responses(nlp.all_values(x)[:, None])
