@@ -268,6 +268,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     unknowns = [parameters[name] for name in free]
     scaling = scaling_of(unknowns)
+    lower, upper = np.array([p.bounds for p in unknowns], dtype=float).T
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
 
@@ -296,8 +297,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         free=free,
         constants=constants,
         constant_values=constant_values,
-        lower=np.array([p.bounds[0] for p in unknowns], dtype=float),
-        upper=np.array([p.bounds[1] for p in unknowns], dtype=float),
+        lower=lower,
+        upper=upper,
         scaling=scaling,
         method=method,
         parts=tuple(parts[part] for part in problem.parts),

@@ -152,10 +152,11 @@ def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
     observations, Econometrica 16.
     """
     result = [*products]
-    short = dict[int, SegmentedPart]()
-    for k, part in enumerate(parts):
-        if isinstance(part, SegmentedPart) and part.few.any():
-            short[k] = part
+    short = {
+        k: part
+        for k, part in enumerate(parts)
+        if isinstance(part, SegmentedPart) and part.few.any()
+    }
     for lot in grouped(short, lambda k: id(short[k].model.steps)):
         squares = [of_diagonal(products[k]) for k in lot]
         counts = np.vstack([short[k].few for k in lot])

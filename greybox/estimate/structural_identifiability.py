@@ -169,12 +169,10 @@ def structural_identifiability(
     # The same points at every call: an answer must not change from run to run.
     random = np.random.default_rng(0)
     points: list[_Sensitivity] = []
+    sensitivity_at, given = (_of_responses, at) if in_frequency else (_of_record, initial)
     for _ in range(POINTS):
         values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
-        if in_frequency:
-            point = _of_responses(model, chosen, values, at or {}, options, random)
-        else:
-            point = _of_record(model, chosen, values, initial or {}, options, random)
+        point = sensitivity_at(model, chosen, values, given or {}, options, random)
         if point is not None:
             points.append(point)
 
