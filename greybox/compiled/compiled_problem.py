@@ -50,15 +50,11 @@ class Scaling:
         """Return z for x, along the last axis."""
         # A lower bound of zero has no logarithm: -inf, no bound, is right.
         with np.errstate(divide="ignore"):
-            return np.where(
-                self.logarithmic, np.log(np.where(self.logarithmic, x, 1.0)), x / self.factor
-            )
+            return np.log(x, out=x / self.factor, where=self.logarithmic)
 
     def to_parameters(self, z: Array) -> Array:
         """Return x for z, along the last axis."""
-        return np.where(
-            self.logarithmic, np.exp(np.where(self.logarithmic, z, 0.0)), z * self.factor
-        )
+        return np.exp(z, out=z * self.factor, where=self.logarithmic)
 
     def slope(self, x: Array) -> Array:
         """Return dz/dx (p,)."""
@@ -173,6 +169,11 @@ class CompiledProblem(Portable):
         return any(part.has_states for part in self.parts)
 
     @property
+    def numbers(self) -> int:
+        """Real numbers of the data that are compared."""
+        return sum(part.numbers for part in self.parts)
+
+    @property
     def names(self) -> Strings:
         """Free parameters, then constants: the order of all values."""
         return (*self.free, *self.constants)
@@ -267,6 +268,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     unknowns = [parameters[name] for name in free]
     scaling = scaling_of(unknowns)
+    lower, upper = np.array([p.bounds for p in unknowns], dtype=float).T
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
 
@@ -295,8 +297,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         free=free,
         constants=constants,
         constant_values=constant_values,
-        lower=np.array([p.bounds[0] for p in unknowns], dtype=float),
-        upper=np.array([p.bounds[1] for p in unknowns], dtype=float),
+        lower=lower,
+        upper=upper,
         scaling=scaling,
         method=method,
         parts=tuple(parts[part] for part in problem.parts),

@@ -15,7 +15,14 @@ import numpy as np
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, ArrayPair, BoolArray, all_finite, of_diagonal
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    BoolArray,
+    all_finite,
+    of_diagonal,
+    positive_or_one,
+)
 
 # Curvature, relative to that of the outputs, that holds states which no output shows.
 RIDGE = 1e-10
@@ -93,7 +100,7 @@ def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, large
     """
     # Along such a direction, the linearization does not reach to where its step leads: runs would
     # creep for thousands of steps, and gain what fits the noise.
-    size = np.sqrt(np.where(largest > 0, largest, 1.0))  # those of delays are known
+    size = np.sqrt(positive_or_one(largest))  # those of delays are known
     begins = np.append(True, ~coupled[:-1])
     curvature = np.zeros_like(b.node_hessian)
     # What the first segments show is enough for most models.

@@ -63,14 +63,14 @@ class RecordGroup(SegmentedPart):
     def _located(self) -> tuple[ca.Function, IntArray]:
         """Return the placement of all distinct records as a function of z, and their indices."""
         distinct = {part.model.expressions: part.model for part in self.parts}
-        numbers = {key: k for k, key in enumerate(distinct)}
+        keys = [*distinct]
         [z] = self.model.locate.sx_in()
         results: list[Any] = [model.locate(z) for model in distinct.values()]
 
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
         pairs = zip(sides, zip(*results, strict=True), strict=True)
         stacked = [ca.densify(side(*values)) for side, values in pairs]
-        index = np.array([numbers[part.model.expressions] for part in self.parts])
+        index = np.array([keys.index(part.model.expressions) for part in self.parts])
         return ca.Function("located", [z], stacked), index
 
     def place(self, z: Array) -> Placed:
@@ -152,10 +152,11 @@ def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
     observations, Econometrica 16.
     """
     result = [*products]
-    short = dict[int, SegmentedPart]()
-    for k, part in enumerate(parts):
-        if isinstance(part, SegmentedPart) and part.few.any():
-            short[k] = part
+    short = {
+        k: part
+        for k, part in enumerate(parts)
+        if isinstance(part, SegmentedPart) and part.few.any()
+    }
     for lot in grouped(short, lambda k: id(short[k].model.steps)):
         squares = [of_diagonal(products[k]) for k in lot]
         counts = np.vstack([short[k].few for k in lot])

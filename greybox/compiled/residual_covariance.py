@@ -104,7 +104,7 @@ class ResidualCovariance:
             logarithm = float(np.linalg.slogdet(2 * math.pi * covariance)[1] * self.counts.max())
             return (logarithm + float(np.trace(np.linalg.solve(covariance, products)))) / 2
 
-        if self.full and self.known is None:
+        if self.full:
             logarithm = (
                 float(np.sum(np.linalg.slogdet(covariance)[1] * self.counts.max(axis=-1))) / 2
             )

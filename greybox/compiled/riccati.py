@@ -142,8 +142,8 @@ class NoiseModel:
             matrices.append(M + 1j * tiny * np.concatenate([np.zeros((1, *M.shape)), slopes]))
         F, half, C = matrices
         K, S = self._filters(F, half, C, moved)
-        slopes = np.moveaxis(K[1:].imag / tiny, 0, -1), np.moveaxis(S[1:].imag / tiny, 0, -1)
-        return SteadyFilter(K[0].real, slopes[0], S[0].real, slopes[1])
+        gain_slope, covariance_slope = (np.moveaxis(M[1:].imag / tiny, 0, -1) for M in (K, S))
+        return SteadyFilter(K[0].real, gain_slope, S[0].real, covariance_slope)
 
     def _filters(self, F: Any, half: Any, C: Any, q: Any) -> tuple[Any, Any]:
         """Return the gains (m, n, k) and prediction error covariances (m, k, k) of m filters."""

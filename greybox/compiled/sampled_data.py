@@ -293,8 +293,10 @@ def gapless(
     ValueError
         If an input is delayed and a stretch is not uniformly sampled.
     """
-    u = np.array([record[name] for name in inputs]).reshape(len(inputs), len(record))
-    y = np.array([record[name] for name in outputs]).reshape(len(outputs), len(record))
+    u, y = (
+        np.array([record[name] for name in names]).reshape(len(names), len(record))
+        for names in (inputs, outputs)
+    )
     y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
     complete_inputs = np.all(np.isfinite(u), axis=0)
     # Rows without a time have no neighbors: a row that lacks an input is no gap.
@@ -305,7 +307,7 @@ def gapless(
     leads = np.broadcast_to(lead, len(inputs))
     # Halfway between one and two steps: where a sample is missing, a stretch ends.
     missing = math.inf if record.is_irregular else 1.5 * record.step
-    ends = (np.diff(complete_inputs.astype(int)) != 0) | (np.diff(record.time) > missing)
+    ends = np.diff(complete_inputs) | (np.diff(record.time) > missing)
     return [
         _stretch(record.time[rows], u[:, rows], y[:, rows], rows, leads, record.step)
         for rows in np.split(np.arange(len(record)), np.flatnonzero(ends) + 1)

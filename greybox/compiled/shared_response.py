@@ -260,19 +260,15 @@ class SharedResponses:
         outputs = [cost, first, second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
 
-    def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Return all responses at z (p, k), (k, N), and their derivatives (k, N, p)."""
-        with np.errstate(all="ignore"):
-            pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
-        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
-        return values, slopes
-
     def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).
 
         The columns of `data` (g, k) are those of `CompiledProblem`.
         """
-        values, slopes = self.stacked(z)
+        with np.errstate(all="ignore"):
+            pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
+        # All responses (k, N), and their derivatives (k, N, p).
+        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 1)
         gradient = first.T[:, None] @ jacobian

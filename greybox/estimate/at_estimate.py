@@ -15,6 +15,7 @@ from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.parameter import require_whole
 from greybox.modeling.realization import dynamics
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
 
@@ -125,11 +126,8 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
     """
     count = len(fit.parts)
     if part is not None:
-        is_whole = isinstance(part, (int, np.integer)) and not isinstance(part, bool)
-        if not is_whole or not -count <= part < count:
-            raise ValueError(
-                f"part is {part!r}: the fit has {counted(count, 'part')}, counted from 0."
-            )
+        whose = f"part of a fit with {counted(count, 'part')}"
+        require_whole(whose, part, -count, count - 1)
         return part % count
 
     def rank(k: int) -> int:

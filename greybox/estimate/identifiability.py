@@ -376,6 +376,11 @@ class Combination:
     directions: int = 1
     states: Strings = ()
 
+    @property
+    def members(self) -> Strings:
+        """The parameters and the initial states, in words."""
+        return (*self.names, *(f"the initial state of {name}" for name in self.states))
+
 
 def invisible_groups(
     invisible: Array, size: Array, names: Strings, initial: Sequence[NamedArrays]

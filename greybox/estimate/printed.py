@@ -339,8 +339,8 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "data": list(dict.fromkeys(part.data.name or part.name for part in result.parts)),
         **{name: getattr(result, name) for name in named},
         "starts": len(runs),
-        "screened": int(np.count_nonzero(runs.stage == SCREENED)),
-        "converged": int(np.count_nonzero(runs.converged)),
+        "screened": np.count_nonzero(runs.stage == SCREENED),
+        "converged": np.count_nonzero(runs.converged),
         "minima": len(result.minima),
         "verdict": verdict(result),
         "misfit": misfit

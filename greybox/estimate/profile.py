@@ -125,7 +125,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
     if not (are_quick or all(part.is_static for part in nlp.parts)):
         return None
     # Without the batched search, profiles beyond these sizes take more than a second.
-    if not is_batched and sum(part.numbers for part in nlp.parts) > 1000:
+    if not is_batched and nlp.numbers > 1000:
         return None
     if fit.directions is None or any(p.roots for p in nlp.programs):
         return None
@@ -291,8 +291,7 @@ class HeldMinima:
         return min(minima, key=lambda minimum: minimum.cost)
 
     def _solved(self, solver: GaussNewton, start: Point) -> Point:
-        limits = solver.limits
-        x = self.nlp.scaling.to_parameters(np.clip(start.z, limits.low, limits.high))
+        x = self.nlp.scaling.to_parameters(solver.limits.clipped(start.z))
         # From the states of a neighboring point a solution takes a few iterations.
         outcome = solver.solved_from(x, start.nodes) if start.nodes else None
         # States of a distant neighbor may lead nowhere: then begin with the states of the data.

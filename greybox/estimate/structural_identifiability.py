@@ -91,7 +91,7 @@ class StructuralIdentifiability(Printed):
             return
 
         for group in self.groups:
-            members = [*group.names, *(f"the initial state of {name}" for name in group.states)]
+            members = group.members
             if len(members) == 1:
                 yield f"  {members[0]} has no effect: fix it or remove it."
             else:
@@ -169,12 +169,10 @@ def structural_identifiability(
     # The same points at every call: an answer must not change from run to run.
     random = np.random.default_rng(0)
     points: list[_Sensitivity] = []
+    sensitivity_at, given = (_of_responses, at) if in_frequency else (_of_record, initial)
     for _ in range(POINTS):
         values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
-        if in_frequency:
-            point = _of_responses(model, chosen, values, at or {}, options, random)
-        else:
-            point = _of_record(model, chosen, values, initial or {}, options, random)
+        point = sensitivity_at(model, chosen, values, given or {}, options, random)
         if point is not None:
             points.append(point)
 
@@ -252,8 +250,8 @@ def _of_responses(
             ones = np.ones(FREQUENCIES, dtype=complex)
             responses.append(FrequencyResponse(omega, ones, input, output))
 
-    data = responses[0] if len(responses) == 1 else responses
-    nlp = compile_problem(Problem(model, data, SquaredRelativeError("model"), at=at, **options))
+    stated = Problem(model, responses, SquaredRelativeError("model"), at=at, **options)
+    nlp = compile_problem(stated)
     x = np.array([values[name] for name in nlp.free])
     # A response of zero at all frequencies would count every parameter as lost.
     [seen] = nlp.responses(nlp.all_values(x)[:, None])

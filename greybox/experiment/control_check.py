@@ -79,13 +79,14 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     time = record.time
     name = controller.outputs[0]
     logged = record[name]
-    rows = [record[n] for n in controller.inputs]
-    rows += [record.signals.get(n, np.zeros(len(time))) for n in controller.setpoints]
+    signals = {n: record[n] for n in controller.inputs}
+    signals |= {n: record.signals.get(n, np.zeros(len(time))) for n in controller.setpoints}
     grid = time  # a log of every pass has the samples themselves, whatever its time stamps
     if controller.rate > THINNED * record.rate:
         grid = time[0] + np.arange(math.ceil(record.duration * controller.rate)) / controller.rate
-        splines = [ca.interpolant("s", "bspline", [time], values) for values in rows]
-        rows = [np.asarray(spline(grid)).ravel() for spline in splines]
+        for n, values in signals.items():
+            spline = ca.interpolant("s", "bspline", [time], values)
+            signals[n] = np.asarray(spline(grid)).ravel()
     simulate = _compiled(controller).mapaccum("flown", len(grid))
 
     # After a second, filters have forgotten that they began at zero.
@@ -94,13 +95,12 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     if not size > 0:
         raise ValueError(f"the logged control {name} does not change: the loop was open.")
     delayed = [n for n in controller.setpoints if n in record.signals]
-    names = (*controller.inputs, *controller.setpoints)
     best = math.inf
     late = {}
     # A logged setpoint may precede the control that it belongs to by up to three samples.
     for samples in itertools.product(range(4), repeat=len(delayed)):
         trial = by_name(delayed, samples)
-        shifted = [np.roll(row, trial.get(n, 0)) for n, row in zip(names, rows, strict=True)]
+        shifted = [np.roll(row, trial.get(n, 0)) for n, row in signals.items()]
         _, control = simulate(controller.initial, np.array(shifted))
         computed = np.interp(time, grid, np.asarray(control)[0])
         residual = float(np.std((logged - computed)[settled])) / size

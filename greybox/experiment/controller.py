@@ -173,6 +173,11 @@ def updated(controller: Controller, x: ca.SX, u: Named) -> tuple[ca.SX, ca.SX]:
     return column(f"{label}.update", following), column(f"{label}.update", outputs)
 
 
+def outside_names(controllers: Sequence[Controller], *kinds: str) -> list[str]:
+    """Return the names in the loop of signals of these kinds, such as "setpoints"."""
+    return [c.outside(name) for c in controllers for kind in kinds for name in getattr(c, kind)]
+
+
 def connected(
     controller: Controller | Sequence[Controller] | None, plant: str, system: Dynamics
 ) -> tuple[Controller, ...]:
@@ -205,7 +210,7 @@ def connected(
 
         provides = {*map(c.outside, c.outputs)}
         commanded = {*map(c.outside, c.setpoints)}
-        read_next = (d.outside(n) for d in controllers[k + 1 :] for n in (*d.inputs, *d.setpoints))
+        read_next = outside_names(controllers[k + 1 :], "inputs", "setpoints")
         if not provides & {*inputs, *read_next}:
             raise ValueError(
                 f"{label} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes "
@@ -221,7 +226,7 @@ def connected(
                 "signals={'own': 'other'}."
             )
 
-        late = commanded & {d.outside(n) for d in controllers[k:] for n in d.outputs}
+        late = commanded & {*outside_names(controllers[k:], "outputs")}
         if late:
             raise ValueError(
                 f"{label} takes {min(late)!r} from itself or a later controller: list that one "
@@ -256,6 +261,6 @@ def run_controllers(
 
 def sensors_of(controllers: Sequence[Controller]) -> Strings:
     """Return what controllers read from the plant: inputs that no controller provides."""
-    provided = {c.outside(name) for c in controllers for name in c.outputs}
-    names = (c.outside(name) for c in controllers for name in c.inputs)
+    provided = outside_names(controllers, "outputs")
+    names = outside_names(controllers, "inputs")
     return tuple(dict.fromkeys(name for name in names if name not in provided))

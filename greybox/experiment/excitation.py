@@ -311,24 +311,22 @@ def multisine(
             f"a period of {period:g} s has {harmonics.size} harmonics from {low:g} to {high:g} "
             f"rad/s for {len(signals)} signals: lengthen the period or widen the band."
         )
-    assigned = [harmonics[k :: len(signals)] for k in range(len(signals))]
-    phases = [_phases(harmonics) for harmonics in assigned]
-    values = [_sum(h, p, count) for h, p in zip(assigned, phases, strict=True)]
-    values = [amplitude * v / np.max(np.abs(v)) for v in values]
+    assigned = {name: harmonics[k :: len(signals)] for k, name in enumerate(signals)}
+    values = {}
+    for name, own in assigned.items():
+        one_period = _sum(own, _phases(own), count)
+        values[name] = np.tile(amplitude * one_period / np.max(np.abs(one_period)), periods)
     time = np.arange(count * periods) / rate
     settled = period if periods > 1 else 0.0
     end = period * periods
     schedule = tuple(
         Maneuver(name, "multisine", 0.0, settled, end, h[0] * step, h[-1] * step, amplitude, 0.0)
-        for name, h in zip(signals, assigned, strict=True)
+        for name, h in assigned.items()
     )
-    settings = {
-        "period": period,
-        "harmonics": {n: tuple(map(int, h)) for n, h in zip(signals, assigned, strict=True)},
-    }
-    repeated = {name: np.tile(v, periods) for name, v in zip(signals, values, strict=True)}
+    harmonics_by_name = {name: tuple(own.tolist()) for name, own in assigned.items()}
+    settings = {"period": period, "harmonics": harmonics_by_name}
     units = dict.fromkeys(signals, unit)
-    return Excitation(time, repeated, units, schedule=schedule, settings=settings)
+    return Excitation(time, values, units, schedule=schedule, settings=settings)
 
 
 def _phases(harmonics: IntArray) -> Array:

@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
-from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
+from greybox.experiment.controller import (
+    Controller,
+    connected,
+    outside_names,
+    run_controllers,
+    sensors_of,
+)
 from greybox.files.arrays import (
     Array,
     BoolArray,
@@ -252,10 +258,7 @@ def sampled_loop(
     clock = controllers[0].rate if controllers else rate
     if not clock:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
-    commands = {
-        *system.inputs,
-        *(c.outside(n) for c in controllers for n in (*c.setpoints, *c.outputs)),
-    }
+    commands = {*system.inputs, *outside_names(controllers, "setpoints", "outputs")}
     sensors = tuple(
         dict.fromkeys(
             (*sensors_of(controllers), *system.outputs, *(n for n in measured if n not in commands))
@@ -363,7 +366,7 @@ def linear_controller(
     controllers: Sequence[Controller], sensors: Strings, inputs: Strings
 ) -> LinearController:
     """Linearize the chain of controllers about their initial states and signals of zero."""
-    outside = [c.outside(n) for c in controllers for n in (*c.setpoints, *c.outputs)]
+    outside = outside_names(controllers, "setpoints", "outputs")
     commands = tuple(dict.fromkeys((*outside, *inputs)))
     y = ca.SX.sym("y", len(sensors))
     e = ca.SX.sym("e", len(commands))

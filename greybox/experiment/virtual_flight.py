@@ -16,7 +16,13 @@ from numpy.typing import ArrayLike
 from greybox.data.checked_array import require
 from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
-from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
+from greybox.experiment.controller import (
+    Controller,
+    connected,
+    outside_names,
+    run_controllers,
+    sensors_of,
+)
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import in_periods, measured_signal
 from greybox.files.arrays import Array, Labels, Strings, Values, frozen
@@ -125,7 +131,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     clock = controllers[0].rate if controllers else rate
     test = _as_excitation(excitation, clock)
     clock = float(clock or test.rate)
-    places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
+    places = (*outside_names(controllers, "setpoints"), *system.inputs)
     require_known(test.signals, places, "place for", model.label)
     # A controller may run faster than the test signal is sampled.
     time = np.arange(math.floor(test.time[-1] * clock + 1e-6) + 1) / clock
@@ -214,8 +220,7 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], St
         states, log = (
             np.asarray(v) for v in step.mapaccum("flight", time.size)(loop.start(), columns)
         )
-        flown = log[: len(names) + n]
-        local = log[len(names) + n :]
+        flown, local = np.split(log, [len(names) + n])
         wrong = ~(np.abs(flown) < 1e9)  # no state of a vehicle in SI units is that large
         reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
         with np.errstate(invalid="ignore"):
@@ -269,7 +274,7 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     early = [h[count] for h, count in zip(past, periods, strict=True)]
 
     # A control that is computed from this sample reaches the plant after it.
-    outputs = [c.outside(n) for c in loop.controllers for n in c.outputs]
+    outputs = outside_names(loop.controllers, "outputs")
     now = [
         queue[count] if not part and (count or name not in outputs) else previous
         for name, queue, previous, count, part in zip(

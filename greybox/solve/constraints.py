@@ -57,7 +57,7 @@ class Limits:
         below = -value.ravel()
         return float(np.where(below > rounding, below, 0.0).sum())
 
-    def linearized(self, z: Array, held: BoolArray | None = None) -> ArrayPair:
+    def linearized(self, z: Array, held: BoolArray | bool = False) -> ArrayPair:
         """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits.
 
         Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads
@@ -66,9 +66,8 @@ class Limits:
         value, normal = (result.full() for result in self.constraints(z))
 
         # A point may lie beyond a bound by rounding: no step need lead back.
-        low, high = np.minimum(self.low - z, 0.0), np.minimum(z - self.high, 0.0)
-        if held is not None:
-            low, high = np.where(held, 0.0, low), np.where(held, 0.0, high)
+        rooms = (self.low - z, z - self.high)
+        low, high = (np.where(held, 0.0, np.minimum(room, 0.0)) for room in rooms)
         eye = np.eye(len(z))
         rows = np.vstack([eye, -eye, normal])
         limits = np.concatenate([low, high, -value.ravel()])

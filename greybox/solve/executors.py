@@ -145,9 +145,8 @@ def _recalled(memory: Memory, batch: Batch) -> Outcomes | None:
 
     Otherwise the whole batch is run: the last digits of a run depend on how many are run together.
     """
-    outcomes = list(starmap(memory.recall, batch))
-    complete = [outcome for outcome in outcomes if outcome is not None]
-    return complete if len(complete) == len(batch) else None
+    outcomes: list[Any] = list(starmap(memory.recall, batch))
+    return None if None in outcomes else outcomes
 
 
 def _starts(batch: Batch) -> Array:

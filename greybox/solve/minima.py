@@ -137,7 +137,7 @@ def likelihood_unit(nlp: CompiledProblem, best: float) -> float:
     """
     if any(part.is_likelihood for part in nlp.parts):
         return 1.0
-    return abs(best) / max(sum(part.numbers for part in nlp.parts), 1)
+    return abs(best) / max(nlp.numbers, 1)
 
 
 def explains_nothing(cost: Any, zero: float) -> Any:
@@ -205,7 +205,7 @@ def same_cost(nlp: CompiledProblem, cost: float) -> float:
         # A tenth of a standard error changes a negative log-likelihood by 5e-3.
         return 1e-2 + 1e-7 * abs(cost)
     # The smoothing moves costs by up to 6e-5 of themselves.
-    return 1e-4 * max(cost, 5e-4 * sum(part.numbers for part in nlp.parts))
+    return 1e-4 * max(cost, 5e-4 * nlp.numbers)
 
 
 def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:

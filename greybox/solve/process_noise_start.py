@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.shared_response import resolvents
-from greybox.files.arrays import Array, ArrayTriple, ComplexArray
+from greybox.files.arrays import Array, ArrayTriple, ComplexArray, positive_or_one
 
 # Noise over the derivatives of the states, with relative errors of one in the responses: at first,
 # for every second pair of starts, and over that, stage by stage. Starts with much noise and starts
@@ -46,7 +46,7 @@ class ProcessNoise:
             places = np.nonzero(measured.any(axis=-1))
             measured = measured[places]
             size = np.abs(measured)
-            weight = (size > 0) / np.where(size > 0, size, 1.0)
+            weight = (size > 0) / positive_or_one(size)
             self._numbers += 2 * np.count_nonzero(weight)
 
             # Typical derivatives of the states.

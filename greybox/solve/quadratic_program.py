@@ -32,13 +32,11 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
 
     rows = normals @ mapping
     least = limits - normals @ step
-    size = np.linalg.norm(rows, axis=1)
-    size = positive_or_one(size)
+    size = positive_or_one(np.linalg.norm(rows, axis=1))
     rows, least = rows / size[:, None], least / size
     reach = max(float(np.abs(least).max()), 1e-300)
     system = np.vstack([rows.T, least / reach])
-    target = np.zeros(p + 1)
-    target[p] = 1.0
+    target = np.eye(p + 1)[p]
     weights, _ = nnls(system, target, maxiter=50 * system.shape[1])
     residual = system @ weights - target
     if residual[p] > -1e-12:

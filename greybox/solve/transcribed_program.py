@@ -106,17 +106,14 @@ class TranscribedProgram(LocalSolver):
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
-        scaling = self._nlp.scaling
-        p = len(start)
-        z = np.clip(scaling.to_solver(start), self._bounds["lbx"][:p], self._bounds["ubx"][:p])
+        z = self._gauss_newton.limits.clipped(self._nlp.scaling.to_solver(start))
         first = self._gauss_newton.smoothed(z)
         if first is None:
             return Outcome(start, NOT_FINITE, 0, time.perf_counter() - began, False, math.inf)
 
         status = ""
         iterations = 0
-        last = math.inf
-        cost = math.inf
+        last = cost = math.inf
         pairs = zip(self._programs, self._nlp.rows_of(RecordPart, first), strict=True)
         solution = np.concatenate([z, *[program.initial_unknowns(t) for program, (_, t) in pairs]])
         w = np.concatenate([program.initial_parameters(z) for program in self._programs])
@@ -134,7 +131,7 @@ class TranscribedProgram(LocalSolver):
         else:
             status = "relaxations exceeded"
 
-        estimate = self._nlp.estimate_at(solution[:p])
+        estimate = self._nlp.estimate_at(solution[: len(z)])
         converged = status in CONVERGED and math.isfinite(cost)
         signature = None
         if converged:

@@ -49,7 +49,8 @@ def test_the_part_that_is_meant_is_the_one_asked_for_or_the_record_or_the_first_
     assert [part_index(fit, None, k, None) for k in (0, 4, -1, -5)] == [0, 4, 4, 0]
     for wrong in (5, -6, True, 1.0):
         with pytest.raises(
-            ValueError, match=rf"^part is {wrong!r}: the fit has 5 parts, counted from 0\.$"
+            ValueError,
+            match=rf"^part of a fit with 5 parts is {wrong!r}: give a whole number from -5 to 4\.$",
         ):
             part_index(fit, None, wrong, None)
     assert part_index(fit, None, None, None) == 2  # records before responses

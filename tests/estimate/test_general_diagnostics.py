@@ -301,7 +301,8 @@ def test_there_must_be_more_numbers_than_unknowns(numbers, initial, said):
         SimpleNamespace(numbers=numbers - 1, unknown_initial_states=0),
         SimpleNamespace(numbers=1, unknown_initial_states=initial),
     ]
-    found = [*no_degrees_of_freedom(SimpleNamespace(parts=parts, free=("a", "b", "c")))]
+    nlp = SimpleNamespace(parts=parts, free=("a", "b", "c"), numbers=numbers)
+    found = [*no_degrees_of_freedom(nlp)]
     assert found == (
         [f"{said} of freedom, so that no standard error is known: add data."] if said else []
     )

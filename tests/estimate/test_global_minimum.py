@@ -21,7 +21,7 @@ from greybox.solve.runs import TOO_COARSE, Run
 
 def said(is_likelihood, *costs):
     nlp = SimpleNamespace(
-        parts=[SimpleNamespace(is_likelihood=is_likelihood, numbers=48)], free=("a",)
+        parts=[SimpleNamespace(is_likelihood=is_likelihood)], free=("a",), numbers=48
     )
     minima = [SimpleNamespace(cost=cost, estimate=[float(k)]) for k, cost in enumerate(costs)]
     return [*rival_minima(nlp, SimpleNamespace(minima=minima))]

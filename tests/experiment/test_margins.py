@@ -402,7 +402,7 @@ def test_signals_that_are_not_in_the_loop_are_refused(fit):
         with pytest.raises(ValueError, match="give two names"):
             gb.margins(fit, RateLoop(), tracking=tracking)
     for part in (9, 0.5):
-        with pytest.raises(ValueError, match=f"part is {part}: the fit has 1 part"):
+        with pytest.raises(ValueError, match=f"fit with 1 part is {part}: give a whole number"):
             gb.margins(fit, RateLoop(), part=part)
 
 

@@ -404,7 +404,7 @@ def test_things_that_are_not_what_they_should_be():
         gb.predict(fit, driven())
     for part in ("0", 1, 0.0, True):
         with pytest.raises(
-            ValueError, match=rf"part is {part!r}: the fit has 1 part, counted from 0"
+            ValueError, match=rf"fit with 1 part is {part!r}: give a whole number from -1 to 0"
         ):
             gb.simulate(fit, part=part)
 

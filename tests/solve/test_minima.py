@@ -27,7 +27,9 @@ def problem(*, is_likelihood=True, numbers=(40, 60)):
         for k, n in enumerate(numbers)
     ]
     scaling = SimpleNamespace(to_solver=np.asarray)
-    return SimpleNamespace(parts=parts, parts_of=lambda kind: [], scaling=scaling)
+    return SimpleNamespace(
+        parts=parts, parts_of=lambda kind: [], scaling=scaling, numbers=sum(numbers)
+    )
 
 
 def run_to(index, cost, x=(1.0, 2.0), status="converged", **more):

@@ -49,10 +49,9 @@ class Collocation(Transcription):
         n = step.function.size1_in(0)
         samples = data.samples
         stages = self.scheme.stages
-        equations, residuals = self._sample(step)
         nodes, inside = ca.MX.sym("nodes", n, samples), ca.MX.sym("inside", n * stages, samples)
-        residual_rows = residuals.map("residuals", "serial", samples, [1], [])(nodes, q, rows)
-        errors, end = equations.map("equations", "serial", samples, [2], [])(nodes, inside, q, rows)
+        of_samples = self._sample(step).map("samples", "serial", samples, [2], [])
+        errors, end, residuals = of_samples(nodes, inside, q, rows)
         # The last sample of a stretch continues nowhere.
         first = data.first_samples
         linked = np.setdiff1d(np.arange(samples - 1), first - 1)
@@ -60,7 +59,7 @@ class Collocation(Transcription):
 
         return Transcribed(
             unknowns=ca.vertcat(ca.vec(nodes), ca.vec(inside)),
-            residuals=residual_rows,
+            residuals=residuals,
             equations=ca.vertcat(ca.vec(errors), ca.vec(gaps)),
             initial=nodes[:, first.tolist()],
             # Stages begin at the state of their sample.
@@ -69,8 +68,8 @@ class Collocation(Transcription):
             ),
         )
 
-    def _sample(self, step: SampleStep) -> tuple[ca.Function, ca.Function]:
-        """Return (x, stages, q, d) -> equations and end of the step, and (x, q, d) -> residuals."""
+    def _sample(self, step: SampleStep) -> ca.Function:
+        """Return (x, stages, q, d) -> equations and end of the step, and residuals."""
         n = step.function.size1_in(0)
         scheme = self.scheme
         x, q, d = step.measurement.sx_in()
@@ -82,10 +81,8 @@ class Collocation(Transcription):
         )
         end = scheme.end(corrected, stages)
 
-        return (
-            ca.Function("equations", [x, ca.vec(stages), q, d], [ca.vec(equations), end]),
-            ca.Function("residuals", [x, q, d], [residual]),
-        )
+        outputs = [ca.vec(equations), end, residual]
+        return ca.Function("sample", [x, ca.vec(stages), q, d], outputs)
 
     def finer(self, substeps: int) -> str:
         """Return the option that integrates more accurately: more points, or several steps."""

@@ -95,7 +95,7 @@ def warnings(
         *held_without_error(nlp, accuracy),
         *no_degrees_of_freedom(nlp),
         *prior_conflicts(answer),
-        *at_bounds(nlp, best, accuracy),
+        *at_bounds(nlp, answer, accuracy),
         *few_agreeing_starts(search, answer.agreeing),
         *unfinished_runs(search),
         *minimum_at_kink(search),

@@ -11,7 +11,6 @@ from greybox.estimate.covariance import Accuracy
 from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, listed
-from greybox.solve.minima import Minimum
 
 
 def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
@@ -64,15 +63,14 @@ def _not_determined(combination: Combination) -> str:
             "does."
         )
 
-    members = [*names, *(f"the initial state of {name}" for name in combination.states)]
     cure = f"fix {names[0]}" if len(names) == 1 else f"fix {'one' if count == 1 else count} of them"
     if combination.states:
         cure += f", or give a known initial state, initial={{{combination.states[0]!r}: ...}}"
 
     combined = "a combination" if count == 1 else "combinations"
     return (
-        f"{listed(members)} are not determined: at this estimate the data depend only on "
-        f"{combined} of them, so no standard error is given; {cure}."
+        f"{listed(combination.members)} are not determined: at this estimate the data depend only "
+        f"on {combined} of them, so no standard error is given; {cure}."
     )
 
 
@@ -100,7 +98,7 @@ def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str
 
 def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     """Warn where the data have no more numbers than the fit has unknowns."""
-    numbers = sum(part.numbers for part in nlp.parts)
+    numbers = nlp.numbers
     initial = sum(part.unknown_initial_states for part in nlp.parts)
     if numbers > len(nlp.free) + initial:
         return
@@ -114,7 +112,7 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     )
 
 
-def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
+def at_bounds(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[str]:
     """Name parameters at bounds and active constraints: the standard errors treat both as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`
@@ -123,10 +121,9 @@ def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterat
     for name in accuracy.at_bound:
         if name in without_effect or name in sizes:
             continue
-        k = nlp.free.index(name)
-        at_lower = best.estimate[k] - nlp.lower[k] < nlp.upper[k] - best.estimate[k]
-        side = "lower" if at_lower else "upper"
-        bound = nlp.lower[k] if at_lower else nlp.upper[k]
+        q = answer.by_name[name]
+        low, high = q.bounds
+        side, bound = ("lower", low) if q.value - low < high - q.value else ("upper", high)
         yield (
             f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as "
             "known there: widen the bound if the physics allow, or fix the parameter."

@@ -15,14 +15,15 @@ def prior_conflicts(fit: Fit) -> Iterator[str]:
     Bayesian Analysis 1(4), for normal densities.
     """
     for name, (mean, sigma) in fit.priors.items():
-        moved = sigma**2 - fit.standard_error.get(name, math.nan) ** 2
+        q = fit.by_name[name]
+        moved = sigma**2 - q.standard_error**2
         # An error beyond that of the prior has grown with the residuals that a conflict leaves.
         spread = math.sqrt(moved) if moved > 0 else sigma
-        deviations = abs(fit.estimate[name] - mean) / spread
+        deviations = abs(q.value - mean) / spread
         if deviations > 3:
             value, deviation = with_error(mean, sigma)
             yield (
                 f"the data contradict the prior of {name}, {value} ± {deviation}: the estimate "
-                f"{number(fit.estimate[name])} is {number(deviations, 2)} standard deviations "
+                f"{number(q.value)} is {number(deviations, 2)} standard deviations "
                 "away. Check the prior and the model."
             )
