@@ -613,9 +613,8 @@ def _known(parts: Sequence[Regression]) -> Array:
     """Return the columns (N, e) of all parts that no other part has."""
     from scipy.linalg import block_diag  # noqa: PLC0415  (slow to import)
 
-    none = [np.zeros((len(part.residuals), 0)) for part in parts]
     known = [
-        other if part.known is None else part.known for part, other in zip(parts, none, strict=True)
+        np.zeros((len(part.residuals), 0)) if part.known is None else part.known for part in parts
     ]
     return np.asarray(block_diag(*known), dtype=float)
 

@@ -302,8 +302,8 @@ def regression_of_response(
         terms=terms_of_response(*data.omega.tolist()),
         orders=orders,
     )
-    left, whole = (np.sum(each**2) for each in (regression.residuals, regression.measured))
-    return replace(regression, causes=() if left < whole / 2 else (path,), level=OF_RESPONSES)
+    is_unlike = 2 * np.sum(regression.residuals**2) >= np.sum(regression.measured**2)
+    return replace(regression, causes=(path,) if is_unlike else (), level=OF_RESPONSES)
 
 
 def regression_of_manoeuvre(
@@ -340,19 +340,25 @@ def regression_of_manoeuvre(
     terms = [term for term in terms_of_response(*omega.tolist()) if term.kind in SMOOTH]
     if len(part.inputs) > 1:
         by_delays = (fitted.by_delays / fitted.modeled[:, None]).swapaxes(0, 1)
-        rows_of_inputs = by_delays.reshape(len(part.inputs), -1)
         terms += [
-            Term("timing", row, a=a) for a, row in zip(part.inputs, rows_of_inputs, strict=True)
+            Term("timing", late.ravel(), a=a)
+            for a, late in zip(part.inputs, by_delays, strict=True)
         ]
     if outputs > 1:
         late = np.repeat(np.eye(outputs), len(part.data), 1) * -1j * omega
         terms += [Term("sensor", row, b=b) for b, row in zip(part.outputs, late, strict=True)]
-    orders = [("own", part_name, 1.0)]
     regression = _of_curve(
-        curve, part.measured.ravel(), rows, values, names, moves, terms=terms, orders=orders
+        curve,
+        part.measured.ravel(),
+        rows,
+        values,
+        names,
+        moves,
+        terms=terms,
+        orders=[("own", part_name, 1.0)],
     )
     # The drift of an output leaves what a straight line would.
-    lines = np.einsum("kc,l->klc", np.eye(outputs), 1 / (1j * part.data.omega))
+    lines = np.eye(outputs)[:, None] / (1j * part.data.omega[:, None])
     ends = fitted.to_outputs[:, :, : len(part.states)].swapaxes(0, 1)
     return replace(regression, known=rows(np.concatenate([ends, lines], 2)), pieces=2 * outputs)
 

@@ -57,5 +57,4 @@ def misfit(
     x = fit.minima[0].estimate
     solver = solver_for(nlp)
     trajectories = solver.profile(x).trajectories
-    at_bound = [q.name for q in fit.quantities if q.at_bound]
-    return assessed_misfit(nlp, x, trajectories, at_bound, candidates, solver)
+    return assessed_misfit(nlp, x, trajectories, fit.at_bound, candidates, solver)

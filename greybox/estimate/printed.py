@@ -379,6 +379,6 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
             {"part": part.name, "magnitude_phase_cost": part.magnitude_phase_cost}
             for part in result.responses
         ],
-        "at_bound": [q.name for q in result.quantities if q.at_bound],
+        "at_bound": result.at_bound,
     }
     return plain(answer)

@@ -202,6 +202,11 @@ class Fit(Printed):
         return tuple(q.name for q in self.quantities if q.kind == "free")
 
     @cached_property
+    def at_bound(self) -> Strings:
+        """Names of the parameters that a bound holds."""
+        return tuple(q.name for q in self.quantities if q.at_bound)
+
+    @cached_property
     def names(self) -> Strings:
         """Names of the free, fixed and tied parameters, in this order."""
         return tuple(q.name for q in self.quantities if q.kind != "derived")
@@ -339,7 +344,7 @@ class Fit(Printed):
             self.free,
             [q.unit for q in free],
             self.known_directions(self.free),
-            [q.name for q in free if q.at_bound],
+            self.at_bound,
         )
 
     @property

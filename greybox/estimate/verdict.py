@@ -1,18 +1,16 @@
 """The verdict on a fit in a few sentences: model, minimum, parameters."""
 
-import math
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, Literal
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
-from greybox.files.arrays import Strings, by_name
+from greybox.files.arrays import Strings
 from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
 
 Grade = Literal["good", "doubt", "poor", "failed"]
 
-ZERO = 0.5  # of the value: a standard error at which zero lies inside the 95 % interval
 
 LEVELS = {
     "good": "Good: use the values with their intervals.",
@@ -79,7 +77,6 @@ def _minimum(fit: Any) -> tuple[bool, str]:
 
 def _determined(fit: Any) -> tuple[bool, str]:
     """Tell whether all free parameters are well determined, and say how well."""
-    at_bound = [q.name for q in fit.quantities if q.at_bound]
     if not fit.free:
         return True, "No parameter was free."
     try:
@@ -92,28 +89,24 @@ def _determined(fit: Any) -> tuple[bool, str]:
 
     # Biases and sizes of noise, which the criterion adds, are no less known for being near zero.
     added = {part.outside(name) for part in fit.parts for name in part.added}
-    errors = {n: e for n, e in by_name(judged.names, judged.error).items() if n not in added}
-    alone = by_name(judged.names, judged.insensitivity)
+    pairs = zip(judged.names, judged.error, strict=True)
+    errors = {name: error for name, error in pairs if name not in added}
     beyond = [name for name in judged.beyond if name in errors]
     texts = []
-    if at_bound:
-        texts.append(f"{some(at_bound)} ended at a bound")
+    if fit.at_bound:
+        texts.append(f"{some(fit.at_bound)} ended at a bound")
     if beyond:
         texts.append(
             f"{some(beyond)} exceeded the guidelines ({100 * ERROR_GUIDELINE:.0f} % error, "
             f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity)"
         )
-        # Of such a term the data show no effect: its value is zero, or the test does not excite it.
-        absent = [name for name in beyond if ZERO < alone[name] < math.inf]
-        if absent:
-            texts.append(f"{some(absent)} may be zero, even if all others were known")
 
     if texts:
-        well = len(fit.free) - len({*at_bound, *beyond})
+        well = len(fit.free) - len({*fit.at_bound, *beyond})
         return (
             # Insensitivity is the error if all others were known: it limits no use of an estimate
             # whose error, which is larger, is within the guideline.
-            not at_bound and all(error <= ERROR_GUIDELINE for error in errors.values()),
+            not fit.at_bound and all(error <= ERROR_GUIDELINE for error in errors.values()),
             f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
             f"determined; {'; '.join(texts)}. To determine more, fix a parameter or add data.",
         )

@@ -188,5 +188,5 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
 
 def held_by_bounds(fit: Fit) -> Strings:
     """Return the remark that parameters ended at a bound."""
-    names = [quantity.name for quantity in fit.quantities if quantity.at_bound]
+    names = fit.at_bound
     return (f"{listed(names)} at {'its' if len(names) == 1 else 'their'} bound",) if names else ()

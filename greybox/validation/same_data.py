@@ -2,7 +2,7 @@
 
 from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Labels, Strings
-from greybox.files.text_table import number
+from greybox.files.text_table import number, numbered_where_alike
 
 LIKELIHOOD = "negative log-likelihood"
 
@@ -28,7 +28,7 @@ def labels_of(fits: Fits) -> Strings:
     for labels in (models, with_problems):
         if len(set(labels)) == len(labels):
             return tuple(labels)
-    return tuple(f"{model} {k}" for k, model in enumerate(models, 1))
+    return tuple(numbered_where_alike(models))
 
 
 def data_difference(fits: Fits, names: Labels) -> str:

@@ -95,7 +95,9 @@ def told(**parts):
         "agreeing": 3,
         "minima": [None],
     }
-    return verdict(SimpleNamespace(**(given | {"identifiability": determined()} | parts)))
+    given |= {"identifiability": determined()} | parts
+    given["at_bound"] = [quantity.name for quantity in given["quantities"] if quantity.at_bound]
+    return verdict(SimpleNamespace(**given))
 
 
 @pytest.mark.parametrize(
@@ -165,8 +167,8 @@ def quantity(name, at_bound):
         ),
         (
             {"identifiability": determined("c", error=(0.1, 0.1, 3.0), alone=0.6)},
-            "Of 3 free parameters, 2 are well determined; c exceeded the guidelines (20 % error, 10 % insensitivity); c "
-            "may be zero, even if all others were known. To determine more, fix a parameter or add data.",
+            "Of 3 free parameters, 2 are well determined; c exceeded the guidelines (20 % error, 10 % "
+            "insensitivity). To determine more, fix a parameter or add data.",
             False,
         ),
     ],
