@@ -225,7 +225,6 @@ class CompiledProblem(Portable):
         return self._costs(responses), relative.T
 
 
-@one_thread_at_a_time
 def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
     """Return the problem with as many harmonics as matter at the start values, if left open.
 
@@ -245,6 +244,7 @@ def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
     return problem if parts == [*problem.parts] else problem.with_parts(parts)
 
 
+@one_thread_at_a_time
 def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> CompiledProblem:
     """Build the CasADi expressions of a problem; `method` is that of its records.
 

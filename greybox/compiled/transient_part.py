@@ -155,7 +155,8 @@ class TransientPart(Part):
         self.unknown_initial_states = len(self.states)  # those of the end term
         self._matrices = _matrices(problem, system, gusts)
         # A Padé approximation reaches the output at once, which a delay does not.
-        held = self.data.held if problem.delay == "exact" else ()
+        delayed = () if problem.delay == "exact" else getattr(problem.model, "delays", self.inputs)
+        held = {*self.data.held} - {*delayed}
         self._held = np.array([[name in held] for name in self.inputs])
         self._is_equation_error = isinstance(problem.criterion, EquationError)
         # White noise with a deviation of one in every sample gives each component of an integral

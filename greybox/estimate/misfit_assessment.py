@@ -199,8 +199,11 @@ def assessed_misfit(
     # At biased values, residuals follow the inputs although no term is missing.
     x, group = _with_autoregressive_errors(nlp, x, disturbed)
     [(_, columns)] = answers
-    # Terms that residuals follow there for certain, also as they act here, need no other test.
-    if misfit.tried * min(group.chances(columns), default=1.0) < IN_GUSTS**2:
+    # Values at a bound are no better ones. Terms that residuals follow there for certain, also as
+    # they act here, need no other test.
+    is_held = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
+    is_certain = misfit.tried * min(group.chances(columns), default=1.0) < IN_GUSTS**2
+    if is_certain or is_held.any():
         return misfit
     other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates)
     if other is None or other.p_value < IN_GUSTS:
@@ -314,14 +317,13 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
     terms = _terms(group.parts, determined)
     tried, tested = _ranked(group, [key for key, term in terms.items() if not term.knots])
     columns = np.hstack([group.residuals[:, :0], *(test.column for test in tested)])
-    bounds = sum(count for (kind, *_), count in tried.items() if kind == "bound")
 
     def alternatives(test: Tested) -> int:
         """Return how many terms such a one is the best of."""
         family = test.key[0]
+        # A bound is doubted more than what nobody thought of.
         if family[0] == "bound":
-            # It is doubted more than terms that nobody thought of.
-            return bounds
+            return tried[family]
         if group.outputs:
             return tried.total() * terms[test.key].tries
         # Among responses, each family is as likely to be missing, whatever its number of terms.
@@ -616,7 +618,7 @@ def _known(parts: Sequence[Regression]) -> Array:
     known = [
         np.zeros((len(part.residuals), 0)) if part.known is None else part.known for part in parts
     ]
-    return np.asarray(block_diag(*known), dtype=float)
+    return np.asarray(block_diag(*known), float)
 
 
 def _lengths(parts: Sequence[Regression]) -> list[int]:

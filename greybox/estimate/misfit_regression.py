@@ -43,6 +43,7 @@ from greybox.statistics.score_test import chance, score_tests
 # end, at both ends or in a band, 2.2 % are below it, and of those in white ones 1 %.
 OF_RESPONSES = 0.01
 TINY = 1e-300
+NOTHING = 1e-200  # in place of a modeled response of zero: the square of its effects is zero
 STEP = 1e-6  # of the numbers of a term, for derivatives
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
@@ -326,7 +327,7 @@ def regression_of_manoeuvre(
     def rows(columns: ComplexArray) -> Array:
         columns = columns.reshape(*turned.shape[:2], -1)
         weighted = np.einsum("ka,lab,blc->klc", fitted.weight, fitted.transform, columns)
-        return real_and_imaginary(weighted * turned, 1).reshape(-1, columns.shape[2])
+        return real_and_imaginary(weighted * turned, 1).reshape(2 * turned.size, -1)
 
     def curve(x: Array) -> tuple[ComplexArray, ComplexArray]:
         parameters, slopes = located(x)
@@ -338,12 +339,6 @@ def regression_of_manoeuvre(
     omega = np.tile(part.data.omega, outputs)
     # In turbulence, lines are larger here and there, which looks like a mode or a step.
     terms = [term for term in terms_of_response(*omega.tolist()) if term.kind in SMOOTH]
-    if len(part.inputs) > 1:
-        by_delays = (fitted.by_delays / fitted.modeled[:, None]).swapaxes(0, 1)
-        terms += [
-            Term("timing", late.ravel(), a=a)
-            for a, late in zip(part.inputs, by_delays, strict=True)
-        ]
     if outputs > 1:
         late = np.repeat(np.eye(outputs), len(part.data), 1) * -1j * omega
         terms += [Term("sensor", row, b=b) for b, row in zip(part.outputs, late, strict=True)]
@@ -381,17 +376,22 @@ def _of_curve(
     `orders` lists, as kinds of terms with a name and the number that grows.
     """
     places = np.flatnonzero(moves)
-    model, slopes = curve(values)
+
+    def modeled(x: Array) -> tuple[ComplexArray, ComplexArray]:
+        # Where a response is zero, the effects of its parameters are not.
+        model, slopes = curve(x)
+        return np.where(model == 0, NOTHING, model), slopes
 
     def again(change: Array, factors: ComplexArray) -> Array:
         x = values.copy()
         x[places] += change
-        model, slopes = curve(x)
+        model, slopes = modeled(x)
         by_term = model * (factors[1:] - factors[0]) / STEP
         columns = -np.vstack([slopes[:, places].T * factors[0], by_term])
         return rows(np.column_stack([measured - model * factors[0], *columns]))
 
-    relative = slopes / np.where(model == 0, np.inf, model)[:, None]
+    model, slopes = modeled(values)
+    relative = slopes / model[:, None]
     own = [
         Term(kind, column * value, a=name, b=b)
         for k, (name, column) in enumerate(zip(names, relative.T, strict=True))

@@ -89,8 +89,11 @@ def _determined(fit: Any) -> tuple[bool, str]:
 
     # Biases and sizes of noise, which the criterion adds, are no less known for being near zero.
     added = {part.outside(name) for part in fit.parts for name in part.added}
-    pairs = zip(judged.names, judged.error, strict=True)
-    errors = {name: error for name, error in pairs if name not in added}
+    errors = {
+        name: error
+        for name, error in zip(judged.names, judged.error, strict=True)
+        if name not in added
+    }
     beyond = [name for name in judged.beyond if name in errors]
     texts = []
     if fit.at_bound:

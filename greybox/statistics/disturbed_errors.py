@@ -32,6 +32,10 @@ def undisturbed(errors: Array, basis: Array, disturbances: ComplexArray) -> floa
     disturbances : (s, k, lines) complex array
         Outputs that follow each disturbance, in any unit.
     """
+    dof = len(basis) - basis.shape[1]
+    # Without numbers beside the fit, nothing is left to judge.
+    if not (dof and errors.any()):
+        return 1.0
     columns = np.column_stack([errors.ravel(), basis])
     parts = columns.reshape(len(errors), 2, -1, columns.shape[1])
     # What each disturbance reaches of the columns, by line.
@@ -44,7 +48,6 @@ def undisturbed(errors: Array, basis: Array, disturbances: ComplexArray) -> floa
     # What remains of the first column's square without the others is a ratio of determinants.
     information = np.linalg.slogdet(moments[..., 1:, 1:])[1]
     squares = np.linalg.slogdet(moments)[1] - information
-    dof = len(basis) - basis.shape[1]
     score = -(dof * squares + information) / 2 - np.log1p(excess).sum(axis=2)
     likelihood = np.exp(score - score.max())
     # Before the data, no disturbance is as likely as some.

@@ -1375,3 +1375,37 @@ def test_right_models_explain_manoeuvres():
     fits = [gb.fit(manoeuvre(seed=seed), starts=2, progress=False) for seed in range(10, 13)]
     fits += [gb.fit(manoeuvre(seed=30) + manoeuvre(seed=31), starts=2, progress=False)]
     assert sum(not fit.misfit.explains for fit in fits) == 0
+
+
+def test_a_manoeuvre_whose_only_parameter_is_held_by_its_bound_is_tested():
+    spectrum = manoeuvre(seed=5).data
+    of = gb.Problem(Both(), spectrum, fixed={"d": 2.0, "b": 25.0}, bounds={"k": (0.0, 20.0)})
+    misfit = gb.fit(of, starts=2, progress=False).misfit
+    assert not misfit.explains
+    assert misfit.likely[0].text.startswith("a value of k that is larger by 3.8")  # to first order
+
+
+class FirstOrder(gb.StateSpace):
+    """v' = a v + b u."""
+
+    states, inputs, outputs = ("v",), ("u",), ("v",)
+    a, b = gb.Parameter(-1.0, bounds=(-20, 0)), gb.Parameter(2.0, bounds=(0, 20))
+
+    def derivative(self, x, u, p):
+        return (p.a * x.v + p.b * u.u,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def test_values_at_a_bound_are_no_better_ones():
+    random = np.random.default_rng(0)
+    time = 0.02 * np.arange(2000)
+    u = np.repeat(random.choice([-1.0, 0.0, 1.0], 40), 50)
+    flown = gb.Record(time, {"u": u}, hold={"u": np.inf})
+    v = np.array(gb.simulate(FirstOrder(), {"a": -2.0, "b": 3.0}, flown)["v"])
+    record = flown.with_signals(v=v + 0.05 * random.normal(size=2000))
+    of = gb.Problem(FirstOrder(), record, bounds={"b": (0.0, 2.5)})
+    misfit = gb.fit(of, starts=2, progress=False).misfit
+    assert not misfit.explains
+    assert not misfit.elsewhere
