@@ -48,7 +48,9 @@ def condense(
         held = _held_curvature(b, variance, data.coupled, largest)
     # Damping enters the matrix but not the gradient: a minimum of the problem stays one. Without
     # it, 91 % of 58 fits of hard problems reach the best minimum instead of 97 %.
-    node_damping = damping * _node_curvature(b, variance, data)
+    node_damping = np.zeros_like(trajectory.gaps)
+    if damping:
+        node_damping = damping * _node_curvature(b, variance, data)
     node_hessian = b.node_hessian + held + node_damping[:, :, None] * np.eye(segments.n)
 
     # The right-hand sides: the gradient of the residuals, and its derivatives with respect to the

@@ -275,19 +275,19 @@ class TransientPart(Part):
         transform : (lines, k, k, x) complex array
             dT T⁻¹; zeros for output error.
         """
-        slopes, n = at.slopes @ by, len(self.states)
-        modeled = self.modeled_slopes(at, by)
-        mean = -self._real(np.einsum("lab,blx->alx", at.transform, modeled))
+        mean = -self._real(np.einsum("lab,blx->alx", at.transform, self.modeled_slopes(at, by)))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
-        k = len(self.outputs)
-        if self._is_equation_error and k == 1:
-            # d log det P = tr(P⁻¹ dP), with P = jωI - A.
-            relative -= np.einsum("lij,jix->lx", at.inverse, slopes[:n, :n])[:, None, None, :]
-        elif self._is_equation_error:
-            # With T⁻¹ = C P⁻¹ E, dT T⁻¹ is -T (dC + C P⁻¹ dA) P⁻¹ E.
-            left = at.transform @ at.to_outputs
-            relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse[:, :, -k:])
+        n, k = len(self.states), len(self.outputs)
+        if self._is_equation_error:
+            slopes = (at.slopes @ by)[:, :n]  # of A and C
+            if k == 1:
+                # d log det P = tr(P⁻¹ dP), with P = jωI - A.
+                relative -= np.einsum("lij,jix->lx", at.inverse, slopes[:n])[:, None, None, :]
+            else:
+                # With T⁻¹ = C P⁻¹ E, dT T⁻¹ is -T (dC + C P⁻¹ dA) P⁻¹ E.
+                left = at.transform @ at.to_outputs
+                relative -= np.einsum("lar,rcx,lcb->labx", left, slopes, at.inverse[:, :, -k:])
         unexplained = np.einsum("lab,bl->al", at.transform, self.measured - at.modeled)
         return (
             mean,
@@ -369,7 +369,6 @@ class TransientPart(Part):
         mean, _, change = self.derivatives(at, slope.full())
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean, variance])
-        white = jacobian.T @ jacobian
         errors = at.weight @ at.errors
         shape = len(self.outputs), 2, len(self.data)
 
@@ -393,7 +392,7 @@ class TransientPart(Part):
             self,
             jacobian,
             self.numbers - len(self.states),
-            lambda correction: (1.0, white),
+            lambda correction: (1.0, jacobian.T @ jacobian),
             reach,
             colored=colored,
             doubtful=undisturbed(errors, fitted, gusts / self.data.omega) < UNLIKELY,

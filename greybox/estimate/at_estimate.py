@@ -126,8 +126,7 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
     """
     count = len(fit.parts)
     if part is not None:
-        whose = f"part of a fit with {counted(count, 'part')}"
-        require_whole(whose, part, -count, count - 1)
+        require_whole(f"part of a fit with {counted(count, 'part')}", part, -count, count - 1)
         return part % count
 
     def rank(k: int) -> int:
