@@ -147,7 +147,7 @@ def main():
         run = solver.run(starts[0])
         plain.append((run.converged and run.cost < best + 0.1, time.process_time() - began))
         began = time.process_time()
-        search = multistart(nlp, solver, starts, promising=solver.promising)
+        search = multistart(solver, starts, promising=solver.promising)
         found = bool(search.minima) and search.minima[0].cost < best + 0.1
         screened.append((found, time.process_time() - began))
         runs += len(search.brought)

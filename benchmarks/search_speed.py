@@ -186,7 +186,7 @@ def default_searches(problem, options, lowest):
     for seed in range(options.seeds):
         starts = Sobol(200, seed).draw(parameters)
         began = time.process_time()
-        search = multistart(nlp, solver, starts, promising=solver.promising)
+        search = multistart(solver, starts, promising=solver.promising)
         seconds.append(time.process_time() - began)
         found += bool(search.minima) and search.minima[0].cost <= SUCCESS * lowest
         brought.append(len(search.brought))

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import (
     Accuracy,
@@ -195,8 +195,8 @@ class SolverChoice:
                 f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}."
             )
 
-    def compiled(self, problem: AnyProblem) -> tuple[CompiledProblem, LocalSolver]:
-        """Return the compiled problem and its solver.
+    def solver(self, problem: AnyProblem) -> LocalSolver:
+        """Return the solver of a problem, which is compiled for it.
 
         Raises
         ------
@@ -208,7 +208,7 @@ class SolverChoice:
         try:
             with building():
                 nlp = compile_problem(problem, self.method)
-                return nlp, solver_for(nlp, self.options, self.search)
+                return solver_for(nlp, self.options, self.search)
         except ZeroDivisionError as error:
             # The command line and studies name the line; in Python the traceback shows it.
             raise ValueError(
@@ -250,7 +250,8 @@ def fit_with_storage(
 
     require_executor(executor)
     began = time.perf_counter()
-    nlp, solver = by.compiled(problem)
+    solver = by.solver(problem)
+    nlp = solver.nlp
     rule = as_starts(solver.starts if starts is None else starts, seed)
 
     with responding(Response.STOP):
@@ -258,7 +259,6 @@ def fit_with_storage(
         points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
         run = partial(
             multistart,
-            nlp,
             solver,
             points,
             movable=not isinstance(rule, Listed),
@@ -273,21 +273,21 @@ def fit_with_storage(
         # Explain failures before a refinement replaces the compiled problem in which they happened.
         search = explained(nlp, search)
         # Refine before ranking: minima of too coarse an integration may change their order.
-        nlp, search, solver, error = refine_discretization(nlp, search, solver)
+        search, solver, error = refine_discretization(search, solver)
         # A batch stops at a loose tolerance; IPOPT confirms each minimum once.
         search = solver.polished(search)
-        nlp, search, solver = with_robust_errors(nlp, search, solver)
+        search, solver = with_robust_errors(search, solver)
 
     if not search.runs:
         raise KeyboardInterrupt
 
     # Ctrl-C no longer ends the work: the search is complete, and judging it takes a moment.
     with responding(Response.FINISH):
-        answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), error=error)
+        answer = assemble(search, solver, seed=rule.seed, starts=str(rule), error=error)
         messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
         # A search that was cut short has no time for profiles.
         if profiles and answer.converged and not messages:
-            profiled = profiled_where_misleading(nlp, answer)
+            profiled = profiled_where_misleading(solver.nlp, answer)
             if profiled:
                 messages = profiled.warnings
                 answer = replace(answer, profiles=profiled)
@@ -325,7 +325,7 @@ def _with_progress(
 @one_thread_at_a_time  # also frees what it compiles
 def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
     """Return the key of stored runs: of the compiled problem, its data and the solver options."""
-    return value_fingerprint(by.compiled(problem)[1])
+    return value_fingerprint(by.solver(problem))
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
@@ -341,7 +341,6 @@ def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator
 
 @one_thread_at_a_time
 def assemble(
-    nlp: CompiledProblem,
     search: Multistart,
     solver: LocalSolver,
     *,
@@ -353,6 +352,7 @@ def assemble(
 
     `starts` describes their rule, `error` is the error of discretization where it is known.
     """
+    nlp = solver.nlp
     # The end of a run that did not converge is not an estimate: the values of a failed fit are NaN.
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
     accuracy = Accuracy.unknown(nlp)
@@ -412,7 +412,7 @@ def assemble(
     )
 
     if not search.minima:
-        return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
+        return replace(answer, warnings=warnings_of_failure(search, solver))
     together = determined_together(answer) if accuracy.combinations else ()
     return replace(
         answer,

@@ -97,16 +97,17 @@ def discretization_error(
 
 
 def refine_discretization(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
-) -> tuple[CompiledProblem, Multistart, LocalSolver, DiscretizationError | None]:
+    search: Multistart, solver: LocalSolver
+) -> tuple[Multistart, LocalSolver, DiscretizationError | None]:
     """Refine the steps until the error does not matter, and follow the best minima.
 
     A number of substeps that the method fixes stays. Minima that are artifacts of the integrator
     are removed. Also returns the remaining error, None where it was not computed.
     """
+    nlp = solver.nlp
     error = None
     if not any(part.substeps for part in nlp.parts) or not search.minima:
-        return nlp, search, solver, error
+        return search, solver, error
     fine = _finer_parts(nlp)
 
     # A fixed number of substeps is the user's choice: it is judged, but not changed.
@@ -118,16 +119,16 @@ def refine_discretization(
             break
         finer = replace(nlp, parts=tuple(part.refined(error.growth) for part in nlp.parts))
         finer_solver = solver.refined(finer)
-        followed = with_finer_steps(finer, search, finer_solver)
+        followed = with_finer_steps(search, finer_solver)
         if followed is None:
             break
         nlp = finer
         search = followed
         solver = finer_solver
         fine = _finer_parts(finer)
-    sound = without_aliases(nlp, search, solver, fine)
+    sound = without_aliases(search, solver, fine)
     is_same_best = sound.minima[0].runs[0] == search.minima[0].runs[0]
-    return nlp, sound, solver, error if is_same_best else None
+    return sound, solver, error if is_same_best else None
 
 
 def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
@@ -135,9 +136,7 @@ def _finer_parts(nlp: CompiledProblem) -> tuple[Part, ...]:
     return tuple(part.refined(2) for part in nlp.parts)
 
 
-def without_aliases(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, fine: Sequence[Part]
-) -> Multistart:
+def without_aliases(search: Multistart, solver: LocalSolver, fine: Sequence[Part]) -> Multistart:
     """Return the search without minima that finer steps move by standard errors.
 
     `fine` are the parts with twice the steps.
@@ -146,6 +145,7 @@ def without_aliases(
     parameters, or even less, and may have their response. It remains only if all minima are
     aliases.
     """
+    nlp = solver.nlp
     limit = search.minima[0].cost + RIVAL_COST
 
     # An alias may have the response of the true parameters: ends are judged, not minima.
@@ -178,10 +178,8 @@ def without_aliases(
     return replace(search, runs=runs, minima=tuple(minima), nodes=nodes)
 
 
-def with_finer_steps(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
-) -> Multistart | None:
-    """Return the search with its best minima moved to those of `nlp`; None if none converges.
+def with_finer_steps(search: Multistart, solver: LocalSolver) -> Multistart | None:
+    """Return the search with its best minima moved by this solver; None if none converges.
 
     The runs that ended there move with them, so that runs and minima have the same costs. Minima
     that are not rivals of the best stay.
@@ -199,7 +197,7 @@ def with_finer_steps(
 
         # One minimum may have several parameter vectors (lags that swap), which move by themselves.
         numbers = np.array(minimum.runs)
-        for group in distinct_ends(nlp, search.runs.estimate[numbers]):
+        for group in distinct_ends(solver.nlp, search.runs.estimate[numbers]):
             outcome = solver.near(search.runs.estimate[numbers[group[0]]])
             ends |= dict.fromkeys(numbers[group].tolist(), outcome)
         count += 1
@@ -212,7 +210,7 @@ def with_finer_steps(
         for run in search.runs
     )
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
-    moved = find_minima(nlp, [run for run in runs if run.index in ends], signatures)
+    moved = find_minima(solver.nlp, [run for run in runs if run.index in ends], signatures)
     # The first that moved is the best, to rounding: the others cost no less than any that moved.
     best, *others = moved
     others = sorted([*others, *search.minima[count:]], key=lambda m: m.cost)

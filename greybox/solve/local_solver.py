@@ -64,6 +64,7 @@ class LocalSolver(Runner):
 
     Attributes
     ----------
+    nlp : CompiledProblem
     starts : int
         Default number of starts.
     promising : tuple of int
@@ -71,6 +72,7 @@ class LocalSolver(Runner):
         these must agree.
     """
 
+    nlp: CompiledProblem
     starts: ClassVar[int] = 20
     promising: ClassVar[tuple[int, ...]] = (4, 3)
 

@@ -64,8 +64,7 @@ def solver_for(
     return GaussNewton(nlp, settings=settings(options))
 
 
-def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
-    nlp: CompiledProblem,
+def multistart(
     solver: LocalSolver,
     starts: Array,
     *,
@@ -94,7 +93,7 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     """
     # In 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
     # that of the conversion.
-    points = FiniteStarts(nlp, solver, starts) if movable else starts
+    points = FiniteStarts(solver, starts) if movable else starts
     memory = Memory(storage, solver)
     *counts, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and counts[-1] < len(starts) else None
@@ -118,17 +117,17 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
             outcome = _continued(solver, ended, lowest, memory, number)
             results[number] = start, outcome
             lowest = min(lowest, outcome.cost) if outcome.converged else lowest
-        results, runs, minima = _certified(nlp, solver, results)
+        results, runs, minima = _certified(solver, results)
         if stop_requested():
             break
-        if 0 < enough <= len(agreeing_runs(nlp, runs, minima)):
+        if 0 < enough <= len(agreeing_runs(solver.nlp, runs, minima)):
             # Minima that these runs have missed take the places of starts that were not tried: the
             # last ones, since among equal minima the first start decides.
             untried = sorted({*range(len(starts))} - {*results}, reverse=True)
-            others = points_beside(nlp, minima[0].estimate) if beside else ()
+            others = points_beside(solver.nlp, minima[0].estimate) if beside else ()
             added = {k: (x, solver.near(x)) for k, x in zip(untried, others, strict=False)}
             if added:
-                results, runs, minima = _certified(nlp, solver, results | added)
+                results, runs, minima = _certified(solver, results | added)
             break
 
     # Where nothing converged, a diagnosis needs the last states of every run.
@@ -166,7 +165,7 @@ def _continued(
 
 
 def _certified(
-    nlp: CompiledProblem, solver: LocalSolver, results: Mapping[int, tuple[Array, Outcome]]
+    solver: LocalSolver, results: Mapping[int, tuple[Array, Outcome]]
 ) -> tuple[dict[int, tuple[Array, Outcome]], Runs, tuple[Minimum, ...]]:
     """Return the runs, by row and in columns, and their minima, certified by the solver."""
     rows = sorted(results)
@@ -177,7 +176,7 @@ def _certified(
 
         # A certified run may end lower, and change which runs share a minimum.
         runs = Runs.of(outcome.as_run(k, start) for k, (start, outcome) in enumerate(pairs))
-        minima = find_minima(nlp, runs, [outcome.signature for outcome in outcomes])
+        minima = find_minima(solver.nlp, runs, [outcome.signature for outcome in outcomes])
         changed = solver.certified(runs, minima)
         if not changed:
             return by_name(rows, pairs), runs, minima
@@ -192,7 +191,6 @@ class FiniteStarts:
     A start is moved when it is asked for, so that the first run does not wait for the last start.
     """
 
-    nlp: CompiledProblem
     solver: LocalSolver
     starts: Array
 
@@ -208,7 +206,7 @@ class FiniteStarts:
             return start
 
         # The farthest point on the way, halved up to six times, in the solver's variables.
-        nlp = self.nlp
+        nlp = self.solver.nlp
         home = nlp.scaling.to_solver(self._home)
         away = nlp.scaling.to_solver(start) - home
         for halvings in range(1, 7):

@@ -65,25 +65,25 @@ class ResponseSolver(LocalSolver):
 
     def __init__(
         self,
-        problem: CompiledProblem,
+        nlp: CompiledProblem,
         options: Named = NO_OPTIONS,
         *,
         batched: bool = True,
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
-        self.problem = problem
+        self.nlp = nlp
         self._options = options
         self._batched = batched
         if options:  # those that IPOPT does not take are refused here
             _ = [stage.solver for stage in self._stages]
-        lower, upper = problem.bounds
+        lower, upper = nlp.bounds
         self._bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": np.inf}
         self.limits = {
             "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
             "tolerance": float(self._options.get("tol", TOLERANCE)),
         }
-        explicit = problem.programs[-1].explicit
-        if batched and explicit and ResponseSolver.serves(problem):
+        explicit = nlp.programs[-1].explicit
+        if batched and explicit and ResponseSolver.serves(nlp):
             # The starts that are improved at once are a power of two, as the columns of a batch. Up
             # to 1024: more do not become cheaper. Fewer where a batch would take more than some
             # 0.5 s (10 million instructions), so that a time limit costs no more and progress is
@@ -93,12 +93,12 @@ class ResponseSolver(LocalSolver):
 
     @cached_property
     def _stages(self) -> list[Ipopt]:
-        return [Ipopt.of(program, self._options) for program in self.problem.programs]
+        return [Ipopt.of(program, self._options) for program in self.nlp.programs]
 
     @staticmethod
-    def serves(problem: CompiledProblem) -> bool:
+    def serves(nlp: CompiledProblem) -> bool:
         """Return whether starts of a problem can be improved together."""
-        return not problem.has_states and fits_a_batch(problem.programs[-1].explicit)
+        return not nlp.has_states and fits_a_batch(nlp.programs[-1].explicit)
 
     # --- one run
 
@@ -108,12 +108,12 @@ class ResponseSolver(LocalSolver):
 
     def _solved(self, start: Array, smoothing: float, options: Named = NO_OPTIONS) -> Outcome:
         began = time.perf_counter()
-        problem = self.problem
+        nlp = self.nlp
         stages = self._stages
-        p = np.append(smoothing, problem.data)
+        p = np.append(smoothing, nlp.data)
         if options:
             stages = [stage.variant({**options, **self._options}) for stage in stages]
-        z = problem.scaling.to_solver(start)
+        z = nlp.scaling.to_solver(start)
         iterations, status, located = 0, "", False
         for stage in stages:
             located = status in CONVERGED
@@ -129,19 +129,19 @@ class ResponseSolver(LocalSolver):
         # IPOPT respects bounds to a tolerance only.
         converged = status in CONVERGED or (located and status == ROUNDED)
         seconds = time.perf_counter() - began
-        return Outcome(problem.estimate_at(z), status, iterations, seconds, converged)
+        return Outcome(nlp.estimate_at(z), status, iterations, seconds, converged)
 
     def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
         """Return the point x (p,): there are no hidden unknowns."""
-        z = self.problem.scaling.to_solver(x)
-        trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
-        return Profile(trajectories, self.problem.costs(x[None]).item(), converged=True)
+        z = self.nlp.scaling.to_solver(x)
+        trajectories = tuple(part.trajectory(z) for part in self.nlp.parts)
+        return Profile(trajectories, self.nlp.costs(x[None]).item(), converged=True)
 
     def judged(self, outcomes: Outcomes) -> Outcomes:
         """Return outcomes with costs, without smoothing, and signatures; blocks are exchanged."""
         ends = np.array([outcome.estimate for outcome in outcomes])
         arrived = [k for k, outcome in enumerate(outcomes) if outcome.converged]
-        is_alone = self.together == 1 or self.problem.programs[-1].roots is not None
+        is_alone = self.together == 1 or self.nlp.programs[-1].roots is not None
         if len(arrived) > 1 and not is_alone:
             ends[arrived] = self._exchanged(ends[arrived])
         return [
@@ -152,7 +152,7 @@ class ResponseSolver(LocalSolver):
     def _judged(self, estimates: Array) -> ArrayPair:
         """Return costs (r,) and signatures (r, m) at ends (r, p)."""
         firsts = range(0, max(len(estimates), 1), AT_ONCE)
-        batches = (self.problem.judged(estimates[k : k + AT_ONCE]) for k in firsts)
+        batches = (self.nlp.judged(estimates[k : k + AT_ONCE]) for k in firsts)
         # In single precision: they are stored for every run, and compared to a percent.
         pairs = ((costs, signatures.astype(np.float32)) for costs, signatures in batches)
         costs, signatures = zip(*pairs, strict=True)
@@ -167,11 +167,11 @@ class ResponseSolver(LocalSolver):
         reach that of the block which fewest of them solve.
         """
         # At a few points: at zero, a parameter may seem to couple nothing.
-        z = self.problem.scaling.to_solver(ends[-8:]).T
+        z = self.nlp.scaling.to_solver(ends[-8:]).T
         ones = np.ones_like(z[:1])
-        data = self.problem.data[:, None]
-        hessian = self.problem.programs[-1].second_order(z, SMOOTHING * ones, data * ones)[2]
-        slopes = ca.DM(self.problem.constraint.jac_sparsity(0, 0), 1).full()[:, : len(z)]
+        data = self.nlp.data[:, None]
+        hessian = self.nlp.programs[-1].second_order(z, SMOOTHING * ones, data * ones)[2]
+        slopes = ca.DM(self.nlp.constraint.jac_sparsity(0, 0), 1).full()[:, : len(z)]
         hessian = np.any(hessian, axis=1).reshape(len(z), -1)
         blocks, of = connected_components(hessian + slopes.T @ slopes)
         if blocks == 1:
@@ -181,7 +181,7 @@ class ResponseSolver(LocalSolver):
         lowest = costs.min(axis=1)
         # All blocks at their best.
         best = np.sum(lowest) - (blocks - 1) * costs[0, 0]
-        limits = lowest + RIVAL * likelihood_unit(self.problem, best)
+        limits = lowest + RIVAL * likelihood_unit(self.nlp, best)
         # Ends that the data do not exclude keep their order: sorted, a rival of the best would
         # always meet the worst ends of other blocks, and nobody would see it.
         order = np.argsort(np.maximum(costs, limits[:, None]), axis=1, kind="stable")
@@ -193,9 +193,9 @@ class ResponseSolver(LocalSolver):
         """Compare the starts (r, p) by smoothed costs, with a penalty on missed constraints."""
         if not self._batched:
             return None
-        z = self.problem.scaling.to_solver(starts).T
-        first = self.problem.programs[0].function
-        costs, limits = (value.full() for value in first(z, SMOOTHING, self.problem.data))
+        z = self.nlp.scaling.to_solver(starts).T
+        first = self.nlp.programs[0].function
+        costs, limits = (value.full() for value in first(z, SMOOTHING, self.nlp.data))
         # A constraint missed by a thousandth weighs as much as a cost of one.
         values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
         values = np.where(np.isfinite(values), values, np.inf)
@@ -208,10 +208,10 @@ class ResponseSolver(LocalSolver):
             return super().run_together(starts)
 
         began = time.perf_counter()
-        ends = self.improved(self.problem.scaling.to_solver(starts).T)
+        ends = self.improved(self.nlp.scaling.to_solver(starts).T)
         seconds = (time.perf_counter() - began) / len(starts)
         outcomes = []
-        estimates = self.problem.estimate_at(ends.z.T)
+        estimates = self.nlp.estimate_at(ends.z.T)
         for x, count, at_minimum in zip(
             estimates, ends.iterations.tolist(), ends.at_minimum, strict=True
         ):
@@ -233,11 +233,11 @@ class ResponseSolver(LocalSolver):
 
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Repeat the searches from z (p, m) that ended at a response of zero."""
-        program = self.problem.programs[0]
+        program = self.nlp.programs[0]
         is_shared = program.shared is not None
         if is_shared or program.explicit is None or program.roots is not None:
             return ends
-        zero = np.flatnonzero(explains_nothing(ends.cost, self.problem.zero_costs.sum()))
+        zero = np.flatnonzero(explains_nothing(ends.cost, self.nlp.zero_costs.sum()))
         if not zero.size:
             return ends
 
@@ -245,17 +245,17 @@ class ResponseSolver(LocalSolver):
 
     @cached_property
     def _walled(self) -> BatchedNewton:
-        return BatchedNewton.of(self.problem, walled(self.problem))
+        return BatchedNewton.of(self.nlp, walled(self.nlp))
 
     @cached_property
     def batches(self) -> list[BatchedNewton]:
         """Build the criterion that locates the minimum, if any, then the problem's own."""
-        return [BatchedNewton.of(self.problem, program) for program in self.problem.programs]
+        return [BatchedNewton.of(self.nlp, program) for program in self.nlp.programs]
 
     def meets_constraints(self, x: Array) -> bool:
         """Return whether a search that knows none of the constraints ended where all hold."""
-        problem = self.problem
-        return bool(problem.constraint(problem.all_values(x)).full().min(initial=0) >= 0)
+        nlp = self.nlp
+        return bool(nlp.constraint(nlp.all_values(x)).full().min(initial=0) >= 0)
 
     def again(self, x: Array, earlier: Outcome | Run, options: Named = NO_OPTIONS) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
@@ -290,7 +290,7 @@ class ResponseSolver(LocalSolver):
 
         # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost
-        tolerated = same_cost(self.problem, run.cost)
+        tolerated = same_cost(self.nlp, run.cost)
         if not outcome.converged or not higher <= tolerated:
             return False
         certified[run.index] = outcome
@@ -310,7 +310,7 @@ class ResponseSolver(LocalSolver):
         close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
         close = minima[:1] if stop_requested() else close
         with responding(Response.FINISH):
-            if not self.problem.limits:
+            if not self.nlp.limits:
                 first = search.runs.start[0]
                 close = [replace(m, estimate=self._in_order(m.estimate, first)) for m in close]
             polished = [*map(self._polish, close), *minima[len(close) :]]
@@ -322,14 +322,14 @@ class ResponseSolver(LocalSolver):
         Exchanged, they have the same responses, so that rounding would choose which of two lags
         gets which value.
         """
-        problem = self.problem
+        nlp = self.nlp
         order = np.argsort(first, kind="stable").tolist()
-        response = problem.judged(x[None])[1]
+        response = nlp.judged(x[None])[1]
         for i, j in combinations(order, 2):
             y = x.copy()
             y[[i, j]] = x[[j, i]]
-            if x[i] > x[j] and np.all(y == np.clip(y, problem.lower, problem.upper)):
-                change = np.abs(problem.judged(y[None])[1] - response)
+            if x[i] > x[j] and np.all(y == np.clip(y, nlp.lower, nlp.upper)):
+                change = np.abs(nlp.judged(y[None])[1] - response)
                 # Relative change of a response: rounding leaves 1e-13, and less for parameters that
                 # no data show.
                 x = y if change.max() < 1e-9 else x
@@ -337,7 +337,7 @@ class ResponseSolver(LocalSolver):
 
     def _polish(self, best: Minimum) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
-        is_served = self.serves(self.problem)
+        is_served = self.serves(self.nlp)
         if is_served:
             # At once where a few steps then arrive. At the kink of a zero residual a search stalls:
             # there the smoothing falls in steps.
@@ -359,13 +359,13 @@ class ResponseSolver(LocalSolver):
     def _refined(self, best: Minimum, smoothing: float, most: int) -> tuple[Array, int]:
         """Return the end (p,) of a batched search from a minimum, and its number of iterations."""
         ends = self.batches[-1].minimize(
-            self.problem.scaling.to_solver(best.estimate)[:, None],
+            self.nlp.scaling.to_solver(best.estimate)[:, None],
             max_iterations=most,
             tolerance=self.polished_to,
             from_near=True,
             smoothing=smoothing,
         )
-        estimate = self.problem.estimate_at(ends.z[:, 0])
+        estimate = self.nlp.estimate_at(ends.z[:, 0])
         # A constraint that holds with equality keeps its minimum where IPOPT found it.
         if not self.meets_constraints(estimate):
             estimate = best.estimate
@@ -373,14 +373,14 @@ class ResponseSolver(LocalSolver):
 
     def _unless_dearer(self, best: Minimum, estimate: Array) -> Minimum:
         """Return the minimum with this estimate; unchanged if its cost is higher."""
-        cost = self.problem.costs(estimate[None]).item()
+        cost = self.nlp.costs(estimate[None]).item()
         # Rounding of the cost must not decide whether digits are refined.
         if not cost <= best.cost + 1e-13 * abs(best.cost):
             return best
         return replace(best, cost=cost, estimate=estimate)
 
 
-def walled(problem: CompiledProblem) -> CostProgram:
+def walled(nlp: CompiledProblem) -> CostProgram:
     """Return the first, explicit program of a problem with a wall around zero responses.
 
     Most criteria have a finite cost there: over the measured magnitude, (4.26) is the number of
@@ -392,7 +392,7 @@ def walled(problem: CompiledProblem) -> CostProgram:
     The wall is a logarithmic barrier of the mean square of the relative response; it vanishes at
     the smoothing of the last level.
     """
-    program: Any = problem.programs[0].explicit
+    program: Any = nlp.programs[0].explicit
     z, smoothing, data = program.sx_in()
     cost, limits = program(z, smoothing, data)
     # Height of the wall at the first level of a search, as a share of the cost of a zero response.
@@ -401,7 +401,7 @@ def walled(problem: CompiledProblem) -> CostProgram:
     # in its declared box 86 % do if it falls with the root, and half of them if it falls with the
     # smoothing.
     share = 0.5 * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
-    for part, height in zip(problem.parts_of(ResponsePart), problem.zero_costs, strict=True):
+    for part, height in zip(nlp.parts_of(ResponsePart), nlp.zero_costs, strict=True):
         relative = part.scaled_response(z) / np.tile(part.magnitude, 2)
         square = ca.sumsqr(relative) / len(part.magnitude)
         # At the last level a response may vanish, and its logarithm must still be finite.

@@ -17,22 +17,20 @@ from greybox.solve.multistart import solver_for
 ROUNDING = 1e-9
 
 
-def with_robust_errors(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
-) -> tuple[CompiledProblem, Multistart, LocalSolver]:
-    """Return the problem with pseudo-values instead of outliers, and its search and solver."""
-    measured = nlp
+def with_robust_errors(search: Multistart, solver: LocalSolver) -> tuple[Multistart, LocalSolver]:
+    """Return the search and the solver of the problem with pseudo-values instead of outliers."""
+    measured = solver.nlp
     cost = math.nan
     # Each fit of pseudo-values reduces the distance from the robust estimate about ten times.
-    for _ in range(30 if search.minima and _is_robust(nlp) else 0):
+    for _ in range(30 if search.minima and _is_robust(measured) else 0):
         best = search.minima[0]
         if math.isclose(best.cost, cost, rel_tol=ROUNDING, abs_tol=ROUNDING):
             break
         cost = best.cost
-        nlp = _pseudo_values(measured, solver.profile(best.estimate, search.nodes).trajectories)
-        solver = solver.refined(nlp)
-        search = solver.polished(with_finer_steps(nlp, search, solver) or search)
-    return nlp, search, solver
+        trajectories = solver.profile(best.estimate, search.nodes).trajectories
+        solver = solver.refined(_pseudo_values(measured, trajectories))
+        search = solver.polished(with_finer_steps(search, solver) or search)
+    return search, solver
 
 
 def with_pseudo_values(nlp: CompiledProblem, x: Array) -> CompiledProblem:

@@ -37,23 +37,23 @@ class SharedSolver(ResponseSolver):
     fewest = 1  # a fit of the mirror from one start took three times as long by IPOPT
     polished_to = 1e-11  # as the equations of periodic motions: beyond, steps are rounding
 
-    def __init__(self, problem: CompiledProblem, *arguments: Any, **options: Any) -> None:
+    def __init__(self, nlp: CompiledProblem, *arguments: Any, **options: Any) -> None:
         """Build the solver; starts of sine tests share no work, and their progress is shown."""
-        super().__init__(problem, *arguments, **options)
+        super().__init__(nlp, *arguments, **options)
         # The C library of Linux keeps freed memory up to twice the size of the largest array that
         # was freed so far, if that has at most 32 MiB, and returns the rest to the system. To ask
         # for it again at each evaluation makes one for 15 starts of 30 responses, with derivatives,
         # 1.5 to 2 times as long. So an array of that size is freed first, which nothing fills.
         np.empty(4_000_000)
-        self._shared: Any = problem.programs[-1].shared
+        self._shared: Any = nlp.programs[-1].shared
         self._sine_tests = [test for test in self._shared.systems if isinstance(test, SineTest)]
         if self._sine_tests:
             self.together = 2
 
     @staticmethod
-    def serves(problem: CompiledProblem) -> bool:
+    def serves(nlp: CompiledProblem) -> bool:
         """Return whether the responses of a problem share one solve."""
-        return problem.programs[-1].shared is not None
+        return nlp.programs[-1].shared is not None
 
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m)."""
@@ -67,7 +67,7 @@ class SharedSolver(ResponseSolver):
         near = self._in_phase(z[:, 1:])
         iterations = 0
         ratios = np.array(FIRST)[np.arange(near.shape[1]) // 2 % 2]
-        search = BatchedNewton(ProcessNoise(self._shared, z), *self.problem.bounds)
+        search = BatchedNewton(ProcessNoise(self._shared, z), *self.nlp.bounds)
         for stage in STAGES:
             # With one ratio of process noise, five of seven starts take 3 to 36 iterations.
             ends = search.minimize(
@@ -120,7 +120,7 @@ class SharedSolver(ResponseSolver):
         """
         if not self.meets_constraints(x):
             return super().again(x, earlier, options)
-        status = UNFINISHED if np.isfinite(self.problem.costs(x[None])) else NOT_FINITE
+        status = UNFINISHED if np.isfinite(self.nlp.costs(x[None])) else NOT_FINITE
         return Outcome(x, status, earlier.iterations, earlier.seconds, converged=False)
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:

@@ -33,7 +33,7 @@ class TranscribedProgram(LocalSolver):
     @one_thread_at_a_time
     def __init__(self, nlp: CompiledProblem, options: Named) -> None:
         """Put the programs of all parts together."""
-        self._nlp = nlp
+        self.nlp = nlp
         self._gauss_newton = GaussNewton(nlp)  # gives states to begin with
         z = ca.MX.sym("z", len(nlp.free))
         self._programs = [RecordProgram(part, z) for part in nlp.parts_of(RecordPart)]
@@ -106,7 +106,7 @@ class TranscribedProgram(LocalSolver):
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
-        z = self._gauss_newton.limits.clipped(self._nlp.scaling.to_solver(start))
+        z = self._gauss_newton.limits.clipped(self.nlp.scaling.to_solver(start))
         first = self._gauss_newton.smoothed(z)
         if first is None:
             return Outcome(start, NOT_FINITE, 0, time.perf_counter() - began, False, math.inf)
@@ -114,7 +114,7 @@ class TranscribedProgram(LocalSolver):
         status = ""
         iterations = 0
         last = cost = math.inf
-        pairs = zip(self._programs, self._nlp.rows_of(RecordPart, first), strict=True)
+        pairs = zip(self._programs, self.nlp.rows_of(RecordPart, first), strict=True)
         solution = np.concatenate([z, *[program.initial_unknowns(t) for program, (_, t) in pairs]])
         w = np.concatenate([program.initial_parameters(z) for program in self._programs])
         # Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful
@@ -131,12 +131,12 @@ class TranscribedProgram(LocalSolver):
         else:
             status = "relaxations exceeded"
 
-        estimate = self._nlp.estimate_at(solution[: len(z)])
+        estimate = self.nlp.estimate_at(solution[: len(z)])
         converged = status in CONVERGED and math.isfinite(cost)
         signature = None
         if converged:
             profile = self.profile(estimate)
-            pairs = zip(self._nlp.parts, profile.trajectories, strict=True)
+            pairs = zip(self.nlp.parts, profile.trajectories, strict=True)
             signature = np.concatenate([part.signature(trajectory) for part, trajectory in pairs])
             if not profile.converged:
                 status = reason_to_end() or "no continuous states at the estimate"
@@ -147,7 +147,7 @@ class TranscribedProgram(LocalSolver):
 
     def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:
         """Return cost, next parameters, and whether no delay passed a whole sample."""
-        z = solution[: len(self._nlp.free)]
+        z = solution[: len(self.nlp.free)]
         unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
         parameters = np.split(w, self._parameter_ends)
         values = zip(self._programs, unknowns, parameters, strict=True)

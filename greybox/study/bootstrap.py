@@ -388,8 +388,9 @@ def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
         )
     # A fit has no states at the nodes: one run from the estimate finds them again.
     solver = solver_for(nlp)
-    search = multistart(nlp, solver, x[None], movable=False)
-    nlp, search, solver, _ = refine_discretization(nlp, search, solver)
+    search = multistart(solver, x[None], movable=False)
+    search, solver, _ = refine_discretization(search, solver)
+    nlp = solver.nlp
     # Replicates start from the estimate: if it were no minimum, all of them would move away from
     # it, and the spread would show that move.
     highest = fit.cost + same_cost(nlp, fit.cost)

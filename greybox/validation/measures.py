@@ -85,9 +85,9 @@ def _least_cost(fit: Fit, criterion: Criterion) -> float | None:
         problem = problem_of(fit).with_(criterion=criterion)
     except (LookupError, ValueError):
         return None
-    nlp, solver = SolverChoice().compiled(problem)
-    start = np.array([[fit.estimate[name] for name in nlp.free]])
-    minima = solver.polished(multistart(nlp, solver, start, movable=False)).minima
+    solver = SolverChoice().solver(problem)
+    start = np.array([[fit.estimate[name] for name in solver.nlp.free]])
+    minima = solver.polished(multistart(solver, start, movable=False)).minima
     is_found = minima and minima[0].cost <= fit.costs[criterion.name]
     return minima[0].cost if is_found else None
 

@@ -138,6 +138,8 @@ def test_errors_that_finer_steps_widen_or_narrow_count():
 class Solver:
     """Ends where each start leads; the first component is the cost there."""
 
+    nlp = PLAIN
+
     def __init__(self, ends):
         self.ends, self.asked = ends, []
 
@@ -173,7 +175,7 @@ def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():
         [(1.0, 10.0), (1.001, 10.0), (2.0, 10.0)], [(3.0, 12.0)], [(4.0, 20.1)], [(5.0, 30.0)]
     )
     solver = Solver({1.0: 14.0, 2.0: 14.5, 3.0: 11.0})
-    found = with_finer_steps(PLAIN, search, solver)
+    found = with_finer_steps(search, solver)
     assert solver.asked == [1.0, 2.0, 3.0]  # those of one end together, and none that is no rival
     assert [run.cost for run in found.runs] == [14.0, 14.0, 14.5, 11.0, 20.1, 30.0, 0.0]
     assert [run.status for run in found.runs[:4]] == ["moved"] * 4
@@ -186,12 +188,12 @@ def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():
 def test_what_is_no_rival_is_followed_where_all_that_are_end_above_it():
     search = search_of([(1.0, 10.0)], [(3.0, 21.0)], [(4.0, 22.0)])
     solver = Solver({1.0: 21.5, 3.0: 25.0})
-    assert [m.cost for m in with_finer_steps(PLAIN, search, solver).minima] == [21.5, 22.0, 25.0]
+    assert [m.cost for m in with_finer_steps(search, solver).minima] == [21.5, 22.0, 25.0]
     assert solver.asked == [1.0, 3.0]
-    assert with_finer_steps(PLAIN, search, Solver({})) is None
+    assert with_finer_steps(search, Solver({})) is None
     many = search_of(*[[(float(k), 10.0 + k / 10)] for k in range(1, 6)])
     solver = Solver({float(k): 10.0 + k / 10 for k in range(1, 6)})
-    with_finer_steps(PLAIN, many, solver)
+    with_finer_steps(many, solver)
     assert solver.asked == [1.0, 2.0, 3.0]  # three at most
 
 
@@ -217,7 +219,7 @@ def test_aliases_of_the_integrator_are_no_minima_where_there_is_another(
         "greybox.solve.discretization_error.discretization_error",
         lambda _, t, fine: shift[t[0].moves],
     )
-    found = without_aliases(PLAIN, search, Solver(dict.fromkeys(aliases, 0.0)), ())
+    found = without_aliases(search, Solver(dict.fromkeys(aliases, 0.0)), ())
     assert [m.runs for m in found.minima] == minima
     assert [m.cost for m in found.minima] == [found.runs[m.runs[0]].cost for m in found.minima]
     lost = {run.index for run in found.runs if run.status == TOO_COARSE}
@@ -239,11 +241,11 @@ def test_of_two_ends_one_may_be_an_alias(monkeypatch):
         "greybox.solve.discretization_error.discretization_error",
         lambda _, t, fine: shift[t[0].moves],
     )
-    found = without_aliases(PLAIN, search, Solver({1.0: 0.0}), ())
+    found = without_aliases(search, Solver({1.0: 0.0}), ())
     assert [m.runs for m in found.minima] == [(1,)]
     assert found.nodes[0].item() == 2.0
     alone = search_of([(1.0, 10.0)], [(2.0, 20.5)])  # no rival: the only one is left
-    assert without_aliases(PLAIN, alone, Solver({1.0: 0.0}), ()) is alone
+    assert without_aliases(alone, Solver({1.0: 0.0}), ()) is alone
 
 
 @pytest.mark.parametrize(

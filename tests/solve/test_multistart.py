@@ -95,7 +95,7 @@ def test_a_run_that_did_not_converge_never_wins_however_cheap_it_is():
     exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
     nlp = compile_problem(gb.Problem(LagLagDelay(), exact))
     truth = np.array(list(TWO_LAGS.values()))
-    stopped = multistart(nlp, solver_for(nlp, {"max_iter": 0}), truth[None])
+    stopped = multistart(solver_for(nlp, {"max_iter": 0}), truth[None])
     assert stopped.runs[0].status == "Maximum_Iterations_Exceeded"
     assert stopped.minima == ()
     worse = replace(stopped.runs[0], index=1, cost=9.0, converged=True, estimate=truth * 1.5)
@@ -148,7 +148,7 @@ def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_mu
         def judged(self, outcomes):
             return outcomes
 
-    multistart(nlp, Bounded(nlp, batched=False), np.array([home, away]))
+    multistart(Bounded(nlp, batched=False), np.array([home, away]))
     moved = [nlp.scaling.to_solver(start) for start in began]
     assert any(np.allclose(z, 0.2) for z in moved)
     assert any(np.allclose(z, 0.2 + 0.6 / 4) for z in moved)  # 0.8 and 0.5 are too far, 0.35 is not
@@ -171,7 +171,8 @@ def test_runs_are_told_apart_by_their_response_in_units_of_the_signals():
 def finite_below(limit, asked):
     """A solver whose model is finite where the first parameter is below a limit, or is 50."""
     return SimpleNamespace(
-        is_finite_at=lambda x: asked.append(float(x[0])) or bool(x[0] < limit or x[0] == 50)
+        nlp=of_logarithms(),
+        is_finite_at=lambda x: asked.append(float(x[0])) or bool(x[0] < limit or x[0] == 50),
     )
 
 
@@ -190,7 +191,7 @@ def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_
     starts = np.array([[100.0], [64.0], [2.0], [1.0], [32.0], [50.0]])
 
     def moved_to_finite(limit, starts):
-        points = FiniteStarts(of_logarithms(), finite_below(limit, asked), starts)
+        points = FiniteStarts(finite_below(limit, asked), starts)
         return np.array([points[k] for k in range(len(starts))])
 
     moved = moved_to_finite(6.0, starts)
@@ -230,13 +231,13 @@ def test_the_others_follow_where_not_enough_of_the_promising_starts_agree(agreei
     nlp = compile_problem(NOISY)
     starts = np.tile([1.5, 0.1, 0.2, 0.3], (6, 1))
     starts[3, 0] = 1.9  # the third of the promising ones ends higher
-    search = multistart(nlp, Compared(nlp), starts, promising=(3, agreeing))
+    search = multistart(Compared(nlp), starts, promising=(3, agreeing))
     assert len(search.brought) == count
     assert [run.index for run in search.runs] == [*range(6)]
     assert [run.stage for run in search.runs] == ["screened"] * (6 - count) + ["polished"] * count
     assert all(run.cost == 7.0 for run in search.runs[:3]) == (count == 3)
     assert set(search.minima[0].runs) == {0, 1, 2, 4, 5} - ({0, 1, 2} if count == 3 else set())
-    every = multistart(nlp, Compared(nlp), starts, promising=(6, agreeing))
+    every = multistart(Compared(nlp), starts, promising=(6, agreeing))
     assert len(every.brought) == 6
 
 
@@ -247,5 +248,5 @@ def test_runs_agree_within_a_tenth_of_a_unit_of_likelihood(agreeing, count):
     share = 0.1 / sum(part.numbers for part in nlp.parts)
     starts = np.tile([1.5, 0.1, 0.2, 0.3], (8, 1))
     starts[3:, 0] *= np.array([1 + 0.9 * share, 1 + 1.1 * share, 1 + 0.5 * share, 2.0, 1.0])
-    search = multistart(nlp, Compared(nlp), starts, promising=(5, agreeing))
+    search = multistart(Compared(nlp), starts, promising=(5, agreeing))
     assert len(search.brought) == count

@@ -39,7 +39,7 @@ def coarse(record, substeps=None):
     """Return a fit whose substeps are few, as a choice by stability alone makes them."""
     problem = gb.Problem(Pendulum(), record)
     nlp = compile_problem(problem, gb.MultipleShooting(integrator=gb.RungeKutta(substeps=substeps)))
-    return nlp, multistart(nlp, solver_for(nlp), np.array([[39.0, 0.1]]))
+    return nlp, multistart(solver_for(nlp), np.array([[39.0, 0.1]]))
 
 
 def test_too_few_substeps_are_told_from_their_shift(pendulum):
@@ -50,12 +50,8 @@ def test_too_few_substeps_are_told_from_their_shift(pendulum):
     assert discretization_error(nlp, profile.trajectories).largest > 1
     (sentence,) = discretization_warnings(nlp, profile.trajectories)
     assert "twice the steps per sample (4 instead of 2)" in sentence
-    assert refine_discretization(nlp, search, solver) == (
-        nlp,
-        search,
-        solver,
-        None,
-    )  # what the method fixes stays
+    # What the method fixes stays.
+    assert refine_discretization(search, solver) == (search, solver, None)
 
 
 def test_the_shift_is_that_of_a_second_fit(pendulum):
@@ -73,9 +69,9 @@ def test_the_shift_is_that_of_a_second_fit(pendulum):
 
 def test_substeps_are_refined_until_the_truth_is_found(pendulum):
     nlp, search = coarse(pendulum)
-    finer, refined, solver, _ = refine_discretization(nlp, search, GaussNewton(nlp))
+    refined, solver, _ = refine_discretization(search, GaussNewton(nlp))
     profile = solver.profile(refined.minima[0].estimate, refined.nodes)
-    assert discretization_error(finer, profile.trajectories).largest <= 0.1
+    assert discretization_error(solver.nlp, profile.trajectories).largest <= 0.1
     assert np.all(
         np.abs(refined.minima[0].estimate - [39, 0.08]) < 3.5 * np.array([0.010, 0.00032])
     )

@@ -83,7 +83,7 @@ def test_relaxations_go_on_until_the_cost_stays(
     assert (found.status, found.iterations) == (status, 3 * runs)
     assert found.converged == (status == SOLVED and math.isfinite(costs[runs - 1]))
     assert found.cost == costs[runs - 1]
-    scaling = transcribed._nlp.scaling
+    scaling = transcribed.nlp.scaling
     assert found.estimate == pytest.approx(
         scaling.to_parameters(scaling.to_solver(np.array([2.0])) + 0.001 * runs)
     )

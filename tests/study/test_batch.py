@@ -125,13 +125,13 @@ def test_a_finished_member_is_not_compiled_unless_it_may_have_changed(tmp_path, 
     problems = [lag_problem(seed) for seed in range(3)]
     stated = [gb.study.Member(p, 2, name=f"record {k}") for k, p in enumerate(problems)]
     gb.batch(stated, tmp_path, progress=False)
-    compiled, compile_it = [], SolverChoice.compiled
+    compiled, compile_it = [], SolverChoice.solver
 
     def noted(self, problem):
         compiled.append(problem)
         return compile_it(self, problem)
 
-    monkeypatch.setattr(SolverChoice, "compiled", noted)
+    monkeypatch.setattr(SolverChoice, "solver", noted)
     gb.batch(stated, tmp_path, progress=False)
     assert compiled == problems[:1]
     changed = problems[2].with_(bounds={"K": (0.5, 9.0)})

@@ -54,12 +54,12 @@ UNEXPLAINED = (
 )
 
 
-def warnings_of_failure(nlp: CompiledProblem, search: Multistart, solver: LocalSolver) -> Strings:
+def warnings_of_failure(search: Multistart, solver: LocalSolver) -> Strings:
     """Return the warnings of a fit without a converged run."""
     return (
-        *not_finite_warnings(nlp, search),
-        *failure_warnings(nlp, search, solver),
-        *finding_warnings(nlp),
+        *not_finite_warnings(solver.nlp, search),
+        *failure_warnings(search, solver),
+        *finding_warnings(solver.nlp),
     )
 
 

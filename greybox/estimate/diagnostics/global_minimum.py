@@ -113,9 +113,7 @@ def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
         )
 
 
-def failure_warnings(
-    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
-) -> Iterator[str]:
+def failure_warnings(search: Multistart, solver: LocalSolver) -> Iterator[str]:
     """Say how close the best run came, which parameters block it, and what to try."""
     run = best_unfinished(search.runs)
     if run is None:
@@ -135,13 +133,13 @@ def failure_warnings(
         is_known = nodes is not None or profile.converged
         if not (is_known and all(t.finite for t in profile.trajectories)):
             return
-        accuracy = assess(nlp, run.estimate, profile.trajectories)
+        accuracy = assess(solver.nlp, run.estimate, profile.trajectories)
     except np.linalg.LinAlgError:
         return
 
     for name in accuracy.at_bound:
         yield f"{name} ended at a bound in that run: widen it if the physics allow, or fix it."
-    yield from not_determined(nlp, accuracy)
+    yield from not_determined(solver.nlp, accuracy)
 
 
 def _cure(run: Run) -> str:

@@ -114,7 +114,7 @@ def test_the_search_finds_what_plain_starts_miss(aircraft, solver):
     plain = [short.run(start) for start in drawn(aircraft, 4, 0)]
     assert sum(run.converged and run.cost < best + 0.1 for run in plain) < 4
     starts = drawn(aircraft, 20, 0)
-    search = multistart(solver.nlp, solver, starts, promising=(4, 3))
+    search = multistart(solver, starts, promising=(4, 3))
     assert search.minima[0].cost < best + 0.1
     assert len(search.brought) == 4
     for run, start in zip(search.runs, starts, strict=True):
