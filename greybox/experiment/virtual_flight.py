@@ -32,6 +32,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import is_finite_number, require_whole
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, substep_growth
+from greybox.modeling.symbolic_reading import entries_by_name
 
 # Relative change of a state, within a controller period, when the substeps are halved. A fifteenth
 # of it remains: in a loop of 400 Hz, 3e-6 per second if all errors add up.
@@ -263,7 +264,7 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     added, errors, forces = (
         ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced)
     )
-    excitation = {name: added[k] for k, name in enumerate(loop.excited)}
+    excitation = entries_by_name(loop.excited, added)
     signals = {n: ca.SX(loop.initial.get(n, 0.0)) for n in system.inputs} | excitation
 
     def waiting() -> list[ca.SX]:
