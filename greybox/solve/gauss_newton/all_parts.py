@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import ASSUMED_ERROR, SMOOTHING, Part
+from greybox.compiled.part import ASSUMED_ERROR, SMOOTHING
 from greybox.compiled.record_group import Groups, sharing
-from greybox.files.arrays import Array, Arrays, Labels
+from greybox.files.arrays import Array, Arrays
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
 from greybox.solve.gauss_newton.settings import Settings
@@ -29,20 +30,19 @@ class AllParts:
     Records that can be evaluated together are one part here; `groups` translates.
     """
 
-    def __init__(
-        self, parts: Sequence[Part], free: Labels, limits: Limits, settings: Settings
-    ) -> None:
-        """Group the parts; `free` are the names of the solver's variables."""
-        self.groups = Groups(parts)
+    def __init__(self, nlp: CompiledProblem, limits: Limits, settings: Settings) -> None:
+        """Group the parts."""
+        self.nlp = nlp
+        self.groups = Groups(nlp.parts)
         self.parts = self.groups.parts
         self.gains = [kalman_gain(part) for part in self.parts]
         gains = [
             gain.part.model.outside_names[k] for gain in self.gains if gain for k in gain.unknowns
         ]
-        self.is_gain = np.isin(free, gains)  # or process noise: neither has a scale
+        self.is_gain = np.isin(nlp.free, gains)  # or process noise: neither has a scale
         self.samples = sum(part.samples for part in self.parts)
-        delays = [name for part in parts for name in part.discontinuous_delays]
-        self.is_discontinuous = np.isin(free, delays)
+        delays = [name for part in nlp.parts for name in part.discontinuous_delays]
+        self.is_discontinuous = np.isin(nlp.free, delays)
         self.limits = limits
         self.settings = settings
 

@@ -45,24 +45,21 @@ class GaussNewton(LocalSolver):
         Bounds and constraints.
     """
 
-    def __init__(self, nlp: CompiledProblem, *, settings: Settings = USUAL) -> None:
-        """Build what every run shares."""
+    def __init__(
+        self, nlp: CompiledProblem, *, settings: Settings = USUAL, limits: Limits | None = None
+    ) -> None:
+        """Build what every run shares; by default the limits are those of the problem."""
         self.nlp = nlp
         self.settings = settings
-        self.limits = _limits(nlp)
-        self._parts = AllParts(nlp.parts, nlp.free, self.limits, settings)
+        self.limits = limits or _limits(nlp)
+        self._parts = AllParts(nlp, self.limits, settings)
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
         limits = replace(self.limits, low=low, high=high)
         if equation is not None:
             limits = limits.with_equation(equation)
-        return self._within(self.nlp, limits)
-
-    def _within(self, nlp: CompiledProblem, limits: Limits) -> "GaussNewton":
-        solver = self.refined(nlp)
-        solver.limits = solver._parts.limits = limits
-        return solver
+        return GaussNewton(self.nlp, settings=self.settings, limits=limits)
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
         """Return the solver of the same problem with finer steps."""
@@ -91,7 +88,7 @@ class GaussNewton(LocalSolver):
         nlp = self.nlp
         if max(part.samples for part in nlp.parts) > 4 * EXCERPT:
             excerpts = replace(nlp, parts=tuple(part.excerpt(EXCERPT) for part in nlp.parts))
-            shorter = self._within(excerpts, self.limits)
+            shorter = GaussNewton(excerpts, settings=self.settings, limits=self.limits)
             first = shorter._solved(shorter._parts.at(begin.z), parts.first_progress())
             after = parts.at(nlp.scaling.to_solver(first.estimate))
             # Excerpts may lack the manoeuvre that shows a parameter.
@@ -133,7 +130,7 @@ class GaussNewton(LocalSolver):
         # Workers lack the information of some parts, and results must be the same in every process.
         is_inexact = status == CONVERGED and is_blurred(end.hessian)
         if is_inexact and all(part.travels_whole for part in nlp.parts):
-            iterate = sharpened(nlp, self._parts, iterate)
+            iterate = sharpened(self._parts, iterate)
         if status.startswith(CONVERGED) and self.limits.violation(iterate.z) > 0:
             status = "constraints violated"
         if status.startswith(CONVERGED) and not are_stable(self._parts, iterate):

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, positive_or_one
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Progress, Step
@@ -88,11 +87,11 @@ def is_blurred(hessian: Array | None) -> bool:
     return bool(values.size and values[0] < 1e-9 * values[-1])
 
 
-def sharpened(nlp: CompiledProblem, parts: AllParts, iterate: Iterate) -> Iterate:
+def sharpened(parts: AllParts, iterate: Iterate) -> Iterate:
     """Return where exact steps lead within all limits, where the Hessian has lost its digits."""
     progress = EXACT
     for _ in range(MOST_STEPS):
-        step = sharp_step(nlp, parts, iterate, exact_step(parts, iterate, progress))
+        step = sharp_step(parts, iterate, exact_step(parts, iterate, progress))
         normals, bounds = parts.limits.linearized(iterate.z)
 
         # Where a bound stops the step, the quadratic program has found the end.
@@ -107,8 +106,9 @@ def sharpened(nlp: CompiledProblem, parts: AllParts, iterate: Iterate) -> Iterat
     return iterate
 
 
-def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: Step) -> Step:
+def sharp_step(parts: AllParts, iterate: Iterate, step: Step) -> Step:
     """Return a step of the same quadratic model, by a triangular factor of the Jacobian."""
+    nlp = parts.nlp
     x = nlp.scaling.to_parameters(iterate.z)
     slope = nlp.scaling.slope(x)
     free = len(nlp.free)

@@ -38,7 +38,7 @@ def made():
         + gb.Problem(Spring(), data, gb.RelativeLikelihood(), weight=3.0)
     )
     nlp = compile_problem(problem)
-    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, Settings())
+    parts = AllParts(nlp, GaussNewton(nlp).limits, Settings())
     z = nlp.scaling.to_solver(np.array([SPRING[name] for name in nlp.free]))
     start, random = parts.at(z), np.random.default_rng(0)
     return parts, parts.at(

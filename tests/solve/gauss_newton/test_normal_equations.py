@@ -29,7 +29,7 @@ def prepared(values, **options):
     """The parts of a spring, an iterate with exact continuity, and its linearizations."""
     nlp = compile_problem(gb.Problem(Spring(), spring(200), HELD, **options))
     solver = GaussNewton(nlp)
-    parts = AllParts(nlp.parts, nlp.free, solver.limits, Settings())
+    parts = AllParts(nlp, solver.limits, Settings())
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     start = parts.at(z)
     pairs = zip(parts.parts, start.nodes, strict=True)
@@ -84,7 +84,7 @@ def test_nodes_alone_do_not_move_the_parameters():
 
 def test_held_delays_do_not_move():
     nlp = compile_problem(direct_delay())
-    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, Settings())
+    parts = AllParts(nlp, GaussNewton(nlp).limits, Settings())
     iterate = parts.at(
         nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
     )

@@ -80,12 +80,12 @@ def solved(jacobians, gradients, weights, breads, slope):
         parts=[part(*each) for each in zip(jacobians, weights, breads, strict=True)],
     )
     groups = SimpleNamespace(split=lambda trajectories: [None] * len(weights))
-    parts = SimpleNamespace(weights=weights, groups=groups)
+    parts = SimpleNamespace(nlp=nlp, weights=weights, groups=groups)
     condensed = [SimpleNamespace(gradient=g) for g in gradients]
     gradient = sum(weight * each for weight, each in zip(weights, gradients, strict=True))
     step = Step((), condensed, np.zeros(2), 0.0, 0.0, gradient, np.eye(2), (), 0.0)
     iterate = SimpleNamespace(z=np.array([3.0, 10.0]), trajectories=())
-    return sharp_step(nlp, parts, iterate, step)
+    return sharp_step(parts, iterate, step)
 
 
 def test_a_sharp_step_is_newtons_of_the_sum_of_squares():
