@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,11 @@ class Accuracy:
 
     Attributes
     ----------
+    nlp : CompiledProblem
+    x : (p,) array
+        The estimate.
+    trajectories : (parts,) sequence of Trajectory
+        Those of the parts at the estimate; None without an estimate.
     covariance : (k, k) array
         Covariance of the free parameters, then the constants, in the directions that the data
         determine. Constants have the covariance of the earlier fit that they come from, or zero.
@@ -80,6 +86,9 @@ class Accuracy:
         Errors of every part; empty where no degrees of freedom are left.
     """
 
+    nlp: CompiledProblem
+    x: Array
+    trajectories: Sequence[Any]
     covariance: Array
     blind: Array
     size: Array
@@ -99,6 +108,9 @@ class Accuracy:
         """Return the accuracy of a fit without an estimate: NaN everywhere."""
         k = len(nlp.names)
         return cls(
+            nlp,
+            np.full(len(nlp.free), np.nan),
+            [None] * len(nlp.parts),
             covariance=np.full((k, k), np.nan),
             blind=np.zeros((k, 0)),
             size=np.ones(k),
@@ -209,6 +221,8 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
     suspect = collinear_groups(jacobian, active, nlp.free, at_bound, invisible)
     accuracy = replace(
         Accuracy.unknown(nlp),
+        x=x,
+        trajectories=trajectories,
         blind=blind,
         size=np.concatenate([size, np.ones(k - p)]),
         dof=math.inf if known_noise else float(max(numbers, 0)),
@@ -218,7 +232,7 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
     )
 
     if accuracy.dof > 0 and all_finite(*(share.root for share in shares)):
-        accuracy = _with_covariance(nlp, accuracy, shares, seen * size[:, None], known_noise)
+        accuracy = _with_covariance(accuracy, shares, seen * size[:, None], known_noise)
 
     # Collinearity matters where an error exceeds half of a value.
     error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
@@ -232,13 +246,13 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
 
 
 def _with_covariance(
-    nlp: CompiledProblem,
     accuracy: Accuracy,
     shares: Sequence[_Share],
     basis: Array,
     known_noise: bool,
 ) -> Accuracy:
     """Return the accuracy with a covariance within a basis (p, r) of the determined directions."""
+    nlp = accuracy.nlp
     p, k = len(nlp.free), len(nlp.names)
     stacked = np.vstack([share.root[:, :p] for share in shares])
     first = _root_of_inverse(stacked, basis)
@@ -303,12 +317,13 @@ def _with_covariance(
     )
 
 
-def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> Values:
+def prior_shares(accuracy: Accuracy) -> Values:
     """Return the share of priors in the information on each free parameter, by name.
 
     The other parameters are estimated too, and errors are taken as independent. NaN for a parameter
     without a standard error; empty without a prior.
     """
+    nlp = accuracy.nlp
     p = len(nlp.free)
     is_prior = [part.problem.criterion.is_prior for part in nlp.parts]
     if not any(is_prior):
@@ -323,9 +338,7 @@ def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> Values:
     return by_name(nlp.free, share.tolist())
 
 
-def known_directions(
-    nlp: CompiledProblem, accuracy: Accuracy, values: Array, slopes: Array
-) -> KnownDirections | None:
+def known_directions(accuracy: Accuracy, values: Array, slopes: Array) -> KnownDirections | None:
     """Return what the data determine of values (m,) with derivatives (m, k) in all values.
 
     None without a covariance. A parameter at its bound counts as known, as in all errors of a fit.
@@ -334,7 +347,7 @@ def known_directions(
         return None
     # Directions of parameters at their bounds are among the blind ones only because these are held.
     scaled = slopes * accuracy.size
-    inside = ~np.isin(nlp.names, accuracy.at_bound)
+    inside = ~np.isin(accuracy.nlp.names, accuracy.at_bound)
     unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[inside]) > 0, axis=0)]
     size = np.maximum(np.linalg.norm(scaled, axis=1), 1e-300)
     covariance = slopes @ accuracy.covariance @ slopes.T
@@ -362,7 +375,7 @@ def directions_beside(
         accuracy = assess(nlp, beside, trajectories_at(beside))
     except np.linalg.LinAlgError:  # the model may diverge there
         return None
-    return known_directions(nlp, accuracy, beside, np.eye(len(x), len(nlp.names)))
+    return known_directions(accuracy, beside, np.eye(len(x), len(nlp.names)))
 
 
 def informations(

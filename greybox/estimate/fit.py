@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import version
 from types import MappingProxyType
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -354,31 +353,33 @@ def assemble(
     """
     nlp = solver.nlp
     # The end of a run that did not converge is not an estimate: the values of a failed fit are NaN.
-    best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
     accuracy = Accuracy.unknown(nlp)
-    trajectories: tuple[Any, ...] = (None,) * len(nlp.parts)
     misfit = None
     if search.minima:
+        best = search.minima[0].estimate
         trajectories = solver.profile(best, search.nodes).trajectories
         accuracy = assess(nlp, best, trajectories)
         misfit = assessed_misfit(nlp, best, trajectories, accuracy.at_bound, {}, solver)
 
-    values = nlp.all_values(best)
+    values = nlp.all_values(accuracy.x)
     estimate = by_name(nlp.names, values.tolist())
-    lines, covariance, slopes = quantities(nlp, accuracy, values)
+    lines, covariance, slopes = quantities(accuracy)
     # The warnings below read the fitted values, so the parts come first.
     # Values, not the compiled parts: a fit must be small, and readable without its model.
     parts = tuple(
         fitted_part(part, trajectory, values, dict(part.problem.local_values(estimate)))
-        for part, trajectory in zip(nlp.parts, trajectories, strict=True)
+        for part, trajectory in zip(nlp.parts, accuracy.trajectories, strict=True)
     )
     at = np.array([line.value for line in lines[: len(slopes)]])
-    directions = known_directions(nlp, accuracy, at, slopes)
+    directions = known_directions(accuracy, at, slopes)
     if directions is not None and directions.unseen.any():
         # Where two values are equal, the data seem to determine their sum and their product alike.
         # A second point shows which combination is determined everywhere.
         elsewhere = directions_beside(
-            nlp, best, accuracy.at_bound, lambda x: solver.profile(x, search.nodes).trajectories
+            nlp,
+            accuracy.x,
+            accuracy.at_bound,
+            lambda x: solver.profile(x, search.nodes).trajectories,
         )
         directions = replace(directions, elsewhere=elsewhere)
 
@@ -407,7 +408,7 @@ def assemble(
         independent=accuracy.independent,
         directions=directions,
         priors={n: pair for p in stated_priors(nlp.problem) for n, pair in p.stated.items()},
-        prior_share=prior_shares(nlp, accuracy),
+        prior_share=prior_shares(accuracy),
         misfit=misfit,
     )
 
@@ -416,11 +417,11 @@ def assemble(
     together = determined_together(answer) if accuracy.combinations else ()
     return replace(
         answer,
-        warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
+        warnings=warnings(search, accuracy, answer, error),
         notes=(
             *unused_noise(nlp.problem),
             # No weight could account for the misfit of a wrong model.
-            *(better_weights(nlp, accuracy) if answer.is_explained else ()),
+            *(better_weights(accuracy) if answer.is_explained else ()),
             *resting_inputs(nlp),
             *(() if misfit is not None and misfit.is_exact else rounded_outputs(answer.records)),
             *together,

@@ -28,15 +28,15 @@ class Formula(NamedTuple):
 
 
 @one_thread_at_a_time
-def quantities(
-    nlp: CompiledProblem, accuracy: Accuracy, x: Array
-) -> tuple[tuple[Quantity, ...], Array, Array]:
-    """Return all quantities at x (k,), then the covariance and slopes (m, k) of the parameters.
+def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
+    """Return all quantities, then the covariance and slopes (m, k) of the parameters.
 
-    Parameters are free, fixed or tied; slopes are derivatives with respect to all values x. The
+    Parameters are free, fixed or tied; slopes are derivatives with respect to all values (k,). The
     errors of tied and derived quantities are of first order. NaN where the data do not determine a
     quantity.
     """
+    nlp = accuracy.nlp
+    x = nlp.all_values(accuracy.x)
     follow = formulas(nlp.problem)
     # Exact derivatives: finite differences would limit the errors of ratios of close values.
     function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])

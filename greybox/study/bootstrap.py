@@ -379,7 +379,7 @@ def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]
 def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
     x = fit.minima[0].estimate
     if not fit.records:
-        return ResponseReplicates(nlp, response_draws(nlp, x, _accuracy(nlp, x, ()), seed), x)
+        return ResponseReplicates(nlp, response_draws(_accuracy(nlp, x, ()), seed), x)
     if nlp.problem.held_estimates:
         names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
@@ -402,7 +402,7 @@ def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
 
     x = search.minima[0].estimate
     trajectories = solver.profile(x, search.nodes).trajectories
-    draws = record_draws(nlp, trajectories, _accuracy(nlp, x, trajectories), seed)
+    draws = record_draws(_accuracy(nlp, x, trajectories), seed)
     return RecordReplicates(nlp, draws, x, search.nodes)
 
 

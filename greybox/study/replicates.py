@@ -10,7 +10,7 @@ Refits of frequency responses to drawn data, many at once, from the estimate.
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -127,10 +127,8 @@ class DrawnRecord:
         return drawn
 
 
-def record_draws(
-    nlp: CompiledProblem, trajectories: Sequence[Trajectory], accuracy: Accuracy, seed: int
-) -> Draws:
-    """Return how replicates of a problem of records are drawn, along its best `trajectories`.
+def record_draws(accuracy: Accuracy, seed: int) -> Draws:
+    """Return how replicates of a problem of records are drawn, along its best trajectories.
 
     Raises
     ------
@@ -138,7 +136,10 @@ def record_draws(
         If the data are fitted exactly.
     """
     spectra = [errors.colored and errors.colored.spectrum for errors in accuracy.parts]
-    columns = zip(nlp.parts_of(RecordPart), trajectories, spectra, accuracy.parts, strict=True)
+    nlp = accuracy.nlp
+    columns = zip(
+        nlp.parts_of(RecordPart), accuracy.trajectories, spectra, accuracy.parts, strict=True
+    )
     records = [
         _drawn_record(part, trajectory, spectrum, errors.numbers)
         for part, trajectory, spectrum, errors in columns
@@ -254,8 +255,8 @@ class DrawnResponse:
         return measured
 
 
-def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int) -> Draws:
-    """Return how replicates of a problem of responses are drawn, at the estimate x (p,).
+def response_draws(accuracy: Accuracy, seed: int) -> Draws:
+    """Return how replicates of a problem of responses are drawn, at the estimate.
 
     Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 6.2.2.
 
@@ -264,7 +265,8 @@ def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int
     ValueError
         If the data are fitted exactly, or a criterion accepts only numbers.
     """
-    values = nlp.all_values(x)
+    nlp, free = accuracy.nlp, len(accuracy.x)
+    values = nlp.all_values(accuracy.x)
     parts = [
         _drawn_part(part, values, errors.numbers, errors.neighbors)
         for part, errors in nlp.rows_of(ResponsePart, accuracy.parts)
@@ -276,7 +278,7 @@ def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int
     nothing = np.zeros((len(values), len(values)))
     covariance = sum((earlier for earlier, _ in known_covariances(nlp)), nothing)
     # Cholesky needs a definite matrix, and constants without errors make this one singular.
-    eigenvalues, vectors = np.linalg.eigh(covariance[len(x) :, len(x) :])
+    eigenvalues, vectors = np.linalg.eigh(covariance[free:, free:])
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
     return Draws(seed, tuple(parts), nlp.constant_values, root, about)
 

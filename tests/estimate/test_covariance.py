@@ -695,6 +695,9 @@ def test_degrees_of_freedom_of_a_sum_of_variances_are_those_of_welch_and_sattert
 
 
 BARE = Accuracy(
+    nlp=SimpleNamespace(names=("a", "b", "c")),
+    x=np.zeros(2),
+    trajectories=(),
     covariance=np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 0.25]]),
     blind=np.zeros((3, 0)),
     size=np.array([1.0, 10.0, 0.1]),
@@ -728,8 +731,7 @@ def test_values_are_known_by_their_derivatives_within_what_is_determined():
         shares=((np.eye(3), 1.0),),
         at_bound=("b",),
     )
-    nlp = SimpleNamespace(names=("a", "b", "c"))
-    found = known_directions(nlp, accuracy, np.array([3.0, 4.0]), slopes)
+    found = known_directions(accuracy, np.array([3.0, 4.0]), slopes)
     assert_allclose(found.covariance, slopes @ BARE.covariance @ slopes.T)
     scaled = slopes * BARE.size
     size = np.linalg.norm(scaled, axis=1)
@@ -737,13 +739,13 @@ def test_values_are_known_by_their_derivatives_within_what_is_determined():
     assert_allclose(found.unseen, scaled @ [[0.0], [0.6], [0.8]] / size[:, None])
     assert found.at.tolist() == [3, 4]
     only_bound = replace(accuracy, blind=np.array([[0.0], [1.0], [0.0]]))
-    assert known_directions(nlp, only_bound, np.zeros(2), slopes).unseen.shape == (
+    assert known_directions(only_bound, np.zeros(2), slopes).unseen.shape == (
         2,
         0,
     )  # what ended at its bound is known
     assert (
         known_directions(
-            nlp, replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes
+            replace(accuracy, covariance=BARE.covariance * np.nan), np.zeros(2), slopes
         )
         is None
     )

@@ -318,7 +318,7 @@ def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, la
     error = SimpleNamespace(
         matters=matters, shift=np.array([0.1, -0.9, 0.3]), largest=largest, growth=2
     )
-    found = [*discretization_warnings(nlp, (), error)]
+    found = [*discretization_warnings(SimpleNamespace(nlp=nlp), error)]
     assert len(found) == matters
     if matters:
         said = "the integration is too coarse: twice the steps per sample (6 instead of 3) would change b or its standard"
@@ -327,7 +327,7 @@ def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, la
         )
         assert str(nlp.method.finer(6)) in found[0]
     static = SimpleNamespace(parts=[SimpleNamespace(substeps=0)])
-    assert [*discretization_warnings(static, (), error)] == []
+    assert [*discretization_warnings(SimpleNamespace(nlp=static), error)] == []
 
 
 def test_help_begins_with_what_a_fit_is():

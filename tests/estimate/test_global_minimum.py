@@ -146,11 +146,11 @@ def test_delays_at_which_the_cost_jumps_are_named_once_each():
 def test_several_estimates_are_told_where_no_combination_is(variants, combinations, count):
     scaling = SimpleNamespace(to_solver=lambda estimates: estimates)
     nlp = SimpleNamespace(free=("a", "b", "T_delay"), scaling=scaling)
-    accuracy = SimpleNamespace(combinations=combinations)
+    accuracy = SimpleNamespace(nlp=nlp, combinations=combinations)
     runs = SimpleNamespace(estimate=np.array([[1.0, 2.0, 0.0], [1.0, 3.0, 4e-9]]))
     minima = (SimpleNamespace(variants=variants, runs=(0, 1), estimate=runs.estimate[0]),)
     search = SimpleNamespace(minima=minima, runs=runs)
-    texts = [*several_estimates_of_one_response(nlp, search, accuracy)]
+    texts = [*several_estimates_of_one_response(search, accuracy)]
     assert len(texts) == count
     assert all("same response, also a = 1, b = 3 and T_delay = 4e-09." in text for text in texts)
 

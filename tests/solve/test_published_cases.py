@@ -9,6 +9,7 @@ from hard_models import LOTKA_VOLTERRA, Pendulum, free_motion, lotka_volterra, s
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.estimate.covariance import assess
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.models.tilt import PAPER_G
 from greybox.solve.discretization_error import discretization_error, refine_discretization
@@ -48,7 +49,9 @@ def test_too_few_substeps_are_told_from_their_shift(pendulum):
     solver = GaussNewton(nlp)
     profile = solver.profile(search.minima[0].estimate, search.nodes)
     assert discretization_error(nlp, profile.trajectories).largest > 1
-    (sentence,) = discretization_warnings(nlp, profile.trajectories)
+    (sentence,) = discretization_warnings(
+        assess(nlp, search.minima[0].estimate, profile.trajectories)
+    )
     assert "twice the steps per sample (4 instead of 2)" in sentence
     # What the method fixes stays.
     assert refine_discretization(search, solver) == (search, solver, None)

@@ -78,7 +78,7 @@ def test_a_replicate_is_the_fit_to_its_data(criterion):
     found = gb.bootstrap(fit, 20, progress=False)
     nlp = compile_problem(problem)
     x = np.array([fit.estimate[name] for name in nlp.free])
-    draws = response_draws(nlp, x, assess(nlp, x), 0)
+    draws = response_draws(assess(nlp, x), 0)
     (response,) = draws.of(7)[1]
     drawn = replace(data, response=response)
     again = gb.fit(problem.with_(data=drawn), starts=[fit.estimate], progress=False)

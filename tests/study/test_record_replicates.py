@@ -41,7 +41,7 @@ def white_draws(nlp, x, trajectories, seed=0):
         replace(errors, colored=None, numbers=part.numbers - len(x) / len(nlp.parts))
         for errors, part in zip(accuracy.parts, accuracy.informations, strict=True)
     )
-    return record_draws(nlp, trajectories, replace(accuracy, parts=white), seed)
+    return record_draws(replace(accuracy, parts=white), seed)
 
 
 def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():
@@ -73,7 +73,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
         nlp = compile_problem(gb.Problem(Ramp(), record))
         estimate = np.array([row @ y])
         trajectories = (nlp.parts[0].trajectory(nlp.scaling.to_solver(estimate)),)
-        draws = record_draws(nlp, trajectories, assess(nlp, estimate, trajectories), 0)
+        draws = record_draws(assess(nlp, estimate, trajectories), 0)
         errors = [row @ np.nan_to_num(next(draws.of(number)[1])[0][0]) for number in range(60)]
         logarithms.append(np.log(np.std(errors) / expected))
     assert_allclose(np.exp(np.mean(logarithms)), 1, atol=0.15)

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.part import Trajectory
 from greybox.compiled.response_part import ResponsePart
+from greybox.estimate.covariance import Accuracy
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Values, by_name
@@ -33,16 +33,16 @@ from greybox.statistics.metrics import rms
 
 
 def discretization_warnings(
-    nlp: CompiledProblem,
-    trajectories: Sequence[Trajectory],
+    accuracy: Accuracy,
     error: DiscretizationError | None = None,
 ) -> Iterator[str]:
     """Warn where twice the number of steps would move the estimate noticeably."""
+    nlp = accuracy.nlp
     count = max(part.substeps for part in nlp.parts)
     if not count:
         return
 
-    error = error or discretization_error(nlp, trajectories)
+    error = error or discretization_error(nlp, accuracy.trajectories)
     if not error.matters:
         return
 

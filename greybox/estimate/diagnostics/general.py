@@ -1,9 +1,6 @@
 """All warnings of a fit, the most serious first."""
 
-from collections.abc import Sequence
 
-from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.discretization import (
     coarse_pade,
@@ -64,17 +61,15 @@ def warnings_of_failure(search: Multistart, solver: LocalSolver) -> Strings:
 
 
 def warnings(
-    nlp: CompiledProblem,
     search: Multistart,
     accuracy: Accuracy,
     answer: Fit,
-    trajectories: Sequence[Trajectory],
     error: DiscretizationError | None,
 ) -> Strings:
     """Return the warnings of a converged fit."""
     # In the order of consequence: first what could make the answer meaningless, then what makes
     # parameters or standard errors doubtful, then single points.
-    best = search.minima[0]
+    nlp, x = accuracy.nlp, accuracy.x
     misfit = answer.misfit
     # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
     noisy = misfit is None or misfit.is_noisy
@@ -86,28 +81,28 @@ def warnings(
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *repeated_data(nlp),
-        *discretization_warnings(nlp, trajectories, error),
+        *discretization_warnings(accuracy, error),
         *(() if explained else (UNEXPLAINED,)),
-        *record_warnings(nlp, answer, trajectories, accuracy, noisy=noisy),
-        *gusts(nlp, trajectories, accuracy, noisy=noisy, explained=explained),
-        *harmonic_warnings(nlp, best.estimate),
-        *not_determined(nlp, accuracy),
-        *held_without_error(nlp, accuracy),
+        *record_warnings(answer, accuracy, noisy=noisy),
+        *gusts(accuracy, noisy=noisy, explained=explained),
+        *harmonic_warnings(nlp, x),
+        *not_determined(accuracy),
+        *held_without_error(accuracy),
         *no_degrees_of_freedom(nlp),
         *prior_conflicts(answer),
-        *at_bounds(nlp, answer, accuracy),
+        *at_bounds(answer, accuracy),
         *few_agreeing_starts(search, answer.agreeing),
         *unfinished_runs(search),
         *minimum_at_kink(search),
         *rival_minima(nlp, search),
-        *several_estimates_of_one_response(nlp, search, accuracy),
+        *several_estimates_of_one_response(search, accuracy),
         *coarse_pade(answer.responses),
         *delays_within_a_sample(nlp, answer),
-        *unlikely_noise(nlp, trajectories),
+        *unlikely_noise(accuracy),
         *once(narrow_modes(answer)),
         *manoeuvre_warnings(accuracy),
-        *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
+        *(correlated_frequencies(accuracy) if errors else ()),
         *discontinuous_costs(nlp),
-        *(() if exact else outlying_points(nlp, best.estimate, explained=explained)),
+        *(() if exact else outlying_points(nlp, x, explained=explained)),
         *(once(outlying_samples(answer.records)) if errors else ()),
     )

@@ -75,14 +75,13 @@ def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
             )
 
 
-def several_estimates_of_one_response(
-    nlp: CompiledProblem, search: Multistart, accuracy: Accuracy
-) -> Iterator[str]:
+def several_estimates_of_one_response(search: Multistart, accuracy: Accuracy) -> Iterator[str]:
     """Warn where clearly different parameters give the best response, as two lags that swap."""
     best = search.minima[0]
     if best.variants < 2 or accuracy.combinations:
         return
 
+    nlp = accuracy.nlp
     ends = search.runs.estimate[list(best.runs)]
     away = np.abs(nlp.scaling.to_solver(ends) - nlp.scaling.to_solver(best.estimate))
     yield (
@@ -139,7 +138,7 @@ def failure_warnings(search: Multistart, solver: LocalSolver) -> Iterator[str]:
 
     for name in accuracy.at_bound:
         yield f"{name} ended at a bound in that run: widen it if the physics allow, or fix it."
-    yield from not_determined(solver.nlp, accuracy)
+    yield from not_determined(accuracy)
 
 
 def _cure(run: Run) -> str:

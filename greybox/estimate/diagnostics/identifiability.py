@@ -13,9 +13,9 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, listed
 
 
-def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
+def not_determined(accuracy: Accuracy) -> Iterator[str]:
     """Name the combinations that the data determine poorly or not at all, the worst three first."""
-    absent = _sizes_of_noise(nlp) & set(accuracy.at_bound)
+    absent = _sizes_of_noise(accuracy.nlp) & set(accuracy.at_bound)
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
     # Infinite indices first: without them fixed, no standard error exists.
     combinations.sort(key=lambda c: -c.index)
@@ -83,8 +83,9 @@ def _sizes_of_noise(nlp: CompiledProblem) -> set[str]:
     }
 
 
-def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
+def held_without_error(accuracy: Accuracy) -> Iterator[str]:
     """Name values fixed at an earlier fit that gives them no standard error."""
+    nlp = accuracy.nlp
     variances = np.diag(accuracy.covariance)[len(nlp.free) :]
     held = nlp.problem.held_estimates
     pairs = zip(nlp.constants, variances, strict=True)
@@ -112,12 +113,12 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     )
 
 
-def at_bounds(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Iterator[str]:
+def at_bounds(answer: Fit, accuracy: Accuracy) -> Iterator[str]:
     """Name parameters at bounds and active constraints: the standard errors treat both as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`
     # compares likelihoods.
-    sizes = _sizes_of_noise(nlp)
+    sizes = _sizes_of_noise(accuracy.nlp)
     for name in accuracy.at_bound:
         if name in without_effect or name in sizes:
             continue

@@ -13,12 +13,12 @@ of both were compared for the standard errors, see `greybox.statistics.residual_
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
+from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
@@ -29,7 +29,7 @@ from greybox.estimate.diagnostics.records import gust_criterion
 from greybox.estimate.diagnostics.repeated import Finding, Findings, once
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, by_name
+from greybox.files.arrays import by_name
 from greybox.files.text_table import counted, percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
 
@@ -45,8 +45,9 @@ NOTICEABLE = 1.25
 NARROW = 4.0
 
 
-def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[str]:
+def unlikely_noise(accuracy: Accuracy) -> Iterator[str]:
     """Warn where the residuals are far from the noise that was given with the data."""
+    nlp, trajectories = accuracy.nlp, accuracy.trajectories
     findings: list[Finding] = []
     parts = [part for part in nlp.parts if not part.problem.criterion.is_prior]
     # The unknowns use up degrees of freedom of all parts, not the same number in each.
@@ -166,7 +167,7 @@ def unused_noise(problem: AnyProblem) -> Iterator[str]:
             )
 
 
-def better_weights(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
+def better_weights(accuracy: Accuracy) -> Iterator[str]:
     """Note the weights of parts with which standard errors are clearly smaller.
 
     The cost weights errors as if they were independent and as large as given. Where they are not,
@@ -186,7 +187,7 @@ def better_weights(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
     if gain > NOTICEABLE:
         weights = [
             f"{part.weight * share:.2g} for {part.name!r}"
-            for part, share in zip(nlp.parts, weight, strict=True)
+            for part, share in zip(accuracy.nlp.parts, weight, strict=True)
             if share < 0.5  # one is below 0.3, or the gain is smaller
         ]
         yield (
@@ -196,16 +197,13 @@ def better_weights(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def correlated_frequencies(
-    nlp: CompiledProblem,
-    trajectories: Sequence[Trajectory],
-    accuracy: Accuracy,
-    x: Array,
-) -> Iterator[str]:
-    """Name the responses whose errors at the estimate x (p,) are correlated."""
-    values = nlp.all_values(x)
+def correlated_frequencies(accuracy: Accuracy) -> Iterator[str]:
+    """Name the responses whose errors at the estimate are correlated."""
+    nlp = accuracy.nlp
+    values = nlp.all_values(accuracy.x)
     unlikely = UNLIKELY / len(nlp.parts)
-    for part, trajectory, known in nlp.rows_of(ResponsePart, trajectories, accuracy.parts):
+    rows = nlp.rows_of(ResponsePart, accuracy.trajectories, accuracy.parts)
+    for part, trajectory, known in rows:
         if part.data.has_independent_errors:
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
             if errors is not None and errors.independent < unlikely:
@@ -270,19 +268,13 @@ def manoeuvre_warnings(accuracy: Accuracy) -> Iterator[str]:
             )
 
 
-def gusts(
-    nlp: CompiledProblem,
-    trajectories: Sequence[Trajectory],
-    accuracy: Accuracy,
-    *,
-    noisy: bool,
-    explained: bool,
-) -> Iterator[str]:
+def gusts(accuracy: Accuracy, *, noisy: bool, explained: bool) -> Iterator[str]:
     """Name the records with gusts and the criterion for them, and test sizes that ended at zero.
 
     Residuals of a wrong model look like gusts, unless noise is most of them.
     """
-    for part, trajectory, errors in nlp.rows_of(RecordPart, trajectories, accuracy.parts):
+    rows = accuracy.nlp.rows_of(RecordPart, accuracy.trajectories, accuracy.parts)
+    for part, trajectory, errors in rows:
         if part.is_static or errors.colored is None:
             continue
         steady, evidence = trajectory.detail.filter, errors.colored.process_noise

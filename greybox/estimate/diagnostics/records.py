@@ -9,7 +9,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.record import Record, share_samples
@@ -78,30 +77,23 @@ def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
     )
 
 
-def record_warnings(
-    nlp: CompiledProblem,
-    answer: Fit,
-    trajectories: Sequence[Trajectory],
-    accuracy: Accuracy,
-    *,
-    noisy: bool,
-) -> Strings:
+def record_warnings(answer: Fit, accuracy: Accuracy, *, noisy: bool) -> Strings:
     """Return the warnings about the records of a fit.
 
     Residuals of a wrong model look like feedback, which is then not tested, and like gusts unless
     the model explains the data.
     """
     misfit, explained = answer.misfit, answer.is_explained
-    pairs = nlp.rows_of(RecordPart, answer.parts)
+    pairs = accuracy.nlp.rows_of(RecordPart, answer.parts)
     unstable = bool(misfit and misfit.is_unstable)
     answered = bool(misfit and unstable and (misfit.left > ANSWERED or not explained))
 
     return (
-        *(once(_slow(nlp, answer, accuracy)) if noisy and explained else ()),
+        *(once(_slow(answer, accuracy)) if noisy and explained else ()),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair)),
         *(biased_by_feedback(pairs, unstable=unstable, answered=answered) if noisy else ()),
         *(colored_predictions(pairs, explained=explained) if noisy else ()),
-        *once(_bounded(nlp, trajectories)),
+        *once(_bounded(accuracy)),
         *once(_flattened_inputs(pairs)),
         *once(_carried_over(pairs)),
     )
@@ -167,10 +159,10 @@ def _carried_over(pairs: Pairs) -> Findings:
                 )
 
 
-def _slow(nlp: CompiledProblem, answer: Fit, accuracy: Accuracy) -> Findings:
+def _slow(answer: Fit, accuracy: Accuracy) -> Findings:
     """Name the outputs whose errors are slow, if few frequencies show the parameters."""
     outputs = sum(len(fitted.outputs) for fitted in answer.records)
-    for part, errors in nlp.rows_of(RecordPart, accuracy.parts):
+    for part, errors in accuracy.nlp.rows_of(RecordPart, accuracy.parts):
         if not (colored := errors.colored):
             continue
         for output, evidence, lines in zip(part.outputs, *colored.slow_errors(), strict=False):
@@ -344,9 +336,9 @@ def biased_by_feedback(
         )
 
 
-def _bounded(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Findings:
+def _bounded(accuracy: Accuracy) -> Findings:
     """Warn where a Kalman gain has reached the stability limit."""
-    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
+    for part, trajectory in zip(accuracy.nlp.parts, accuracy.trajectories, strict=True):
         gain = kalman_gain(part)
         if gain and gain.is_at_limit(trajectory):
             yield (
