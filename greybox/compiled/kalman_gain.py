@@ -6,6 +6,7 @@ not diverge, and no nodes are needed in between.
 """
 
 import math
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -49,22 +50,24 @@ class KalmanGain:
         # Three time constants of the slowest pole.
         return 1 - 3.0 / max(map(len, self.part.data.stretches))
 
-    def radius(self, trajectory: Trajectory, placed: Placed | None = None) -> float:
+    def moved(self, trajectory: Trajectory, z: Array) -> Trajectory:
+        """Return a trajectory with the parameters at z (p,) and the states that it has."""
+        return replace(trajectory, detail=self.part.place(z))
+
+    def radius(self, trajectory: Trajectory) -> float:
         """Return how large a pole may be: errors of the states fade within the limit.
 
         Or as those of the model do: without process noise, slow states need no correction.
         """
-        of_model = spectral_radius(self.error_transition(trajectory, placed, gain=0))
+        of_model = spectral_radius(self.error_transition(trajectory, gain=0))
         return max(self.limit, of_model if of_model < 1 else 0.0)
 
-    def is_stable(self, trajectory: Trajectory, placed: Placed | None = None) -> bool:
+    def is_stable(self, trajectory: Trajectory) -> bool:
         """Return whether errors of the states fade within the limit, or as those of the model do.
 
-        By the poles of the mean linearization of a trajectory, at its own parameters or at those
-        `placed` elsewhere.
+        By the poles of the mean linearization of a trajectory.
         """
-        radius = self.radius(trajectory, placed)
-        return spectral_radius(self.error_transition(trajectory, placed)) <= radius
+        return spectral_radius(self.error_transition(trajectory)) <= self.radius(trajectory)
 
     def is_at_limit(self, trajectory: Trajectory) -> bool:
         """Return whether a pole has come to the limit, where the likelihood has no maximum."""
@@ -74,30 +77,28 @@ class KalmanGain:
         # gain, poles are those of the model, and nothing limits them.
         return 0 < abs(radius - largest) < 0.02 * (1 - radius)
 
-    def error_transition(
-        self, trajectory: Trajectory, placed: Placed | None = None, gain: float = 1.0
-    ) -> Array:
+    def error_transition(self, trajectory: Trajectory, gain: float = 1.0) -> Array:
         """Return the transition over a sample for errors of the states that innovations reach.
 
         The gain may be a share of its value.
         """
-        at: Placed = placed or trajectory.detail
+        at: Placed = trajectory.detail
         q = at.q.copy()
         q[self.places] *= gain
         A, _ = self.part.segments.mean_transition(at.along(trajectory.states)._replace(q=q))
         return self._reached(A)
 
-    def room(self, trajectory: Trajectory, placed: Placed) -> Array:
+    def room(self, trajectory: Trajectory) -> Array:
         """Return how far the poles are from what limits them (m,), negative beyond it.
 
         Two poles, the roots of λ² - tλ + d, lie within a circle of radius r if d <= r² and ±rt <=
         r² + d (Jury's criterion). Where two poles meet, t and d are smooth, and the poles are not.
         """
-        A = self.error_transition(trajectory, placed)
+        A = self.error_transition(trajectory)
         if not all_finite(A):
             return np.array([-np.inf])
         poles = np.linalg.eigvals(A)
-        r = self.radius(trajectory, placed)
+        r = self.radius(trajectory)
         upper = poles[poles.imag > 0]
         real = np.sort(poles[poles.imag == 0].real)[::-1]
         # Neighbors may meet; a pole without one has a partner at zero.

@@ -161,7 +161,7 @@ def test_poles_are_as_far_from_the_limit_as_the_criterion_of_jury_says(coupling)
     A = gain.error_transition(trajectory)
     total, product = np.trace(A), np.linalg.det(A)
     wanted = [r**2 - product, r**2 + product - r * total, r**2 + product + r * total]
-    assert_allclose(gain.room(trajectory, gain.part.place(z)), wanted, rtol=1e-9)
+    assert_allclose(gain.room(gain.moved(trajectory, z)), wanted, rtol=1e-9)
     assert r == gain.limit
 
 

@@ -1,6 +1,5 @@
 """All warnings of a fit, the most serious first."""
 
-
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.discretization import (
     coarse_pade,

@@ -75,14 +75,14 @@ def stable_step(
     unstable = [
         (gain, trajectory)
         for gain, trajectory in predictors(parts, iterate, simulated=True)
-        if not gain.is_stable(trajectory, gain.part.place(iterate.z + dz))
+        if not gain.is_stable(gain.moved(trajectory, iterate.z + dz))
     ]
     # Most steps keep predictors stable, and derivatives of poles take long.
     if not unstable:
         return dz, *constraints
 
     def room(z: Array) -> Array:
-        return np.concatenate([gain.room(t, gain.part.place(z)) for gain, t in unstable])
+        return np.concatenate([gain.room(gain.moved(t, z)) for gain, t in unstable])
 
     rooms = room(iterate.z)
     steps = 1e-6 * np.maximum(np.abs(iterate.z), 1.0)

@@ -24,11 +24,11 @@ class Gain:
 
     def __init__(self, place, diverges=False):
         self.place = place
-        self.part = SimpleNamespace(place=lambda z: z[place], trajectory=self.simulated)
+        self.part = SimpleNamespace(trajectory=self.simulated)
         self.diverges = diverges
 
-    def is_stable(self, trajectory, placed=None):
-        return (trajectory.gain if placed is None else placed) < 1
+    def is_stable(self, trajectory):
+        return trajectory.gain < 1
 
     def simulated(self, z, nodes, *, simulated):
         assert simulated
@@ -88,13 +88,16 @@ class CurvedGain(Gain):
     """A gain that is stable within a circle of radius one around the origin."""
 
     def __init__(self):
-        self.part = SimpleNamespace(place=lambda z: z)
+        self.part = SimpleNamespace()
 
-    def is_stable(self, trajectory, placed=None):
-        return np.hypot(*placed) <= 1
+    def moved(self, trajectory, z):
+        return z
 
-    def room(self, trajectory, placed):
-        return np.array([1 - placed @ placed])
+    def is_stable(self, z):
+        return np.hypot(*z) <= 1
+
+    def room(self, z):
+        return np.array([1 - z @ z])
 
 
 @pytest.mark.parametrize("wanted", [(0.3, 0.4), (0.9, 0.9), (0.6, 0.9), (1.0, 0.3)])
