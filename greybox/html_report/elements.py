@@ -27,7 +27,7 @@ from greybox.files.arrays import Labels, by_name
 from greybox.files.text_table import is_number, number, percent, printable, with_error
 from greybox.plotting.figure import Figure, Series
 
-Child = Element | str | None | Iterable["Child"]
+Child = Element | str | Iterable["Child"]
 """Content of an element: elements, text, nothing, or several of these."""
 
 
@@ -54,8 +54,6 @@ def html(element: Element) -> str:
 
 
 def _append(element: Element, children: Child) -> None:
-    if children is None:
-        return
     if isinstance(children, str):
         text = printable(children, keep="\n\t")
         # This tree keeps a text in the element before it.

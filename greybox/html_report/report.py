@@ -213,7 +213,7 @@ def _section(title: str, content: Child) -> Element:
 def _document(title: str, sections: Sequence[Element], author: str) -> str:
     script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
     links = [
-        tag("li", tag("a", section.findtext(".//h2"), href=f"#{section.get('id')}"))
+        tag("li", tag("a", section.findtext(".//h2", ""), href=f"#{section.get('id')}"))
         for section in sections
     ]
     byline = ", ".join(filter(None, [author, str(date.today())]))
