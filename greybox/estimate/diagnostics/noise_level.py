@@ -256,15 +256,15 @@ def narrow_modes(answer: Fit) -> Findings:
 
 
 def manoeuvre_warnings(accuracy: Accuracy) -> Iterator[str]:
-    """Name manoeuvres whose errors leave no intervals."""
+    """Name manoeuvres whose errors look like turbulence, which may bias an estimate."""
     for information in accuracy.informations:
-        if information.doubtful:
+        if information.disturbed:
             yield (
                 f"the errors of {information.part.name!r} are larger in a part of the band, like "
                 "those of turbulence, of noise of the outputs in equation error, or of a model "
-                "that misses something. Intervals would be too narrow, so there are none. For "
-                "noise of the outputs, use OutputError(); in turbulence, EquationError(gusts=True) "
-                "or, if that says the same, the record itself with "
+                "that misses something. Intervals allow for the size of the errors, and not for a "
+                "bias. For noise of the outputs, use OutputError(); in turbulence, "
+                "EquationError(gusts=True) or, if that says the same, the record itself with "
                 "PredictionError(process_noise=states) or PredictionError(disturbance={state: "
                 "'colored'})."
             )
