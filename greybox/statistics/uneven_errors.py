@@ -1,10 +1,12 @@
 """The covariance of scores if errors may be larger at some lines of a spectrum than at others.
 
-Errors may be correlated between outputs. Their covariance is that of the residuals at lines nearby,
-line by line without the bias that the fit leaves if errors are white (HC2: MacKinnon and White
-1985, Journal of Econometrics 29). Where few lines have most of the information on a parameter, this
-variance is uncertain: it has as many degrees of freedom as a sum of squares with the same mean and
-variance, for white errors.
+Errors may be correlated between outputs. Their covariance changes along the lines as that of white
+errors with the disturbances that these may contain (`greybox.statistics.disturbed_errors`), times
+what the residuals at lines nearby show. Residuals lack what the fit took from such errors; if they
+are white this is HC2 (MacKinnon and White 1985, Journal of Econometrics 29). Means over lines
+nearby alone would be too small where the errors are largest, as those of gusts at the first lines.
+Where few lines have most of the information on a parameter, or most of its errors, this variance is
+uncertain: it has as many degrees of freedom as a sum of squares with the same mean and variance.
 
 Sources: Bell and McCaffrey (2002), Survey Methodology 28; Imbens and Kolesár (2016), Review of
 Economics and Statistics 98; Satterthwaite (1946), Biometrics Bulletin 2. In linear models of 168
@@ -40,6 +42,8 @@ def uneven_errors(
         Orthonormal basis of what other unknowns take from the errors.
     certain : (r, r) array
         Covariance of scores that do not come from `residuals`.
+    covariance : (lines, k, k) array
+        Mean covariance of the errors, over all that they may be.
     """
     lines = np.arange(residuals.shape[-1])
     # The covariance of errors is averaged with weights that fall to zero over 4 lines on either
@@ -65,8 +69,8 @@ def uneven_errors(
     spread_of_scores = np.einsum(scores, errors, errors, nearby, rows, rows, optimize=True)
 
     # The variance of each parameter, over that of white errors, is a quadratic form of residuals
-    # whose covariance is the identity less the products of the basis. A parameter that a bound
-    # holds has none.
+    # whose covariance, over that of the errors, is about the identity less the products of the
+    # basis. A parameter that a bound holds has none.
     units = root / positive_or_one(np.linalg.norm(root, axis=1, keepdims=True))
     slopes = rows @ units.T
     by_errors = "icl,jcl,lm,idmx,jdmx->ijclx"

@@ -4,7 +4,8 @@ Whether the errors of a response or of a manoeuvre are correlated along frequenc
 
 Errors of neighboring points are correlated if the points are closer than the resolution of their
 transform, or if the model misses a part of the response. Standard errors of responses account for
-it (`greybox.statistics.neighbor_correlation`), and manoeuvres then have none.
+it (`greybox.statistics.neighbor_correlation`), and those of manoeuvres for disturbances
+(`greybox.statistics.disturbed_errors`).
 
 Whether the residuals of a simulation are process noise, such as gusts, or noise of sensors.
 
