@@ -36,7 +36,7 @@ def disturbed_errors(
         Outputs that follow each disturbance, in any unit.
     """
     dof = len(basis) - basis.shape[1]
-    white = np.eye(len(errors))
+    white = np.eye(len(errors), dtype=complex)
     # Without numbers beside the fit, nothing is left to judge.
     if not (dof and errors.any()):
         return 1.0, np.broadcast_to(white, (disturbances.shape[2], *white.shape))
