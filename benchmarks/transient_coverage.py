@@ -233,10 +233,7 @@ def cases():
 
 
 def coverage(case, runs, seed):
-    """Return the coverage by parameter, the rms of the standardized errors, and counts of fits.
-
-    A fit that finds turbulence in its errors gives no intervals: it counts as warned only.
-    """
+    """Return the coverage by parameter, the rms of the standardized errors, and counts of fits."""
     model, truth, records, measure, inputs, outputs, criterion = case
     random = np.random.default_rng(seed)
     names = list(truth)
@@ -257,12 +254,8 @@ def coverage(case, runs, seed):
         wide = fit.interval(1 - 0.05 / len(names))
         honest += speaks or all(wide[n][0] <= truth[n] <= wide[n][1] for n in names)
         interval = fit.interval()
-        if np.isnan(fit.standard_error[names[0]]):
-            continue
         inside.append([interval[n][0] <= truth[n] <= interval[n][1] for n in names])
         standardized.append([(fit.estimate[n] - truth[n]) / fit.standard_error[n] for n in names])
-    if not inside:
-        return {}, [], (0, named, honest)
     rms = np.sqrt(np.nanmean(np.square(standardized), axis=0))
     counts = len(inside), named, honest
     return dict(zip(names, np.mean(inside, axis=0), strict=True)), rms, counts

@@ -213,9 +213,8 @@ class Information:
         What noise adds to the residuals (rows,) of a frequency response in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
-    doubtful : bool
-        Whether the errors of a manoeuvre look like turbulence that the criterion does not model, or
-        like a missing term: few lines have most of them, so that no interval holds.
+    disturbed : bool
+        Whether the errors of a manoeuvre look like those of turbulence, or of a missing term.
     """
 
     part: "Part"
@@ -228,7 +227,7 @@ class Information:
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     errors: ArrayPair | None = None
     offset: Callable[[float], Array] | None = None
-    doubtful: bool = False
+    disturbed: bool = False
 
 
 class Portable:

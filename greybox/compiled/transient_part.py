@@ -52,11 +52,11 @@ from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
 from greybox.statistics.column_space import column_basis, outside
-from greybox.statistics.disturbed_errors import undisturbed
+from greybox.statistics.disturbed_errors import disturbed_errors
 from greybox.statistics.uneven_errors import uneven_errors
 
-# Probability of white errors below which no interval is given: 1 % of 2500 fits with right models
-# are named, and of those in gusts 91 % by output error.
+# Probability of white errors below which a disturbance is named: in 1 % of 2500 fits with right
+# models, and in 91 % of those in gusts by output error.
 UNLIKELY = 0.2
 
 
@@ -372,8 +372,13 @@ class TransientPart(Part):
         errors = at.weight @ at.errors
         shape = len(self.outputs), 2, len(self.data)
 
+        # How errors follow slow gusts on each state and each output. Fast ones differ little.
+        gusts = np.einsum("ij,ljk,lks->sil", at.weight, at.transform, at.to_outputs)
+        fitted = column_basis(np.hstack([mean, at.taken]))
+        calm, covariance = disturbed_errors(errors, fitted, gusts / self.data.omega)
+
         def colored(root: Array) -> ColoredErrors:
-            # The errors may be larger at some frequencies than at others, as in light turbulence.
+            # The errors may be larger at some frequencies than at others, as in turbulence.
             rows, certain = mean[:, : len(root)] @ root, variance[:, : len(root)] @ root
             return ColoredErrors(
                 *uneven_errors(
@@ -382,12 +387,10 @@ class TransientPart(Part):
                     root,
                     at.taken.reshape(*shape, -1),
                     certain.T @ certain,
+                    covariance,
                 )
             )
 
-        # How errors follow slow gusts on each state and each output. Fast ones differ little.
-        gusts = np.einsum("ij,ljk,lks->sil", at.weight, at.transform, at.to_outputs)
-        fitted = column_basis(np.hstack([mean, at.taken]))
         return Information(
             self,
             jacobian,
@@ -395,7 +398,7 @@ class TransientPart(Part):
             lambda correction: (1.0, jacobian.T @ jacobian),
             reach,
             colored=colored,
-            doubtful=undisturbed(errors, fitted, gusts / self.data.omega) < UNLIKELY,
+            disturbed=calm < UNLIKELY,
         )
 
 

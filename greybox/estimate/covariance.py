@@ -238,11 +238,7 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
     error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
     loose = ~(error < 0.5 * np.abs(x))
     reported = (c for c in suspect if np.any(loose & np.isin(nlp.free, c.names)))
-    accuracy = replace(accuracy, combinations=(*combinations, *reported))
-    # No interval is better than one that is too narrow.
-    if any(part.doubtful for part in parts):
-        return replace(accuracy, covariance=np.full_like(accuracy.covariance, np.nan))
-    return accuracy
+    return replace(accuracy, combinations=(*combinations, *reported))
 
 
 def _with_covariance(

@@ -1,10 +1,12 @@
 """The covariance of scores if errors may be larger at some lines of a spectrum than at others.
 
-Errors may be correlated between outputs. Their covariance is that of the residuals at lines nearby,
-line by line without the bias that the fit leaves if errors are white (HC2: MacKinnon and White
-1985, Journal of Econometrics 29). Where few lines have most of the information on a parameter, this
-variance is uncertain: it has as many degrees of freedom as a sum of squares with the same mean and
-variance, for white errors.
+Errors may be correlated between outputs. Their covariance changes along the lines as that of white
+errors with the disturbances that these may contain (`greybox.statistics.disturbed_errors`), times
+what the residuals at lines nearby show. Residuals lack what the fit took from such errors; if they
+are white this is HC2 (MacKinnon and White 1985, Journal of Econometrics 29). Means over lines
+nearby alone would be too small where the errors are largest, as those of gusts at the first lines.
+Where few lines have most of the information on a parameter, or most of its errors, this variance is
+uncertain: it has as many degrees of freedom as a sum of squares with the same mean and variance.
 
 Sources: Bell and McCaffrey (2002), Survey Methodology 28; Imbens and Kolesár (2016), Review of
 Economics and Statistics 98; Satterthwaite (1946), Biometrics Bulletin 2. In linear models of 168
@@ -15,11 +17,16 @@ fits (six systems, seven inputs, two bands, output and equation error; white err
 
 import numpy as np
 
-from greybox.files.arrays import Array, positive_or_one
+from greybox.files.arrays import Array, ComplexArray, positive_or_one
 
 
 def uneven_errors(
-    residuals: Array, rows: Array, root: Array, taken: Array, certain: Array
+    residuals: Array,
+    rows: Array,
+    root: Array,
+    taken: Array,
+    certain: Array,
+    covariance: ComplexArray,
 ) -> tuple[Array, float]:
     """Return the covariance (r, r) of scores, and its degrees of freedom.
 
@@ -35,30 +42,49 @@ def uneven_errors(
         Orthonormal basis of what other unknowns take from the errors.
     certain : (r, r) array
         Covariance of scores that do not come from `residuals`.
+    covariance : (lines, k, k) array
+        Mean covariance of the errors, over all that they may be.
     """
     lines = np.arange(residuals.shape[-1])
     # The covariance of errors is averaged with weights that fall to zero over 4 lines on either
     # side.
     nearby = np.maximum(4 - np.abs(lines[:, None] - lines), 0)
     nearby = nearby / nearby.sum(axis=0) / 2
+    root_of_covariance = np.linalg.cholesky(covariance)
+    inverse = np.linalg.inv(root_of_covariance)
+    turned_back = root_of_covariance.conj().swapaxes(1, 2)
     basis = np.concatenate([taken, rows], axis=-1)
+    loud, quiet = _turned(turned_back, basis), _turned(inverse, basis)
+    # What the fit leaves of errors of this covariance, beside white ones of other data.
+    products = "iclp,iclq->pq"
+    absorbed = np.einsum(products, loud, loud) - np.einsum(products, basis, basis)
+    absorbed += np.eye(len(absorbed))
+    remaining = 1 - 2 * np.sum(loud * quiet, axis=-1)
+    remaining += np.einsum("iclp,pq,iclq->icl", quiet, absorbed, quiet)
     # Where the fit leaves less than a tenth of an error, only rounding would remain.
-    factor = np.maximum(1 - np.sum(basis**2, axis=-1), 0.1) ** -0.5
-    errors = residuals * factor
+    factor = np.maximum(remaining, 0.1) ** -0.5
+    errors = _turned(inverse, residuals[..., None])[..., 0] * factor
+    rows = loud[..., taken.shape[-1] :]
     scores = "icl,jcl,lm,idmx,jdmy->xy"
-    covariance = np.einsum(scores, errors, errors, nearby, rows, rows, optimize=True)
+    spread_of_scores = np.einsum(scores, errors, errors, nearby, rows, rows, optimize=True)
 
     # The variance of each parameter, over that of white errors, is a quadratic form of residuals
-    # whose covariance is the identity less the products of the basis. A parameter that a bound
-    # holds has none.
+    # whose covariance, over that of the errors, is about the identity less the products of the
+    # basis. A parameter that a bound holds has none.
     units = root / positive_or_one(np.linalg.norm(root, axis=1, keepdims=True))
     slopes = rows @ units.T
-    products = "icl,jcl,lm,idmx,jdmx->ijclx"
-    form = np.einsum(products, factor, factor, nearby, slopes, slopes, optimize=True)
+    by_errors = "icl,jcl,lm,idmx,jdmx->ijclx"
+    form = np.einsum(by_errors, factor, factor, nearby, slopes, slopes, optimize=True)
     turned = np.einsum("ijclx,jclq->iclqx", form, basis)
     inner = np.einsum("iclp,iclqx->pqx", basis, turned)
     mean = np.einsum("iiclx->x", form) - np.einsum("qqx->x", inner)
     mean += np.einsum("xr,rs,xs->x", units, certain, units)
     # The degrees of freedom of all parameters hardly differ.
     spread = np.sum(form**2) - 2 * np.sum(turned**2) + np.sum(inner**2)
-    return covariance + certain, float(np.sum(mean**2) / spread) if spread > 0 else np.inf
+    return spread_of_scores + certain, float(np.sum(mean**2) / spread) if spread > 0 else np.inf
+
+
+def _turned(matrices: ComplexArray, values: Array) -> Array:
+    """Return matrices (lines, k, k) times values (k, 2, lines, p), real parts first."""
+    products = np.einsum("lij,jlp->ilp", matrices, values[:, 0] + 1j * values[:, 1])
+    return np.stack([products.real, products.imag], axis=1)

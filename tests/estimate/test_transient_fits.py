@@ -221,9 +221,8 @@ def test_turbulence_is_named_and_its_color_estimated(clean, fit):
     spectrum = transient_spectrum(noisy, "u", "q", BAND)
     blind = gb.fit(gb.Problem(ShortPeriod(), spectrum), starts=[SHORT_PERIOD], progress=False)
     assert "turbulence" in " ".join(blind.warnings)
-    assert all(np.isnan(error) for error in blind.standard_error.values())
-    with pytest.raises(ValueError, match="has no covariance: its warnings say why"):
-        gb.draws(blind, 10)
+    for name, (low, high) in blind.interval(0.99).items():
+        assert low < SHORT_PERIOD[name] < high, name
     assert "turbulence" not in " ".join(fit.warnings)
 
     start = {**SHORT_PERIOD, "T_gust": 1.0}
@@ -234,14 +233,15 @@ def test_turbulence_is_named_and_its_color_estimated(clean, fit):
             (Gusty(), gb.EquationError()),
         )
     )
-    assert "there are none" not in " ".join(aware.warnings)
+    assert "larger in a part" not in " ".join(aware.warnings)
     assert aware.cost == pytest.approx(modeled.cost, abs=1e-6)
     for name in start:
         assert aware.estimate[name] == pytest.approx(modeled.estimate[name], rel=1e-4), name
-        assert aware.standard_error[name] == pytest.approx(modeled.standard_error[name], rel=1e-3)
+        # Other states, and so other disturbances, may still be in the errors.
+        assert aware.standard_error[name] == pytest.approx(modeled.standard_error[name], rel=0.03)
 
 
-def test_gusts_that_act_where_the_elevator_does_leave_no_interval(clean):
+def test_gusts_that_act_where_the_elevator_does_are_named(clean):
     """They reach the equation through the zero of the plant, so that its errors rise with frequency."""
     noise, still = 0.03 * np.random.default_rng(3).normal(size=len(clean)), np.zeros(len(clean))
     pushed = gb.simulate(ShortPeriod(), SHORT_PERIOD, clean.with_signals(u=noise, q=still))
@@ -250,7 +250,6 @@ def test_gusts_that_act_where_the_elevator_does_leave_no_interval(clean):
     problem = gb.Problem(ShortPeriod(), spectrum, gb.EquationError())
     blind = gb.fit(problem, starts=[SHORT_PERIOD], progress=False)
     assert "larger in a part of the band" in " ".join(blind.warnings)
-    assert all(np.isnan(error) for error in blind.standard_error.values())
 
 
 def test_short_manoeuvres_in_gusts_are_named_by_output_error():
@@ -301,7 +300,6 @@ def test_what_is_not_determined_is_said(spectrum):
     assert "a and b" in " ".join(fit.warnings)
     incomplete = fitted(gb.Problem(TwiceALag(), spectrum))
     assert "or of a model that misses something" in " ".join(incomplete.warnings)
-    assert np.isnan(incomplete.standard_error["c"])
 
 
 def test_nested_and_other_models_are_compared(spectrum, fit):

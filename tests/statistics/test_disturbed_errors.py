@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import null_space
 
 from greybox.statistics.column_space import column_basis
-from greybox.statistics.disturbed_errors import SIZES, undisturbed
+from greybox.statistics.disturbed_errors import SIZES, disturbed_errors
 
 LINES = 10
 
@@ -47,26 +47,32 @@ def test_the_probability_is_that_of_dense_matrices():
     )
     free = null_space(basis.T)
     values = free.T @ errors.ravel()
-    logarithms = []
+    logarithms, covariances = [], []
     for size in SIZES.ravel():
         covariance = free.T @ (np.eye(errors.size) + size / power * effects.T @ effects) @ free
         squares = values @ np.linalg.solve(covariance, values)
+        scale = squares / len(values)
+        shared = h[:, None] * h.conj() * size / power
+        covariances.append(scale * (np.eye(2) + np.moveaxis(shared, 2, 0)))
         logarithms.append(-np.linalg.slogdet(covariance)[1] / 2 - len(values) / 2 * np.log(squares))
     likelihood = np.exp(logarithms - np.max(logarithms))
     wanted = likelihood[0] / (likelihood[0] + likelihood[1:].mean())
     assert 0.001 < wanted < 0.5
-    assert undisturbed(errors, basis, 7.0 * h[None]) == pytest.approx(wanted, rel=1e-8)
+    weight = np.append(wanted, likelihood[1:] * (1 - wanted) / likelihood[1:].sum())
+    probability, covariance = disturbed_errors(errors, basis, 7.0 * h[None])
+    assert probability == pytest.approx(wanted, rel=1e-8)
+    np.testing.assert_allclose(covariance, np.tensordot(weight, covariances, 1), rtol=1e-8)
 
 
 @pytest.mark.parametrize(("size", "least", "most"), [(0.0, 0.0, 0.04), (10.0, 0.9, 1.0)])
 def test_disturbances_are_recognized_and_white_errors_are_not_called_disturbed(size, least, most):
     random = np.random.default_rng(3)
     probabilities = [
-        undisturbed(*fitted_errors(random, size), disturbance()[None]) for _ in range(200)
+        disturbed_errors(*fitted_errors(random, size), disturbance()[None])[0] for _ in range(200)
     ]
     assert least <= np.mean(np.array(probabilities) < 0.2) <= most
 
 
 def test_a_disturbance_that_no_output_follows_is_neither_likely_nor_unlikely():
     errors, basis = fitted_errors(np.random.default_rng(4), 0.0)
-    assert undisturbed(errors, basis, 0 * disturbance()[None]) == pytest.approx(0.5)
+    assert disturbed_errors(errors, basis, 0 * disturbance()[None])[0] == pytest.approx(0.5)

@@ -8,10 +8,14 @@ from greybox.statistics.uneven_errors import uneven_errors
 LINES = 40
 
 
-def fits(size, of_parameters):
+WHITE = np.broadcast_to(np.eye(2), (LINES, 2, 2))
+
+
+def fits(size, of_parameters, covariance=WHITE):
     """Return variances of two parameters (draws, 2), those of the estimates, and the dof.
 
-    Errors of two outputs have a size (lines,). The parameters act over a share of the lines.
+    Errors of two outputs have a size (lines,), or are `size` (lines, 2, 2) times white ones. The
+    parameters act over a share of the lines.
     """
     random = np.random.default_rng(1)
     band = np.arange(LINES) < of_parameters * LINES
@@ -23,11 +27,12 @@ def fits(size, of_parameters):
     rows = rows @ root
     variances, estimates, dofs = [], [], []
     for _ in range(400):
-        errors = size * random.normal(size=(2, 2, LINES))
+        errors = random.normal(size=(2, 2, LINES))
+        errors = size * errors if np.ndim(size) < 2 else np.einsum("lij,jcl->icl", size, errors)
         scores = np.tensordot(errors, rows, 3)
         estimates.append(root @ scores)
         errors -= taken[..., 0] * np.sum(taken[..., 0] * errors) + rows @ scores
-        middle, dof = uneven_errors(errors, rows, root, taken, np.zeros((2, 2)))
+        middle, dof = uneven_errors(errors, rows, root, taken, np.zeros((2, 2)), covariance)
         variances.append(np.diag(root @ middle @ root.T))
         dofs.append(dof)
     return np.array(variances), np.var(estimates, axis=0), dofs
@@ -53,9 +58,23 @@ def test_errors_that_grow_along_the_band():
         assert np.mean(variances, axis=0) == pytest.approx(wanted, rel=0.4)
 
 
+def test_errors_of_a_disturbance():
+    """Few lines have most of the errors, so that their variance is less certain than of white ones."""
+    shape = np.array([1.0, -0.7]) * 12 * np.exp(-np.arange(LINES) / 4)[:, None]
+    covariance = WHITE + shape[:, :, None] * shape[:, None]
+    size = np.linalg.cholesky(covariance)
+    variances, wanted, dofs = fits(size, 0.5, covariance)
+    assert np.mean(variances, axis=0) == pytest.approx(wanted, rel=0.15)
+    scatter = 2 * np.mean(variances, axis=0) ** 2 / np.var(variances, axis=0)
+    assert dofs[0] == pytest.approx(1 / np.mean(1 / scatter), rel=0.35)
+    assert dofs[0] < 0.3 * fits(size, 0.5)[2][0]
+
+
 def test_certain_scores():
     """Scores that are no sums of these errors add their covariance, which nobody estimated."""
     rows, taken = np.full((1, 2, 2, 1), 1e-3), np.zeros((1, 2, 2, 0))
-    covariance, dof = uneven_errors(np.ones((1, 2, 2)), rows, np.eye(1), taken, np.eye(1))
+    covariance, dof = uneven_errors(
+        np.ones((1, 2, 2)), rows, np.eye(1), taken, np.eye(1), np.ones((2, 1, 1))
+    )
     assert covariance == pytest.approx(1, rel=1e-5)
     assert dof > 1e9

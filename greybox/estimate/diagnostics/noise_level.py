@@ -4,7 +4,8 @@ Whether the errors of a response or of a manoeuvre are correlated along frequenc
 
 Errors of neighboring points are correlated if the points are closer than the resolution of their
 transform, or if the model misses a part of the response. Standard errors of responses account for
-it (`greybox.statistics.neighbor_correlation`), and manoeuvres then have none.
+it (`greybox.statistics.neighbor_correlation`), and those of manoeuvres for disturbances
+(`greybox.statistics.disturbed_errors`).
 
 Whether the residuals of a simulation are process noise, such as gusts, or noise of sensors.
 
@@ -254,15 +255,15 @@ def narrow_modes(answer: Fit) -> Findings:
 
 
 def manoeuvre_warnings(accuracy: Accuracy) -> Iterator[str]:
-    """Name manoeuvres whose errors leave no intervals."""
+    """Name manoeuvres whose errors look like turbulence, which may bias an estimate."""
     for information in accuracy.informations:
-        if information.doubtful:
+        if information.disturbed:
             yield (
                 f"the errors of {information.part.name!r} are larger in a part of the band, like "
                 "those of turbulence, of noise of the outputs in equation error, or of a model "
-                "that misses something. Intervals would be too narrow, so there are none. For "
-                "noise of the outputs, use OutputError(); in turbulence, EquationError(gusts=True) "
-                "or, if that says the same, the record itself with "
+                "that misses something. Intervals allow for the size of the errors, and not for a "
+                "bias. For noise of the outputs, use OutputError(); in turbulence, "
+                "EquationError(gusts=True) or, if that says the same, the record itself with "
                 "PredictionError(process_noise=states) or PredictionError(disturbance={state: "
                 "'colored'})."
             )
