@@ -123,11 +123,11 @@ def some(names: Labels, most: int = 4) -> str:
     )
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
+def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
     """Return the known name most like a misspelled one; None if no known name resembles it."""
     # Capitals are the most frequent mistake.
     spelled = {candidate.lower(): candidate for candidate in known}
-    matches = difflib.get_close_matches(name.lower(), spelled, n=1)
+    matches = difflib.get_close_matches(name.lower(), spelled, n=1, cutoff=likeness)
     return spelled[matches[0]] if matches else None
 
 
