@@ -145,7 +145,9 @@ def by_name(words: Labels, flag: str, form: str) -> Fields:
                 raise ValueError(word)
             value = None if is_bare else KINDS.get(form, str)(text)
         except ValueError:
-            raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
+            # Shells cut a text at its blanks, as in V=volt:V held.
+            quotes = "" if form in KINDS else ", in quotes if it has blanks"
+            raise UsageError(f"{flag} {word!r} is not understood: write {form}{quotes}.") from None
 
         # argparse would silently take the last word, but a repeated name is more likely a slip.
         if name in result:

@@ -32,7 +32,8 @@ problem [PROBLEM]
     signals of the model, theta=pitch:deg
 --rate
 --band FREQUENCY...
-    lowest and highest frequency of the responses to fit, in rad/s or followed by Hz (default: all points)
+    lowest and highest frequency of the responses to fit, in rad/s or followed by Hz (default: all
+    points)
 --fix
 --free
 --bounds

@@ -36,6 +36,7 @@ from greybox.files.text_table import (
     all_printable,
     alternatives,
     counted,
+    nearest,
     one_line,
     some,
     write_out,
@@ -415,19 +416,18 @@ class Recording(Mapping[str, Record]):
             record[name]  # KeyError for an unknown field
             return record, name
         holders = [key for key, record in self.records.items() if signal in record.signals]
-        if len(holders) != 1:
-            reason = (
-                f"several messages have it: {', '.join(holders)}"
-                if holders
-                else "no message has it"
+        if not holders:
+            fields = [*dict.fromkeys(name for record in self.values() for name in record.signals)]
+            similar = nearest(signal, fields) or some(fields, 12)
+            raise KeyError(
+                f"there is no signal {signal!r}, but {similar}: write that, or name the column of "
+                f"a table, columns={{{signal!r}: ...}}"
             )
-            only = next(iter(self.records.values())).signals if len(self.records) == 1 else None
-            cure = (
-                f"write MESSAGE.{signal}."
-                if only is None
-                else f"it has {some([*only], 12)}: name its columns, columns={{{signal!r}: ...}}."
+        if len(holders) > 1:
+            raise KeyError(
+                f"several messages have the signal {signal!r}, {', '.join(holders)}: name the one "
+                f"that you mean, {holders[0]}.{signal}."
             )
-            raise KeyError(f"the signal {signal!r} is ambiguous or unknown, {reason}; {cure}")
 
         return self.records[holders[0]], signal
 

@@ -104,7 +104,8 @@ def from_bytes(data: bytes, models: Sequence[Any], place: str = "the stored fit"
     ValueError
         If it is damaged, or was written by another version.
     """
-    given = tuple(model for entry in models for model in _models(entry))
+    entries = models if isinstance(models, (list, tuple)) else [models]
+    given = tuple(model for entry in entries for model in _models(entry))
     try:
         layout, checksum, values = json.loads(data)
         # An older layout is refused, not converted: fits are cheap to repeat.

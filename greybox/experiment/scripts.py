@@ -21,7 +21,14 @@ def write_excitation(excitation: Record, path: str | Path) -> None:
 
     The header has the units, and where they are known the holds, as `gb.read` reads them:
     ``time [s], u [rad held]``.
+
+    Raises
+    ------
+    ValueError
+        If a signal is named ``time``.
     """
+    if "time" in excitation.signals:
+        raise ValueError("the signal 'time' would be read as the time base: give it another name.")
     columns = {"time [s]": excitation.time} if excitation.has_time else {}
     for name, values in excitation.signals.items():
         holds = [word for word, hold in BETWEEN.items() if excitation.hold.get(name) == hold]

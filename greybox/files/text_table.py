@@ -5,6 +5,7 @@ How notebooks show values that print themselves.
 
 import difflib
 import math
+import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -180,7 +181,7 @@ def greek(name: str) -> str:
 
 def in_greek(name: str) -> str:
     """Return the name of a signal with Greek letters: theta is θ, u_phi is u_φ."""
-    return "_".join(map(greek, name.split("_")))
+    return re.sub(r"[^\W_]+", lambda word: greek(word[0]), name)
 
 
 def is_number(cell: str) -> bool:
