@@ -324,6 +324,11 @@ def test_what_is_no_real_number_is_refused(values):
         Record([0, 1], {"y": [1, 2]}).with_signals(x=values)
 
 
+def test_signals_without_names_are_refused():
+    with pytest.raises(TypeError, match=r"signals is \[1, 2\]: give \{name: values\}"):
+        Record([0, 1], [1, 2])
+
+
 def test_units_of_unknown_signals_are_refused():
     with pytest.raises(ValueError, match=r"units names 'thta'.*did you mean 'theta'"):
         Record([0, 1], {"theta": [1, 2]}, {"thta": "rad"})
