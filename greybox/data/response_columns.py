@@ -236,7 +236,7 @@ def complex_response(
             f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'."
         )
     # Decibels without their unit are the usual mistake, and decibels are usually negative.
-    cure = "if these are decibels, give magnitude_unit='dB'"
+    cure = "if these are decibels, state dB as the unit of the column"
     require("magnitude", magnitude, magnitude >= 0, cure)
 
     return magnitude * np.exp(1j * conversion.apply(phase))

@@ -24,8 +24,8 @@ COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
 UNITS = "mV|kV|mA|uA|kN|kW|mm|cm|km|ft|kPa|hPa|mbar|degC|degF|kts|mph|kmh|m/s|m/s2|ft/s|km/h"
 # pitch_deg, "pitch deg", pitch/deg, and q_deg_s as well as q_deg/s
 IN_NAME = re.compile(
-    rf"(?i:(?:{'|'.join(TIMES)})[_ /](s|sec|ms|us|ns)"
-    rf"|.+[_ /]((?:deg|rad)(?:[_/]s(?:ec)?2?)?|dps|rpm))|.+[_ /]({UNITS})"
+    rf"(?i:(?:{'|'.join(TIMES)})(?: in)?[_ /:](s|sec|ms|us|ns)"
+    rf"|.+[_ /:]((?:deg|rad)(?:[_/]s(?:ec)?2?)?|dps|rpm))|.+[_ /:]({UNITS})"
 )
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
@@ -84,7 +84,7 @@ def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, Strings
     # The absolute time decides first: it shows the unit at any rate.
     for ticks, first in EPOCHS.items():
         if first <= finite[0] < 4.1 * first:
-            text = f"{name} was taken for {ticks} since 1970: times are from the first sample."
+            text = f"{name} has dates or {ticks} since 1970: times are from the first sample."
             return (times - finite[0]) * (tick(ticks) or 1.0), (text,)
 
     # Ticks of a counter are whole; seconds since the start rarely are.

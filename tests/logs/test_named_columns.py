@@ -126,12 +126,13 @@ def test_the_end_of_a_name_is_a_unit_only_where_it_can_be_nothing_else(tmp_path)
 
 
 @pytest.mark.parametrize(
-    "name", ["q_deg/s", "q deg/s", "q/deg/s", "q_deg_s", "q_deg/sec", "Q_DEG_S"]
+    "name",
+    ["q_deg/s", "q deg/s", "q/deg/s", "q:deg/s", "q in deg/s", "q_deg_s", "q_deg/sec", "Q_DEG_S"],
 )
 @pytest.mark.parametrize("hold", ["", ":held", ":sampled"])
 def test_rates_and_words_on_the_hold_leave_the_unit_in_a_name(tmp_path, name, hold):
     path = tmp_path / "flight.csv"
-    path.write_text(f"time s,{name},V_m/s\n0,90,3\n1,90,4\n2,180,5\n")
+    path.write_text(f"time in s,{name},V_m/s\n0,90,3\n1,90,4\n2,180,5\n")
     record = gb.read(path, columns={"q": name + hold, "V": "V_m/s"})["flight"]
     np.testing.assert_allclose(record["q"], np.radians([90, 90, 180]))
     assert record.units == {"q": "rad/s", "V": "m/s"}
