@@ -422,8 +422,8 @@ class Recording(Mapping[str, Record]):
             fields = [*dict.fromkeys(name for record in self.values() for name in record.signals)]
             similar = nearest(signal, fields) or some(fields, 12)
             raise KeyError(
-                f"there is no signal {signal!r}, but {similar}: write that, or name the column of "
-                f"a table, columns={{{signal!r}: ...}}"
+                f"there is no signal {signal!r}, but {similar}: write MESSAGE.SIGNAL, or name the "
+                f"column of a table, columns={{{signal!r}: ...}}"
             )
         if len(holders) > 1:
             raise KeyError(

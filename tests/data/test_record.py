@@ -112,7 +112,7 @@ def test_a_recording_finds_signals_by_message_and_by_bare_name():
         KeyError, match=r"flight.bin has no message 'ATT'; it has IMU\[0\], IMU\[1\]"
     ):
         log["ATT"]
-    with pytest.raises(KeyError, match="there is no signal 'GYRO', but gyro: write that"):
+    with pytest.raises(KeyError, match="there is no signal 'GYRO', but gyro: write MESSAGE"):
         log.locate("GYRO")
     both = Recording({"A": record(), "B": record()})
     with pytest.raises(KeyError, match=r"several messages have the signal 'u', A, B: .* A\.u\."):
