@@ -73,9 +73,9 @@ def declare(parser: argparse.ArgumentParser, text: str) -> None:
     The first line of an option has its name and what follows it: ``--level P`` a value,
     ``--between START END`` two, ``--data FILE...`` at least one, ``names [NAME]...`` any number,
     ``--search {batched,multistart}`` one of these words, ``--force`` nothing. `KINDS` has the types
-    by these words; words such as ``NAME=VALUE`` give values by name. Indented lines are the help,
-    in which ``(default: 0.95)`` is the default, and ``(required)`` has its meaning. An option
-    without help is one of `SHARED`.
+    by these words; words such as ``NAME=VALUE`` give values by name. Indented lines are the help:
+    its ``(default: 0.95)`` sets the default, and ``(required)`` makes the option required. An
+    option without help is one of `SHARED`.
     """
     shared = {block.split()[0]: block for block in _blocks(SHARED)}
     for block in _blocks(text):

@@ -20,7 +20,8 @@ def write_excitation(excitation: Record, path: str | Path) -> None:
     """Write a test signal, or another record, to a CSV file, atomically.
 
     The header has the units, and where they are known the holds, as `gb.read` reads them:
-    ``time [s], u [rad held]``.
+    ``time [s], u [rad held]``. A hold of a part of a step has no such word and is not written: a
+    fit of the file assumes straight lines and says so.
 
     Raises
     ------
