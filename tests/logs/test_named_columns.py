@@ -137,3 +137,10 @@ def test_rates_and_words_on_the_hold_leave_the_unit_in_a_name(tmp_path, name, ho
     np.testing.assert_allclose(record["q"], np.radians([90, 90, 180]))
     assert record.units == {"q": "rad/s", "V": "m/s"}
     assert record.hold == {"": {}, ":held": {"q": np.inf}, ":sampled": {"q": 0.0}}[hold]
+
+
+def test_a_unit_that_the_table_contradicts_is_refused(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("t [s],stick [deg]\n0,1\n1,2\n")
+    with pytest.raises(ValueError, match=r"its unit is deg in the table, not V: leave"):
+        gb.read(path, columns={"u": "stick:V"})
