@@ -112,11 +112,11 @@ class FrequencyResponse(Printed):
     variance: Array | None = None
     dof: Array | None = None
     name: str = ""
-    source: str = field(default="", repr=False)
-    stretches: tuple[Stretch, ...] = field(default=(), repr=False)
-    units: NamedStrings = field(default_factory=dict, repr=False)
-    about: NamedStrings = field(default_factory=dict, repr=False)
-    common_errors: ComplexArray | None = field(default=None, repr=False)
+    source: str = ""
+    stretches: tuple[Stretch, ...] = ()
+    units: NamedStrings = field(default_factory=dict)
+    about: NamedStrings = field(default_factory=dict)
+    common_errors: ComplexArray | None = None
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays, check every value, and write out control characters."""

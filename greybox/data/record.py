@@ -108,12 +108,10 @@ class Record(Printed):
     units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
-    checksum: str = field(default="", repr=False)
-    metadata: Named = field(default_factory=dict, repr=False, metadata=NOT_STORED)
-    filters: Mapping[str, tuple[Any, ...]] = field(
-        default_factory=dict, repr=False, metadata=NOT_STORED
-    )
-    hold: Values = field(default_factory=dict, repr=False)
+    checksum: str = ""
+    metadata: Named = field(default_factory=dict, metadata=NOT_STORED)
+    filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, metadata=NOT_STORED)
+    hold: Values = field(default_factory=dict)
     findings: Strings = field(default=(), metadata=NOT_STORED)
     has_time: bool = True
 
@@ -369,7 +367,7 @@ class Recording(Mapping[str, Record]):
     records: Mapping[str, Record]
     source: str = ""
     checksum: str = ""
-    metadata: Named = field(default_factory=dict, repr=False)
+    metadata: Named = field(default_factory=dict)
     findings: Strings = ()
 
     def __post_init__(self) -> None:
