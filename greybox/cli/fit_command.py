@@ -8,7 +8,7 @@ from functools import partial
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, save_figure
-from greybox.cli.problem_options import PROBLEM_OPTIONS
+from greybox.cli.problem_options import PROBLEM_OPTIONS, problem_of
 from greybox.cli.saved_fits import require_fit_file
 from greybox.cli.workers import stated_executor
 from greybox.data.frequency_response import FrequencyResponse
@@ -29,7 +29,6 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.multistart import BATCHED, SEARCHES
 from greybox.solve.runs import RunStorageError
-from greybox.study.stated_problem import stated_problem
 from greybox.study.store import StoredRuns, folder_beside, runs_beside
 
 EXAMPLES = (
@@ -85,7 +84,7 @@ def run(options: argparse.Namespace) -> Answer:
 def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     """Return a function that fits the problem, given a store of runs and an executor."""
     # A problem file suggests starts and seed; the command line has the last word.
-    problem, settings = stated_problem(vars(options))
+    problem, settings = problem_of(options)
     responses = problem.parts_with(FrequencyResponse)
     if options.factored and len(responses) < len(problem.parts):
         raise UsageError(f"--factored is for frequency responses; {problem.name} has other data.")

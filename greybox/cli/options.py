@@ -73,9 +73,9 @@ def declare(parser: argparse.ArgumentParser, text: str) -> None:
     The first line of an option has its name and what follows it: ``--level P`` a value,
     ``--between START END`` two, ``--data FILE...`` at least one, ``names [NAME]...`` any number,
     ``--search {batched,multistart}`` one of these words, ``--force`` nothing. `KINDS` has the types
-    by these words; words such as ``NAME=VALUE`` give values by name. Indented lines are the help,
-    in which ``(default: 0.95)`` is the default, and ``(required)`` has its meaning. An option
-    without help is one of `SHARED`.
+    by these words; words such as ``NAME=VALUE`` give values by name. Indented lines are the help:
+    its ``(default: 0.95)`` sets the default, and ``(required)`` makes the option required. An
+    option without help is one of `SHARED`.
     """
     shared = {block.split()[0]: block for block in _blocks(SHARED)}
     for block in _blocks(text):
@@ -145,7 +145,9 @@ def by_name(words: Labels, flag: str, form: str) -> Fields:
                 raise ValueError(word)
             value = None if is_bare else KINDS.get(form, str)(text)
         except ValueError:
-            raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
+            # Shells cut a text at its blanks, as in V=volt:V held.
+            quotes = "" if form in KINDS else ", in quotes if it has blanks"
+            raise UsageError(f"{flag} {word!r} is not understood: write {form}{quotes}.") from None
 
         # argparse would silently take the last word, but a repeated name is more likely a slip.
         if name in result:

@@ -1,6 +1,11 @@
 """The options of `greybox fit` that state a problem."""
 
-from greybox.study.stated_problem import CRITERIA_BY_NAME, METHODS
+import argparse
+
+from greybox.cli.measurement_options import stated_band
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.files.arrays import Fields
+from greybox.study.stated_problem import CRITERIA_BY_NAME, METHODS, stated_problem
 
 PROBLEM_OPTIONS = f"""
 problem [PROBLEM]
@@ -26,6 +31,9 @@ problem [PROBLEM]
     magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and the
     signals of the model, theta=pitch:deg
 --rate
+--band FREQUENCY...
+    lowest and highest frequency of the responses to fit, in rad/s or followed by Hz (default: all
+    points)
 --fix
 --free
 --bounds
@@ -41,3 +49,8 @@ problem [PROBLEM]
 --method {{{",".join(METHODS)}}}
     how records are transcribed and solved (default: the problem's)
 """
+
+
+def problem_of(options: argparse.Namespace) -> tuple[AnyProblem, Fields]:
+    """Return the problem that the options state, and its settings."""
+    return stated_problem(vars(options) | {"band": stated_band(options.band)})

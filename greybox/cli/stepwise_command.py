@@ -3,10 +3,9 @@
 import argparse
 
 from greybox.cli.output import Answer, attributes
-from greybox.cli.problem_options import PROBLEM_OPTIONS
+from greybox.cli.problem_options import PROBLEM_OPTIONS, problem_of
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.estimate.printed import summary
-from greybox.study.stated_problem import stated_problem
 from greybox.validation.stepwise import stepwise
 
 EXAMPLES = (
@@ -31,7 +30,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     # A coefficient vanishes at zero; an exponent or a factor has another value without its term.
     candidates = {name: value or 0.0 for name, value in options.candidates.items()}
-    problem, _ = stated_problem(vars(options))
+    problem, _ = problem_of(options)
     selection = stepwise(problem, candidates, starts=options.starts)
     notes = save_fit(selection.fit, options.out)
     answer = attributes(selection, "terms", "candidates", "verdict", "trials", "alike")

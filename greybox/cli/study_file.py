@@ -68,7 +68,7 @@ def _stated_in_toml(path: Path) -> list[Member]:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path} cannot be read: {str(error).rstrip('.')}.") from None
+        raise UsageError(f"{path} is not TOML ({error}): texts need quotes, lists [].") from None
 
     entries = content.pop("member", [{}])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):

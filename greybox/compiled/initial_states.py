@@ -83,7 +83,7 @@ class InitialStates:
     def _sized(
         self, states: Array, hidden: IntArray, measured: Array, inputs: Array, p: Array
     ) -> Array:
-        """Return the states with the best sizes of the hidden ones: together, then one by one."""
+        """Return the states with the hidden ones scaled best: first all together, then each."""
 
         def score(trial: Array) -> tuple[int, float]:
             finite, missed = self._judged(trial, measured, inputs, p)

@@ -396,7 +396,7 @@ class RecordProgram:
         return self._transcribed.start(self.part.segments.in_order(trajectory.states))
 
     def initial_parameters(self, z: Array) -> Array:
-        """Return w at z (p,): the weights of small residuals, and the data."""
+        """Return the parameters w of the program at z (p,): the first weights, and the data."""
         return self._joined(self.part.initial_weight(), self.part.place(z).data)
 
     def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:

@@ -141,7 +141,7 @@ class SharedSystem:
 class SineTest(Rebuilt):
     """The response to a sine of finite amplitude.
 
-    A motion is found by Newton's method near that of the last points, or else anew.
+    Newton's method finds a motion from those at the last points or, if it fails, from scratch.
 
     Attributes
     ----------

@@ -112,11 +112,11 @@ class FrequencyResponse(Printed):
     variance: Array | None = None
     dof: Array | None = None
     name: str = ""
-    source: str = field(default="", repr=False)
-    stretches: tuple[Stretch, ...] = field(default=(), repr=False)
-    units: NamedStrings = field(default_factory=dict, repr=False)
-    about: NamedStrings = field(default_factory=dict, repr=False)
-    common_errors: ComplexArray | None = field(default=None, repr=False)
+    source: str = ""
+    stretches: tuple[Stretch, ...] = ()
+    units: NamedStrings = field(default_factory=dict)
+    about: NamedStrings = field(default_factory=dict)
+    common_errors: ComplexArray | None = None
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays, check every value, and write out control characters."""
@@ -266,7 +266,13 @@ class FrequencyResponse(Printed):
 
     def between(self, low: float, high: float) -> "FrequencyResponse":
         """Return the points from `low` to `high`, rad/s."""
-        return self.where((low <= self.omega) & (self.omega <= high))
+        is_inside = (low <= self.omega) & (self.omega <= high)
+        if not is_inside.any():
+            raise ValueError(
+                f"the response has no point from {low:.4g} to {high:.4g} rad/s; it runs from "
+                f"{self.omega.min():.4g} to {self.omega.max():.4g} rad/s."
+            )
+        return self.where(is_inside)
 
     def times_s(self, output: str = "") -> "FrequencyResponse":
         """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""

@@ -36,6 +36,7 @@ from greybox.files.text_table import (
     all_printable,
     alternatives,
     counted,
+    nearest,
     one_line,
     some,
     write_out,
@@ -107,17 +108,17 @@ class Record(Printed):
     units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
-    checksum: str = field(default="", repr=False)
-    metadata: Named = field(default_factory=dict, repr=False, metadata=NOT_STORED)
-    filters: Mapping[str, tuple[Any, ...]] = field(
-        default_factory=dict, repr=False, metadata=NOT_STORED
-    )
-    hold: Values = field(default_factory=dict, repr=False)
+    checksum: str = ""
+    metadata: Named = field(default_factory=dict, metadata=NOT_STORED)
+    filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, metadata=NOT_STORED)
+    hold: Values = field(default_factory=dict)
     findings: Strings = field(default=(), metadata=NOT_STORED)
     has_time: bool = True
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
+        if not isinstance(self.signals, Mapping):
+            raise TypeError(f"signals is {self.signals!r:.60}: give {{name: values}}.")
         if self.time is None:
             rows = next(map(np.size, self.signals.values()), 0)
             vars(self).update(time=np.arange(rows, dtype=float), has_time=False)
@@ -366,7 +367,7 @@ class Recording(Mapping[str, Record]):
     records: Mapping[str, Record]
     source: str = ""
     checksum: str = ""
-    metadata: Named = field(default_factory=dict, repr=False)
+    metadata: Named = field(default_factory=dict)
     findings: Strings = ()
 
     def __post_init__(self) -> None:
@@ -415,19 +416,18 @@ class Recording(Mapping[str, Record]):
             record[name]  # KeyError for an unknown field
             return record, name
         holders = [key for key, record in self.records.items() if signal in record.signals]
-        if len(holders) != 1:
-            reason = (
-                f"several messages have it: {', '.join(holders)}"
-                if holders
-                else "no message has it"
+        if not holders:
+            fields = [*dict.fromkeys(name for record in self.values() for name in record.signals)]
+            similar = nearest(signal, fields) or some(fields, 12)
+            raise KeyError(
+                f"there is no signal {signal!r}, but {similar}: write MESSAGE.SIGNAL, or name the "
+                f"column of a table, columns={{{signal!r}: ...}}"
             )
-            only = next(iter(self.records.values())).signals if len(self.records) == 1 else None
-            cure = (
-                f"write MESSAGE.{signal}."
-                if only is None
-                else f"it has {some([*only], 12)}: name its columns, columns={{{signal!r}: ...}}."
+        if len(holders) > 1:
+            raise KeyError(
+                f"several messages have the signal {signal!r}, {', '.join(holders)}: name the one "
+                f"that you mean, {holders[0]}.{signal}."
             )
-            raise KeyError(f"the signal {signal!r} is ambiguous or unknown, {reason}; {cure}")
 
         return self.records[holders[0]], signal
 

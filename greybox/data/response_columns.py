@@ -116,9 +116,10 @@ def written_columns(header: Labels, prefix: str) -> dict[str, str]:
 
     if missing:
         raise ValueError(
-            f"has no column {missing[0]!r}; it has {', '.join(names) or 'no header line'}: the "
-            "columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof; or, "
-            "with units in brackets, frequency, magnitude, phase; or be named, columns={...}."
+            f"has no column {missing[0]!r}; it has {', '.join(names)}: call the columns "
+            "omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or, with units in "
+            "brackets, frequency, magnitude, phase; or say which they are, "
+            "columns={'frequency': ...}, and so on."
         )
     # Files may have more columns, for other programs.
     others = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
@@ -235,7 +236,7 @@ def complex_response(
             f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'."
         )
     # Decibels without their unit are the usual mistake, and decibels are usually negative.
-    cure = "if these are decibels, give magnitude_unit='dB'"
+    cure = "if these are decibels, state dB as the unit of the column"
     require("magnitude", magnitude, magnitude >= 0, cure)
 
     return magnitude * np.exp(1j * conversion.apply(phase))

@@ -124,8 +124,9 @@ def read_responses(
     if not pairs or any(len(pair) != 2 for pair in pairs):
         raise ValueError(
             f"{path} has no columns OUTPUT_INPUT_alpha, or signals with '_' in their names: state "
-            "the pairs in a comment, # pairs: output/input output/input; or name the pair of every "
-            "row in columns output and input."
+            "the pairs in a comment, # pairs: output/input output/input; name the pair of every "
+            "row in columns output and input; or read one response after the other, "
+            "gb.read_response(..., input=..., output=..., columns=...)."
         )
     return tuple(
         read_response(path, input=i, output=o, name=f"{o}/{i}", columns=columns) for o, i in pairs

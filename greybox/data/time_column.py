@@ -21,9 +21,11 @@ TIMES = ("time", "t", "timestamp", "timestamps", "tout", "second", "seconds")
 COUNTERS = {"timeus": 1e-6, "timems": 1e-3, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
 # Other names end in "_in", "_min" or "_T" without meaning inches, minutes or tesla.
-UNITS = "mV|kV|mA|uA|kN|kW|mm|cm|km|ft|kPa|hPa|mbar|degC|degF|kts|mph|kmh"
+UNITS = "mV|kV|mA|uA|kN|kW|mm|cm|km|ft|kPa|hPa|mbar|degC|degF|kts|mph|kmh|m/s|m/s2|ft/s|km/h"
+# pitch_deg, "pitch deg", pitch/deg, and q_deg_s as well as q_deg/s
 IN_NAME = re.compile(
-    rf"(?i:(?:{'|'.join(TIMES)})_(s|sec|ms|us|ns)|.+_(deg|dps|rad|rpm))|.+_({UNITS})"
+    rf"(?i:(?:{'|'.join(TIMES)})(?: in)?[_ /:](s|sec|ms|us|ns)"
+    rf"|.+[_ /:]((?:deg|rad)(?:[_/]s(?:ec)?2?)?|dps|rpm))|.+[_ /:]({UNITS})"
 )
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
@@ -54,7 +56,7 @@ def unit_in_name(name: str) -> str:
     match = IN_NAME.fullmatch(name)
     if match is None:
         return ""
-    return match[3] or (match[1] or match[2]).lower()
+    return match[3] or (match[1] or match[2]).lower().replace("_", "/")
 
 
 def tick(unit: str) -> float | None:
@@ -82,7 +84,7 @@ def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, Strings
     # The absolute time decides first: it shows the unit at any rate.
     for ticks, first in EPOCHS.items():
         if first <= finite[0] < 4.1 * first:
-            text = f"{name} was taken for {ticks} since 1970: times are from the first sample."
+            text = f"{name} has dates or {ticks} since 1970: times are from the first sample."
             return (times - finite[0]) * (tick(ticks) or 1.0), (text,)
 
     # Ticks of a counter are whole; seconds since the start rarely are.

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import DelimitedText
-from greybox.files.text_table import is_number
+from greybox.files.text_table import is_number, nearest
 
 
 @dataclass(frozen=True)
@@ -54,25 +54,26 @@ s sec second seconds = 1 s
 rad radian radians = 1 rad
 deg degree degrees ° º degheading deglatitude deglongitude = 0.017453292519943295 rad
 gram grams = 1e-3 kg
-K = 1 K
-N = 1 N
+K kelvin = 1 K
+N newton newtons = 1 N
 Nm = 1 N·m
-Pa = 1 Pa
+Nms = 1 N·m·s
+Pa pascal = 1 Pa
 bar = 1e5 Pa
-J = 1 J
-W Watt watt = 1 W
+J joule = 1 J
+W Watt watt watts = 1 W
 Wh = 3600 J
-A amp = 1 A
+A amp amps ampere amperes = 1 A
 Ah = 3600 A·s
-V volt = 1 V
-Ohm ohm Ω = 1 Ω
+V volt volts = 1 V
+Ohm ohm ohms Ω = 1 Ω
 T = 1 T
 gauss Gauss = 1e-4 T
 Hz = 1 Hz
 l L liter litre = 1e-3 m³
 % pct percent = 0.01 1
 G = 9.80665 m/s²
-""") | _units("degC °C ºC degc = 1 K", CELSIUS)
+""") | _units("degC °C ºC degc celsius = 1 K", CELSIUS)
 PREFIXES = {
     "M": 1e6,
     "k": 1e3,
@@ -138,6 +139,11 @@ CAPITALS = {
     if len(name) > 2 or name in ("ft", "kt", "in")
 }
 
+# Products that a misspelled unit may mean, beside the names
+USUAL = "m/s m/s^2 rad/s rad/s^2 deg/s deg/s^2 1/s N*m kg*m^2 kg/m^3".split()
+# Two thirds of LSB, PWM and cd are those of known units, which are not meant.
+LIKENESS = 0.75
+
 # Not Hz, which is 2π rad/s for a rotation and 1/s otherwise.
 IN_BASE_UNITS = {
     "N": "kg m s-2",
@@ -198,14 +204,24 @@ def to_si(unit: str) -> Conversion:
         # A remark can state the assumption about one unit, not about a part of a product.
         named = None if name in DOUBTFUL else _named(name)
         if named is None:
-            raise ValueError(f"the unit {unit!r} is not known")
+            raise ValueError(misspelled(unit) or f"the unit {unit!r} is not known")
         factor *= named.factor**power
         for si, exponent in _powers(named.si).items():
             powers[si] += exponent * power
     if not powers:
-        raise ValueError(f"the unit {unit!r} is not known")
+        raise ValueError(misspelled(unit) or f"the unit {unit!r} is not known")
 
     return Conversion(factor, 0.0, _written(powers))
+
+
+@lru_cache(maxsize=1024)
+def misspelled(unit: str) -> str:
+    """Return what to write for an unknown unit that resembles a known one, without a full stop.
+
+    It is empty for units of the user's own, such as LSB and counts.
+    """
+    near = nearest(unit.strip(), (*NAMED, *USUAL), LIKENESS)
+    return f"the unit {unit!r} is not known: write {near!r} if that is meant" if near else ""
 
 
 def known_unit(unit: str) -> Conversion | None:

@@ -270,7 +270,7 @@ def _disturbed(
     ]
 
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
-    # of more. A third of the samples of six outputs tells as much as all of two.
+    # of more. A third of the samples of six outputs informs as much as all of two outputs.
     outputs = max((len(part.outputs) for part, *_ in records), default=1)
     most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
     return [

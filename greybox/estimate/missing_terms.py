@@ -110,7 +110,7 @@ TEXTS = {
         "a sensor of {b} that is late by {size} s",
         "a sensor of {b} that is early by {size} s",
         "a state {b}_late as the output {b}, with the derivative (h - x.{b}_late) / p.T_late for "
-        "the output h of now; of an early one, {b} moved later in the record",
+        "the present output h; if the sensor is early, move {b} later in the record",
     ),
     "offset": (
         "an offset of {b} by {size}",

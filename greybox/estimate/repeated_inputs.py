@@ -24,10 +24,10 @@ ROUNDING = 1e-6  # of the range of an input, within which it is the same
 def repeated_residuals(
     records: Sequence[DisturbedRecord],
 ) -> Iterator[tuple[list[Term], Array]]:
-    """Yield terms for every record: its residuals in the last test before with the same inputs.
+    """Yield terms for every record: the residuals of the last test that had the same inputs.
 
-    That is the period before, or an earlier stretch, also of another record. The second value is
-    zero for samples (outputs, samples) that only repeat those of that test.
+    This test is the previous period, or an earlier stretch of this or of another record. The second
+    value (outputs, samples) is zero where the residuals merely repeat those of this test.
     """
     earlier: list[tuple[Strings, Array, Array]] = []
     for record in records:

@@ -184,17 +184,17 @@ class Fit(Printed):
     starts: str
     seconds: float
     versions: NamedStrings
-    models: tuple[Model, ...] | None = field(default=None, repr=False, metadata=NOT_STORED)
-    given: tuple[Model | type[Model], ...] = field(default=(), repr=False, metadata=NOT_STORED)
-    white: Array | None = field(default=None, repr=False)
-    independent: tuple[Array, float] | None = field(default=None, repr=False)
+    models: tuple[Model, ...] | None = field(default=None, metadata=NOT_STORED)
+    given: tuple[Model | type[Model], ...] = field(default=(), metadata=NOT_STORED)
+    white: Array | None = None
+    independent: tuple[Array, float] | None = None
     notes: Strings = ()
-    directions: KnownDirections | None = field(default=None, repr=False)
-    profiles: Profiles | None = field(default=None, repr=False)
+    directions: KnownDirections | None = None
+    profiles: Profiles | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     prior_share: Values = field(default_factory=dict)
-    misfit: Misfit | None = field(default=None, repr=False)
-    command: Strings = field(default=(), repr=False)
+    misfit: Misfit | None = None
+    command: Strings = ()
 
     @cached_property
     def free(self) -> Strings:

@@ -31,6 +31,9 @@ from greybox.solve.runs import Runs
 LAYOUT = 8
 DAMAGES = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
+# A model of the user, or what contains some
+ModelSource = Model | type[Model] | ModuleType | str | Path
+
 
 def save(fit: Fit, path: str | Path) -> None:
     """Write `fit` to an HDF5 file; an existing file is replaced only once the new one is complete.
@@ -59,15 +62,13 @@ def save(fit: Fit, path: str | Path) -> None:
     write_sealed(path, to_bytes(fit))
 
 
-def load(
-    path: str | Path, models: Sequence[Model | type[Model] | ModuleType | str | Path] = ()
-) -> Fit:
+def load(path: str | Path, models: ModelSource | Sequence[ModelSource] = ()) -> Fit:
     """Read a `Fit` that `save` wrote. The file may come from anyone, see SECURITY.md.
 
     Parameters
     ----------
     path : str or Path
-    models : sequence
+    models : sequence, or one of its entries
         Your own models, with which the fit can evaluate its response (`Fit.response`,
         `gb.predict`): classes, models, modules, or paths of Python files. The models of greybox
         are known; no other model is imported, whatever the file names.
@@ -96,7 +97,7 @@ def to_bytes(fit: Fit) -> bytes:
     return json.dumps([LAYOUT, fit.checksum, write(replace(fit, runs=Runs.of(fit.runs)))]).encode()
 
 
-def from_bytes(data: bytes, models: Sequence[Any], place: str = "the stored fit") -> Fit:
+def from_bytes(data: bytes, models: Any, place: str = "the stored fit") -> Fit:
     """Return the fit of `to_bytes`; `models` as in `load`, `place` for messages.
 
     Raises
@@ -104,7 +105,8 @@ def from_bytes(data: bytes, models: Sequence[Any], place: str = "the stored fit"
     ValueError
         If it is damaged, or was written by another version.
     """
-    given = tuple(model for entry in models for model in _models(entry))
+    entries = models if isinstance(models, (list, tuple)) else [models]
+    given = tuple(model for entry in entries for model in _models(entry))
     try:
         layout, checksum, values = json.loads(data)
         # An older layout is refused, not converted: fits are cheap to repeat.
@@ -121,7 +123,7 @@ def from_bytes(data: bytes, models: Sequence[Any], place: str = "the stored fit"
     raise ValueError(f"{place} has layout {layout} and this version reads {LAYOUT}: {cure}.")
 
 
-def _models(entry: Model | type[Model] | ModuleType | str | Path) -> Sequence[Model | type[Model]]:
+def _models(entry: ModelSource) -> Sequence[Model | type[Model]]:
     """Return the models in one entry of the argument `models`."""
     if isinstance(entry, (str, Path)):
         return models_of(module_from_file(Path(entry)))

@@ -60,7 +60,7 @@ class Excitation(Record):
     """
 
     schedule: tuple[Maneuver, ...] = field(default=(), metadata=NOT_STORED)
-    settings: Named = field(default_factory=dict, repr=False, metadata=NOT_STORED)
+    settings: Named = field(default_factory=dict, metadata=NOT_STORED)
 
     @property
     def peak_factors(self) -> dict[str, float]:

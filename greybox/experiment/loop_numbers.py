@@ -73,7 +73,7 @@ class Crossings:
         return before + self.share * (after - before)
 
     def where(self, condition: BoolArray) -> "Crossings":
-        """Return those that fulfil a condition (k,)."""
+        """Return the crossings at which a condition (k,) is true."""
         names = ("plant", "place", "share", "omega")
         return replace(self, **{name: getattr(self, name)[condition] for name in names})
 

@@ -5,7 +5,7 @@ Begin with `margins`.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -127,7 +127,7 @@ class Margins(Printed):
     is_stable: bool
     instability: float
     level: float
-    loop: SampledLoop | None = field(repr=False)
+    loop: SampledLoop | None
     notes: Strings = ()
     points: tuple[FrequencyResponse, ...] = ()
 

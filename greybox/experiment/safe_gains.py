@@ -8,7 +8,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -78,8 +78,8 @@ class SafeGains(Printed):
     """
 
     values: NamedArrays
-    confidence: Array = field(repr=False)
-    bandwidth: Array = field(repr=False)
+    confidence: Array
+    bandwidth: Array
     today: Values
     today_confidence: float
     today_bandwidth: float

@@ -20,8 +20,16 @@ def write_excitation(excitation: Record, path: str | Path) -> None:
     """Write a test signal, or another record, to a CSV file, atomically.
 
     The header has the units, and where they are known the holds, as `gb.read` reads them:
-    ``time [s], u [rad held]``.
+    ``time [s], u [rad held]``. A hold of a part of a step has no such word and is not written: a
+    fit of the file assumes straight lines and says so.
+
+    Raises
+    ------
+    ValueError
+        If a signal is named ``time``.
     """
+    if "time" in excitation.signals:
+        raise ValueError("the signal 'time' would be read as the time base: give it another name.")
     columns = {"time [s]": excitation.time} if excitation.has_time else {}
     for name, values in excitation.signals.items():
         holds = [word for word, hold in BETWEEN.items() if excitation.hold.get(name) == hold]

@@ -141,7 +141,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     Raises
     ------
     ValueError
-        If the contents are not text.
+        If the contents are not text, or there is nothing but comments.
     """
     if b"\0" in raw and not raw.startswith(UTF_16):
         raise ValueError(
@@ -152,7 +152,9 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
         k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(COMMENTS)
     ]
     if not body:
-        return DelimitedText(path, ",", (), (), (), {})
+        raise ValueError(
+            f"{path} is empty: write a header line with names, then one line of numbers per sample."
+        )
 
     header = _header(lines, body)
     body = body[body.index(header) :]

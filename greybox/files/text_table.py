@@ -5,6 +5,7 @@ How notebooks show values that print themselves.
 
 import difflib
 import math
+import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -123,11 +124,11 @@ def some(names: Labels, most: int = 4) -> str:
     )
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
+def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | None:
     """Return the known name most like a misspelled one; None if no known name resembles it."""
     # Capitals are the most frequent mistake.
     spelled = {candidate.lower(): candidate for candidate in known}
-    matches = difflib.get_close_matches(name.lower(), spelled, n=1)
+    matches = difflib.get_close_matches(name.lower(), spelled, n=1, cutoff=likeness)
     return spelled[matches[0]] if matches else None
 
 
@@ -180,7 +181,7 @@ def greek(name: str) -> str:
 
 def in_greek(name: str) -> str:
     """Return the name of a signal with Greek letters: theta is θ, u_phi is u_φ."""
-    return "_".join(map(greek, name.split("_")))
+    return re.sub(r"[^\W_]+", lambda word: greek(word[0]), name)
 
 
 def is_number(cell: str) -> bool:

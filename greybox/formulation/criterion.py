@@ -80,7 +80,7 @@ class AnyCriterion(ABC):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Fields by name as values for JSON.
+        """The fields by name, as values that JSON can represent.
 
         A function is represented by its source text and the values that it captures: functions with
         the same text and values are equal. (Two lambdas in one line of source have one text.)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.data.units import are_of_one_kind, known_unit, to_si
+from greybox.data.units import are_of_one_kind, known_unit, misspelled, to_si
 from greybox.files.arrays import by_name
 from greybox.modeling.model import Model, pick_signals, require_known
 
@@ -58,6 +58,10 @@ def _require_same_unit(
     unit = unit.strip()
     modeled, measured = known_unit(declared), known_unit(unit)
     if modeled is None or measured is None:
+        # A unit of the user's own, such as counts, is equal to no other.
+        unknown, owner = (unit, place) if modeled else (declared, model.label)
+        if text := misspelled(unknown):
+            raise ValueError(f"{label} in {owner}: {text}.")
         return
 
     reason = f"{label} is in {unit} in {place} and in {declared} in {model.label}"

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -82,7 +82,7 @@ class Sobol(Starts):
 class Listed(Starts):
     """Starts as mappings of name to value; other parameters begin at their declared start."""
 
-    points: Sequence[Values] = field(default=({},))
+    points: Sequence[Values] = ({},)
 
     @property
     def number(self) -> int:

@@ -65,7 +65,7 @@ def report(
     Raises
     ------
     TypeError, ValueError
-        For an object that is not a fit, or for no fit.
+        For an object that is not a fit, for no fit, or for a path that does not end in ``.html``.
     OSError
         If the folder cannot be written.
 
@@ -77,6 +77,8 @@ def report(
     >>> Path("pitch.html").stat().st_size > 50_000  # bytes
     True
     """
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"{path} is not the name of a page: give one that ends in .html.")
     results = [fits] if isinstance(fits, Fit | Study) else list(fits)
     for result in results:
         if not isinstance(result, Fit | Study):

@@ -162,6 +162,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     series = [filter_model(known) for known in chain.from_iterable(filters.values())]
     given = {"fixed": fixed, "free": free, "bounds": bounds, "start": start}
     of_parameters = {name: values for name, values in given.items() if values}
+    for structure in structures:
+        if not isinstance(structure, Structure | Model):
+            raise TypeError(f"structures has {structure!r:.60}: give models, as DampedAngle().")
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
     if listed:
         names = dict.fromkeys(name for structure in listed for name in structure.model.parameters)

@@ -213,10 +213,10 @@ class Measurement:
     response: FrequencyResponse | None
     quality: Quality
     choices: Strings
-    filters: KnownFilters = field(repr=False)
+    filters: KnownFilters
     controller: str
-    detail: str = field(repr=False)
-    linear: Mapping[Orders, LinearFit] = field(repr=False)
+    detail: str
+    linear: Mapping[Orders, LinearFit]
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))

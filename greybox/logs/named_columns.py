@@ -32,7 +32,9 @@ def renamed(
         try:
             place, unit = find_column(text, header)
             own_names[name] = own[place]
-            unit = unit or unit_in_name(own[place])
+            # A word on the hold alone leaves the unit in the name valid.
+            unit, hold = unit_and_hold(unit)
+            unit = f"{unit or unit_in_name(own[place])} {hold}".strip()
             labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:
             sentence = str(error)

@@ -119,6 +119,8 @@ def prepare(
     if isinstance(recording, Record):
         records = {recording.name or "record": recording}
         recording = Recording(records, recording.source, recording.checksum, recording.metadata)
+    if not isinstance(signals, Mapping):
+        raise TypeError(f"signals is {signals!r:.60}: give {{'u': 'RATE.POut'}} and so on.")
     if not signals:
         raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
 

@@ -1,11 +1,12 @@
 """Responses D + C (s I - A)⁻¹ B of a linear system by elimination, in numbers or in expressions.
 
 The states are eliminated from the matrix [[s I - A, B], [-C, D]], in whose last corner the
-responses remain. Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but
-wherever a leading sub-block of A has an eigenvalue at s, as the undamped position and velocity
-inside a damped system do. So the order of elimination is chosen beforehand: the first one that
-agrees with a pivoted solution in numbers, at sample values of the parameters. The characteristic
-polynomial would need no pivots, but loses all digits if eigenvalues differ by a few decades.
+responses remain. Pivots of expressions cannot be chosen by their size during the elimination. A
+pivot is zero not only at a pole but wherever a leading sub-block of A has an eigenvalue at s, as
+the undamped position and velocity inside a damped system do. So the order of elimination is chosen
+beforehand: the first one that agrees with a pivoted solution in numbers, at sample values of the
+parameters. The characteristic polynomial would need no pivots, but loses all digits if eigenvalues
+differ by a few decades.
 """
 
 from collections.abc import Sequence

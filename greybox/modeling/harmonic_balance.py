@@ -362,8 +362,9 @@ def _harmonics(
 ) -> tuple[Any, Any]:
     """Return the coefficients of sampled `formulas` (k, 1), (2h + 1, k), and their slopes.
 
-    `series` are the coefficients of the signals z, and `sizes` (k, 1) their speeds by phase. The
-    slopes are by all symbols, as `by_every` those of series, sizes and parameters.
+    `series` are the coefficients of the signals z, and `sizes` (k, 1) how fast they change with
+    the phase. The slopes are with respect to all symbols, and so are those of series, sizes and
+    parameters in `by_every`.
     """
     harmonics = series.size2() // 2
     switches = has_switches(formulas)

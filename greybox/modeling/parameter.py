@@ -41,7 +41,7 @@ class Parameter:
         If a number is not finite where it must be, bounds are reversed, or a start lies outside
         them.
     TypeError
-        If unit or meaning is not a text, or `fixed` neither True nor False.
+        If unit or meaning is not a text, or `fixed` is neither True nor False.
 
     Examples
     --------

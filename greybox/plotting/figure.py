@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -157,6 +157,12 @@ class Figure:
     limits: Interval | None = None
     ticks: Labels = ()
     unit: str = "rad/s"
+
+
+def require_drawable(item: Any, kinds: type | tuple[type, ...], cure: str) -> None:
+    """Raise TypeError for anything but an item of these kinds; the message says to give `cure`."""
+    if not isinstance(item, kinds):
+        raise TypeError(f"cannot draw {item!r:.80}: give {cure}.")
 
 
 def in_hertz(figure: Figure) -> Figure:

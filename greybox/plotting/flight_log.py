@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.record import Record, Recording, median_step, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, Labels
-from greybox.plotting.figure import GRAY, Figure, Panel, Series
+from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
 from greybox.plotting.long_lines import drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import shown_unit
@@ -52,6 +52,7 @@ def traces(
     TypeError, ValueError
         If the record has no sample in the segment, or for a wrong number of axes.
     """
+    require_drawable(record, Record, "a Record")
     # The last periods: transients have decayed, and the controller has reached the amplitude.
     if segment is not None:
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
@@ -102,6 +103,7 @@ def recording(
     TypeError, ValueError
         If there is no signal, or for a wrong number of axes.
     """
+    require_drawable(recording, Recording, "the Recording that gb.read returns")
     signals = recording.signal_names
     names = [
         [name for name in pair if name in signals] for pair in ATTITUDE if pair[1] in signals

@@ -10,7 +10,18 @@ from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
 from greybox.files.arrays import Array, Fields, by_name
 from greybox.plotting.bode import BARS, error_bars
-from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
+from greybox.plotting.figure import (
+    ANGLES,
+    CROSS,
+    GRAY,
+    INK,
+    Figure,
+    Panel,
+    Series,
+    band,
+    require_drawable,
+    rule,
+)
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.nyquist import CIRCLES, in_plane
 
@@ -43,6 +54,7 @@ def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -
 
 def loop_figures(margins: Margins) -> list[Figure]:
     """Return the Bode, Nichols and Nyquist diagrams, and the step if there is a setpoint."""
+    require_drawable(margins, Margins, "the Margins that gb.margins returns")
     loops = margins.require_loop()
     signal = margins.signal
     omega = loop_frequencies(loops)
@@ -136,6 +148,7 @@ def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
 
 def gains_figure(safe: SafeGains) -> Figure:
     """Return the region of allowed gains."""
+    require_drawable(safe, SafeGains, "the SafeGains that gb.safe_gains returns")
     names, rows = [*safe.values], [*safe.values.values()]
     chosen = safe.best or safe.today
     allowed, confidence = safe.allowed, safe.confidence

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from greybox.estimate.result import Fit
 from greybox.plotting.bode import bode_figure
+from greybox.plotting.figure import require_drawable
 from greybox.plotting.matplotlib_figure import draw_into, height_of, new_figure
 from greybox.plotting.nyquist import columns_of, nyquist_figures
 from greybox.plotting.responses import title
@@ -37,6 +38,7 @@ def plot(fit: Fit, *, hz: bool = False) -> MatplotlibFigure:
     >>> from greybox.problems import pitch_hover
     >>> figure = gb.plot(gb.fit(pitch_hover.problem(), starts=20))  # figure.savefig("pitch.png")
     """
+    require_drawable(fit, Fit, "a Fit")
     # The complex plane needs a square. With time histories there is no room for it.
     nyquist = [] if fit.records or fit.spectra else nyquist_figures((fit,))
     blocks = [[history_figure((fit,), k)] for k in range(len(fit.records))]

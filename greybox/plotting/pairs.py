@@ -1,9 +1,11 @@
 """Parameter sets in pairs: histograms, scatters and correlations of draws or replicates."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from greybox.files.arrays import NamedArrays
-from greybox.plotting.figure import Figure, Panel, Series, band
+from greybox.plotting.figure import Figure, Panel, Series, band, require_drawable
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 
@@ -26,6 +28,7 @@ def pairs(columns: NamedArrays, axes: GivenAxes | None = None) -> AxesArray:
     -------
     numpy.ndarray of Axes, shape (k²,)
     """
+    require_drawable(columns, Mapping, "the columns of gb.draws or gb.bootstrap")
     names = [name for name, column in columns.items() if np.ptp(column) > 0]
     if not names:
         raise ValueError("no column varies: give at least one parameter that was estimated.")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from greybox.estimate.profile_result import ProfileOf, Profiles
-from greybox.plotting.figure import GRAY, Figure, Panel, Series, band
+from greybox.plotting.figure import GRAY, Figure, Panel, Series, band, require_drawable
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import with_unit
 
@@ -30,6 +30,7 @@ def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
 
 def profile_figures(profiles: Profiles) -> list[Figure]:
     """Return one figure for every profiled quantity."""
+    require_drawable(profiles, Profiles, "the Profiles that gb.profile returns")
     interval = f"{100 * profiles.level:g} % interval"
     return [_figure(p, profiles.limit[p.name], interval) for p in profiles.profiles]
 

@@ -8,7 +8,7 @@ from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, NamedArrays
 from greybox.files.text_table import in_greek, p_text
-from greybox.plotting.figure import GRAY, Figure, Panel, Series, rule
+from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit, with_unit
 from greybox.statistics.metrics import CorrelationTest, whiteness
@@ -47,8 +47,7 @@ def residuals(
     TypeError, ValueError
         For a fit without an estimate or without this record, or a wrong number of axes.
     """
-    if not isinstance(fit, Fit):
-        raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
+    require_drawable(fit, Fit, "a Fit")
     part = chosen(fit.records, record, "record")
     fit.require_estimate()
 

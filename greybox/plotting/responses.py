@@ -14,7 +14,7 @@ from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Labels, StringPair, frozen
 from greybox.files.text_table import in_greek
-from greybox.plotting.figure import GRAY, INK, Series
+from greybox.plotting.figure import GRAY, INK, Series, require_drawable
 from greybox.plotting.signals import distinct_labels
 
 
@@ -187,9 +187,8 @@ def _lies_on(curve: FrequencyResponse, longer: FrequencyResponse) -> bool:
 def _label(item: Fit | FrequencyResponse) -> str:
     if isinstance(item, Fit):
         return f"fit of {_joined(part.label for part in item.parts)}"
-    if isinstance(item, FrequencyResponse):
-        return item.name or "data"
-    raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a FrequencyResponse.")
+    require_drawable(item, FrequencyResponse, "a Fit or a FrequencyResponse")
+    return item.name or "data"
 
 
 def _joined(names: Iterable[str]) -> str:

@@ -9,7 +9,17 @@ from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.files.text_table import counted, in_greek
-from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, rule
+from greybox.plotting.figure import (
+    ANGLES,
+    CROSS,
+    GRAY,
+    INK,
+    Figure,
+    Panel,
+    Series,
+    require_drawable,
+    rule,
+)
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit
 
@@ -56,9 +66,8 @@ def spectrum_figure(item: Fit | TransientSpectrum, part: int) -> Figure:
         data = item
         fitted = None
         outputs = tuple(data.outputs)
-    elif not isinstance(item, Fit):
-        raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a TransientSpectrum.")
     else:
+        require_drawable(item, Fit, "a Fit or a TransientSpectrum")
         fitted = chosen(item.spectra, part, "manoeuvre")
         data, outputs = fitted.data, fitted.outputs
 

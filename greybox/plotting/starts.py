@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Interval
 from greybox.files.text_table import counted
-from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series
+from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, require_drawable
 from greybox.plotting.matplotlib_figure import draw
 from greybox.solve.runs import SCREENED, Run
 
@@ -37,6 +37,7 @@ def starts(fit: Fit, ax: Axes | None = None) -> Axes:
 
 def starts_figure(fit: Fit) -> Figure:
     """Return the final costs of all runs, sorted, by the minimum that they reached."""
+    require_drawable(fit, Fit, "a Fit")
     # Screened starts were only evaluated: their cost is not the result of a run.
     completed = [run for run in fit.runs if run.stage != SCREENED]
     converged = sorted((r for r in completed if r.converged), key=lambda r: (r.cost, r.index))

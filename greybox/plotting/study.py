@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from greybox.estimate.result import Fits
+from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Array, StringPair, Values
 from greybox.files.text_table import number, p_text, some
-from greybox.plotting.figure import CROSS, Figure, Panel, Series
+from greybox.plotting.figure import CROSS, Figure, Panel, Series, require_drawable
 from greybox.plotting.matplotlib_figure import draw
 from greybox.plotting.signals import distinct_labels, with_unit
 from greybox.study.ranking import EVIDENCE
@@ -18,6 +18,7 @@ from greybox.study.store import StudyMember
 from greybox.study.study import Study, names_by_difference, shown
 from greybox.validation.comparison import Comparison
 
+STUDY = "the Study that gb.batch or gb.study.read_study returns"
 NAMED = 40  # members up to which each has its name
 
 # Classes of a map by their upper end, with color and marker. Differences of BIC: Kass and Raftery
@@ -63,6 +64,7 @@ def trend(study: Study, quantity: str, over: str | Values, ax: Axes | None = Non
 
 def trend_figure(study: Study, quantity: str, over: str | Values) -> Figure:
     """Return a quantity over the operating point."""
+    require_drawable(study, Study, STUDY)
     if isinstance(over, str):
         label, places = over, {member: x for member, x, _ in _values(study, over)}
     else:
@@ -123,6 +125,9 @@ def estimates_figure(study: Study | Fits, quantity: str) -> Figure:
     """Return a quantity of all members, the first or lowest one at the top."""
     if not isinstance(study, Study):
         # A study that is stored nowhere, a member a fit.
+        require_drawable(study, (list, tuple), f"{STUDY}, or a list of fits")
+        for fit in study:
+            require_drawable(fit, Fit, "a Fit")
         names = distinct_labels([fit.name for fit in study], ())
         fits = zip(names, study, strict=True)
         study = Study(Path(), tuple(StudyMember(Path(), 0, n, f.to_dict(), 0) for n, f in fits))
@@ -166,6 +171,7 @@ def structures_figure(results: Study | Comparison) -> Figure:
     if isinstance(results, Comparison):
         title, classes, cells = "Evidence", BIC, _evidence(results)
     else:
+        require_drawable(results, Study, f"{STUDY}, or what gb.compare makes of it")
         title, classes, cells = "Starts that agree", AGREEING, _shares(results)
     columns, rows = (list(dict.fromkeys(key[k] for key in cells)) for k in (0, 1))
     low, series = -np.inf, []

@@ -7,7 +7,7 @@ import numpy as np
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen
-from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
+from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, require_drawable, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import (
@@ -160,8 +160,7 @@ def _history(item: Fit | Prediction, record: int) -> History:
         return History(
             item.title, item.data, item.record, item.outputs, item.inputs, list(item.rows)
         )
-    if not isinstance(item, Fit):
-        raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a Prediction.")
+    require_drawable(item, Fit, "a Fit or a Prediction")
     part = chosen(item.records, record, "record")
     label = f"fit of {part.label}"
     pieces = part.data.independent_pieces

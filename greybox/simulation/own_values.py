@@ -109,7 +109,7 @@ def _note(
 
 @frozen
 class _Estimate:
-    """A model with the values at `places`, and the normal equations of these there.
+    """A model, and the normal equations of its values at `places`, linearized at these values.
 
     `matrix` (a, a) and `gradient` (a,) have the first states and their mean eliminated; `squares`
     is the sum of the remaining weighted residuals, `numbers` their count.

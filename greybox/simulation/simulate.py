@@ -247,8 +247,9 @@ def predict_windows(
 ) -> tuple[Prediction, BoolArray, str]:
     """Predict the outputs of given windows.
 
-    The values `own` are estimated first, on a new record by default those of the model. Also
-    returned are the windows (w,) that are not finite, and the first reason, without a full stop.
+    The values named by `own` are estimated first. By default they are those of the model, if the
+    record is a new one. Also returned are the windows (w,) that are not finite, and the first
+    reason, without a full stop.
     """
     model = model.driven_by(windows.record)
     lead = windows.lead * windows.record.step

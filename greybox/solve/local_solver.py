@@ -60,7 +60,7 @@ class Screened:
 class LocalSolver(Runner):
     """A solver of one compiled problem, built once for all starts, which are parameters (p,).
 
-    Pickled, it is its problem and its options, and is built again in the other process.
+    Another process receives its problem and its options, and builds it again.
 
     Attributes
     ----------

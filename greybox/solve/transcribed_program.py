@@ -34,7 +34,7 @@ class TranscribedProgram(LocalSolver):
     def __init__(self, nlp: CompiledProblem, options: Named) -> None:
         """Put the programs of all parts together."""
         self.nlp = nlp
-        self._gauss_newton = GaussNewton(nlp)  # gives states to begin with
+        self._gauss_newton = GaussNewton(nlp)  # supplies the first states
         z = ca.MX.sym("z", len(nlp.free))
         self._programs = [RecordProgram(part, z) for part in nlp.parts_of(RecordPart)]
         self._responses = nlp.parts_of(ResponsePart)

@@ -92,10 +92,11 @@ def response_matrix(
         spline = make_interp_spline(np.log(own), np.eye(own.size), k=min(3, own.size - 1))
         between.append(spline(np.log(np.clip(omega[lines], own[0], own[-1]))))
     total = spectra[:, :, lines].sum(axis=0)
-    # The mean over all periods, and for the jackknife the means without one of them.
+    # The sum over all periods, and for the jackknife the sums without one of them: a factor on
+    # inputs and outputs does not change the responses.
     count = len(spectra)
-    means = [total / count, *((total - p[:, lines]) / (count - 1) for p in spectra)]
-    solved = np.array([_solved(mean[:m], mean[m : m + k], between) for mean in means])
+    sums = [total, *(total - p[:, lines] for p in spectra)]
+    solved = np.array([_solved(x[:m], x[m : m + k], between) for x in sums])
     jackknife = solved[1:]
     variance = (count - 1) * np.mean(np.abs(jackknife - jackknife.mean(axis=0)) ** 2, axis=0)
 

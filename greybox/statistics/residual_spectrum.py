@@ -350,7 +350,7 @@ class ResidualSpectra:
         return self.grid.transform(self.weighted[0], self.directions, self.deviation)
 
     def others(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
-        """Return the average of the spectra without process noise that may have caused it."""
+        """Return the average of spectra that may explain the residuals without process noise."""
         k = len(self.counts)
         alone = [self.one_output(i, lags[:, i], banded[i, i].real) for i in range(k)]
         # Independent outputs need the fewest numbers, so short records decide for them.

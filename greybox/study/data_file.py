@@ -94,7 +94,7 @@ def _is_response(names: Strings | None, columns: NamedStrings) -> bool:
         return bool({"frequency", "magnitude"} & columns.keys())
     if names is None:
         return False
-    if OMEGA in names or not names:
+    if OMEGA in names:
         return True
     has_time = any(seconds(*heading(name)) for name in names)
     # Alpha and beta are also the angles of attack and sideslip of a flight, which has a time.
@@ -132,8 +132,8 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
             )
         # More of a list would hide the cure after it.
         raise ValueError(
-            f"{path} has {len(records) or 'no'} messages with the signals of {model.label} "
-            f"({', '.join((*inputs, ' or '.join(outputs)))}) but has "
+            f"{path} has {len(records) or 'no'} records with the signals of {model.label} "
+            f"({', '.join((*inputs, ' or '.join(outputs)))}); it has "
             f"{available:.200}. To fit it, {cure}."
         )
 

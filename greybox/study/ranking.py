@@ -167,7 +167,7 @@ def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> StringPair
             f"{labels[k]} ({free[k]} free) is supported: it is the smallest whose errors of "
             f"held-out predictions are within {percent(EQUAL)} % of the least."
         )
-    return labels[k], f"{counted(len(shared), 'data set')} together: {text}"
+    return labels[k], f"Over {counted(len(shared), 'data set')}, {text}"
 
 
 def held_out_error(fit: Fit, held: Sequence[Any]) -> float | str:

@@ -250,7 +250,7 @@ class _StoredAnswer(Named):
         return len(_values(self._packed))
 
 
-@lru_cache(16)  # members are used in turn, and several numbers of each
+@lru_cache(16)  # a table reads several numbers of a member, then those of the next
 def _values(answer: bytes) -> Fields:
     return dict(json.loads(unpacked(answer)))
 

@@ -77,9 +77,7 @@ class Comparison(Printed):
     data: str
     rows: tuple[Row, ...]
     statements: Strings
-    predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(
-        default_factory=dict, repr=False
-    )
+    predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(default_factory=dict)
     supported: str = ""
     verdict: str = ""
 

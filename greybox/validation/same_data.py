@@ -45,7 +45,7 @@ def data_difference(fits: Fits, names: Labels) -> str:
                 titles = [
                     f"({p.data.name or p.name!r}, checksum {p.data.checksum[:8]})" for p in (b, a)
                 ]
-                return f"{name} was fitted to other data than {names[0]} {' and '.join(titles)}"
+                return f"{name} was fitted to other data {titles[0]} than {names[0]} {titles[1]}"
             outputs = [", ".join(part.outputs) for part in (b, a)]
             if outputs[0] != outputs[1]:
                 return (

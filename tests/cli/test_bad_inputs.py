@@ -45,7 +45,7 @@ def tables(tmp_path, monkeypatch):
         (("identify", "sine.csv", *PAIR, "--instrument", "y"), ("--instrument y is the output",)),
         (("identify", "sine.csv", *PAIR, "--conditioned", "u"), ("--conditioned u", "same signal")),
         (("identify", "sine.csv", *PAIR, "--fields", "omega=W"), ("--announced MESSAGE",)),
-        (("identify", "sine.csv", "--input", "w", *PAIR[2:]), ("'w'", "it has u and y")),
+        (("identify", "sine.csv", "--input", "w", *PAIR[2:]), ("'w'", "u and y")),
         (("identify", "sine.csv"), ("--input NAME=SIGNAL", "it has u and y")),
         (("identify", "."), ("is a folder",)),
         (("response", "sine.csv", *PAIR, "--input", "u", "y"), ("--period",)),

@@ -139,7 +139,7 @@ def test_members_without_an_answer_are_named(study, capsys):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[[member]", "study.toml cannot be read: "),
+        ("[[member]", "study.toml is not TOML"),
         ("", "give either a problem or model=... with data=..."),
         ("star = 3\n[[member]]\nproblem = 'rotors'", "has no key 'star'; it has"),
         ("[[member]]\nproblems = 'rotors'", "has no key 'problems'; it has"),

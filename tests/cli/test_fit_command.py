@@ -46,6 +46,17 @@ def test_json_has_the_promised_keys_and_no_nan(capsys):
     assert any("a1_tilde" in warning for warning in answer["warnings"])
 
 
+def test_a_band_limits_the_responses(capsys):
+    status, out, _ = run(capsys, "fit", "pitch_hover", *QUICK, "--json", "--band", 2, 8)
+    narrow = pitch_hover.problem().with_(data=pitch_hover.data().between(2, 8))
+    assert status == 0
+    cost = gb.fit(narrow, starts=8, progress=False).cost
+    assert json.loads(out)["cost"] == pytest.approx(cost, rel=1e-6)
+    err = refused(capsys, "fit", "pitch_hover", "--band", 100, 200, "Hz")
+    assert "the response has no point from 628.3 to 1257 rad/s" in err
+    refused(capsys, "stepwise", "pitch_hover", "--band", 100, 200)
+
+
 def test_the_factored_form_is_that_of_the_paper(capsys):
     """(4.32), with the rounding of its parameters."""
     status, out, _ = run(capsys, "fit", "pitch_5deg", *QUICK, "--factored", "--json")
@@ -386,6 +397,7 @@ def fit_options(**stated):
         "search": "batched",
         "no_profiles": False,
         "factored": False,
+        "band": [],
     }
     return Namespace(**known | stated)
 
@@ -394,7 +406,7 @@ def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeyp
     def stated(**options):
         settings = {"starts": 5, "seed": 3, "method": gb.SingleShooting()}
         monkeypatch.setattr(
-            "greybox.cli.fit_command.stated_problem",
+            "greybox.cli.problem_options.stated_problem",
             lambda options: (pitch_hover.problem(), settings),
         )
         return _stated_fit(fit_options(**options)).keywords

@@ -51,6 +51,8 @@ def test_values_by_name():
     for word in ("a", "a=1", "a=1+-", "a=1+-2+-3"):
         with pytest.raises(UsageError, match=r"understood: write NAME=VALUE\+-SIGMA"):
             parsed(f"--prior {word}", prior)
+    with pytest.raises(UsageError, match="NAME=COLUMN, in quotes if it has blanks"):
+        parsed("--columns u=stick held", "--columns NAME=COLUMN...\n    about")
     with pytest.raises(UsageError, match=r"--fix names a twice: 1\.0 and 2\.0"):
         parsed("--fix a=1 a=2")
 

@@ -32,7 +32,7 @@ def test_all_units_give_the_same_response(unit, magnitude, turn, phase, clock, f
     [
         (
             ([-3], [0], "absolute", "deg"),
-            "magnitude is -3 at index 0: if these are decibels, give magnitude_unit='dB'",
+            "magnitude is -3 at index 0: if these are decibels, state dB",
         ),
         (([1], [0], "neper", "deg"), "unit of magnitude is 'neper': give 'absolute' or 'dB'"),
         (([1], [0], "absolute", "Hz"), "unit of phase is 'Hz': give 'deg' or 'rad'"),

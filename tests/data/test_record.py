@@ -112,10 +112,10 @@ def test_a_recording_finds_signals_by_message_and_by_bare_name():
         KeyError, match=r"flight.bin has no message 'ATT'; it has IMU\[0\], IMU\[1\]"
     ):
         log["ATT"]
-    with pytest.raises(KeyError, match=r"no message has it; write MESSAGE\.yaw"):
-        log.locate("yaw")
+    with pytest.raises(KeyError, match="there is no signal 'GYRO', but gyro: write MESSAGE"):
+        log.locate("GYRO")
     both = Recording({"A": record(), "B": record()})
-    with pytest.raises(KeyError, match=r"several messages have it: A, B; write MESSAGE\.u"):
+    with pytest.raises(KeyError, match=r"several messages have the signal 'u', A, B: .* A\.u\."):
         both.locate("u")
 
 
@@ -253,9 +253,7 @@ def test_a_recording_says_what_it_has():
     assert (len(log), [*log], log["A"] is log["A[0]"]) == (2, ["A[0]", "B"], True)
     with pytest.raises(KeyError, match=r"a\.bin has no message 'C'; it has A\[0\], B\."):
         log["C"]
-    with pytest.raises(
-        KeyError, match=r"'z' is ambiguous or unknown, no message has it; write MESSAGE\.z"
-    ):
+    with pytest.raises(KeyError, match=r"no signal 'z', but x and y: .*columns=\{'z': \.\.\.\}"):
         log.locate("z")
 
 
@@ -324,6 +322,11 @@ def test_what_is_no_real_number_is_refused(values):
         Record([0, 1], {"x": values})
     with pytest.raises(ValueError, match="x must be a one-dimensional array of numbers"):
         Record([0, 1], {"y": [1, 2]}).with_signals(x=values)
+
+
+def test_signals_without_names_are_refused():
+    with pytest.raises(TypeError, match=r"signals is \[1, 2\]: give \{name: values\}"):
+        Record([0, 1], [1, 2])
 
 
 def test_units_of_unknown_signals_are_refused():

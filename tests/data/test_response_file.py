@@ -83,10 +83,8 @@ def test_a_byte_order_mark_and_the_order_of_columns_do_not_matter(tmp_path):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (
-            "",
-            r"has no column 'omega_rad_s'; it has no header line: the columns must be omega_rad_s, alpha, beta",
-        ),
+        ("", r"data\.csv is empty"),
+        ("# only a remark\n", r"data\.csv is empty"),
         ("omega,alpha,beta\n1,2,3\n", r"has no column 'omega_rad_s'; it has omega, alpha, beta"),
         ("omega_rad_s,alpha\n1,2\n", r"has no column 'beta'"),
         ("omega_rad_s,alpha,beta\n", r"data\.csv: the frequency response is empty"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import constants as c
 
-from greybox.data.units import are_of_one_kind, to_si
+from greybox.data.units import are_of_one_kind, misspelled, to_si
 
 KNOWN = [
     ("ft", c.foot, "m"),
@@ -32,6 +32,9 @@ KNOWN = [
     ("psi", c.psi, "Pa"),
     ("hPa", 100, "Pa"),
     ("hp", c.hp, "W"),
+    ("Newtons", 1, "N"),
+    ("Volts", 1, "V"),
+    ("amps", 1, "A"),
     ("rpm", 2 * math.pi / 60, "rad/s"),
     ("RPM", 2 * math.pi / 60, "rad/s"),
     ("rev/min", 2 * math.pi / 60, "rad/s"),
@@ -159,6 +162,29 @@ def test_pounds_may_be_two_things(unit):
 def test_what_is_not_known_is_not_guessed(unit):
     with pytest.raises(ValueError, match="is not known"):
         to_si(unit)
+
+
+@pytest.mark.parametrize(
+    ("unit", "meant"),
+    [
+        ("m/s^s", "m/s^2"),
+        ("rads/s", "rad/s"),
+        ("radps", "rad/s"),
+        ("m/ss", "m/s"),
+        ("mters", "meters"),
+        ("kgm2", "kg*m^2"),
+        ("rot/min", "r/min"),
+    ],
+)
+def test_a_misspelled_unit_comes_with_the_nearest_one(unit, meant):
+    assert f"write {meant!r}" in misspelled(unit)
+    with pytest.raises(ValueError, match="if that is meant"):
+        to_si(unit)
+
+
+@pytest.mark.parametrize("unit", "LSB counts pwm PWM px mol mol/l counts/s cd dB norm USD".split())
+def test_a_unit_of_the_users_own_is_no_misspelled_one(unit):
+    assert not misspelled(unit)
 
 
 def test_what_may_be_something_else_says_so():

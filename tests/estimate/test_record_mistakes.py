@@ -26,6 +26,15 @@ def test_a_unit_that_the_model_declares_needs_no_warning(tmp_path):
     assert "gram" not in str(fit(gb.Problem(Weighed(), flown)).warnings)
 
 
+def test_a_misspelled_unit_is_named_where_the_model_declares_none():
+    def warnings(unit):
+        data = gb.Record(DATA.time, DATA.signals, units={"v": unit, "F": "LSB"}, hold=DATA.hold)
+        return str(fit(gb.Problem(Spring(), data)).warnings)
+
+    assert "v: the unit 'm/s^s' is not known: write 'm/s^2'" in warnings("m/s^s")
+    assert "is not known" not in warnings("m/s^2")
+
+
 def noise(n=100):
     return dict(zip(("x", "v"), np.random.default_rng(1).normal(size=(2, n)), strict=True))
 

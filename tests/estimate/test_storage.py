@@ -471,8 +471,8 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
         loaded.response([1.0, 2.0])
 
     expected = fit.response([1.0, 2.0]).response
-    for given in (module.Mine, model, module, str(file)):
-        again = gb.load(tmp_path / "a.h5", models=[given])
+    for given in ([module.Mine], [model], [module], [str(file)], module.Mine, str(file)):
+        again = gb.load(tmp_path / "a.h5", models=given)
         assert_array_equal(again.response([1.0, 2.0]).response, expected)
     with pytest.raises(TypeError, match="models has 5: give model classes"):
         gb.load(tmp_path / "a.h5", models=[5])

@@ -165,7 +165,8 @@ def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data):
     answer = gb.safe_gains(fitted(0, **data), RateLoop(), {"K_P": (0.1, 0.2)})
     assert not answer.allowed.any()
     assert answer.best == {}
-    assert answer.verdict.startswith("refused")
+    assert answer.verdict.startswith("refused: the")
+    assert str(answer).startswith("Refused: the")
     assert "In the conditions of 'flight 0', fly sines or a sweep from " in answer.cure
 
 

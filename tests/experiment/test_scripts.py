@@ -66,6 +66,12 @@ def test_units_and_holds_come_back(tmp_path):
     assert not record.has_time
 
 
+def test_a_signal_that_would_be_read_as_the_time_base_is_refused(tmp_path):
+    record = gb.Record([0.0, 1.0], {"time": [3.0, 4.0]})
+    with pytest.raises(ValueError, match="'time' would be read as the time base"):
+        write_excitation(record, tmp_path / "u.csv")
+
+
 STAND_IN = """
 clock, switch, mode, armed, sent, log, texts = 0, 0, 4, true, {}, {}, {}
 local count = {}

@@ -81,6 +81,7 @@ def test_the_schedule_and_the_settings_say_what_is_flown():
     ("make", "words"),
     [
         (lambda: sweep(10, 1, 60, 100), "must rise"),
+        (lambda: sweep(2, 2, 60, 100), "must rise"),
         (lambda: sweep(0.1, 10, 60, 100), "too short for 2 periods"),
         (
             lambda: sweep(1, 1000, 60, 50),

@@ -151,8 +151,8 @@ def test_a_misspelled_name_is_recognized():
 
 
 def test_names_of_greek_letters():
-    names = "theta", "u_phi", "Omega_x", "lambda_0", "PI", "thetas"
-    assert [*map(in_greek, names)] == ["θ", "u_φ", "Ω_x", "λ_0", "PI", "thetas"]
+    names = "theta", "u_phi", "Omega_x", "lambda_0", "PI", "thetas", "fitted alpha_1"
+    assert [*map(in_greek, names)] == ["θ", "u_φ", "Ω_x", "λ_0", "PI", "thetas", "fitted α_1"]
 
 
 def test_the_longest_representation_is_119_characters():

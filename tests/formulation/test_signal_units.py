@@ -53,6 +53,10 @@ def record(factor=1.0, **units):
             {"q": "m/s"},
             "q is in m/s in the record 'flight' and in rad/s in Rate: these are different quantities",
         ),
+        (
+            {"q": "rads/s"},
+            "q in the record 'flight': the unit 'rads/s' is not known: write 'rad/s' if that is meant.",
+        ),
     ],
 )
 def test_another_unit_is_refused_with_the_cure(units, words):
@@ -88,6 +92,14 @@ def test_a_unit_of_a_signal_that_is_not_there_is_a_sentence():
         units = {"theta": "rad"}
 
     with pytest.raises(ValueError, match="Wrong has no signal 'theta'"):
+        gb.Problem(Wrong(), record())
+
+
+def test_a_misspelled_unit_of_the_model_is_a_sentence():
+    class Wrong(Rate):
+        units = {"q": "rad/s^s"}
+
+    with pytest.raises(ValueError, match=r"q in Wrong: the unit 'rad/s\^s' is not known: write"):
         gb.Problem(Wrong(), record())
 
 

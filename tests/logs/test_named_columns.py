@@ -123,3 +123,24 @@ def test_the_end_of_a_name_is_a_unit_only_where_it_can_be_nothing_else(tmp_path)
         assert (record[name][0], record.units[name]) == (pytest.approx(value), unit)
     for name in ("cmd", "v", "x", "lag", "p"):  # an input, north, a difference, a moving average
         assert (record[name][0], record.units.get(name, "")) == (1000, "")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["q_deg/s", "q deg/s", "q/deg/s", "q:deg/s", "q in deg/s", "q_deg_s", "q_deg/sec", "Q_DEG_S"],
+)
+@pytest.mark.parametrize("hold", ["", ":held", ":sampled"])
+def test_rates_and_words_on_the_hold_leave_the_unit_in_a_name(tmp_path, name, hold):
+    path = tmp_path / "flight.csv"
+    path.write_text(f"time in s,{name},V_m/s\n0,90,3\n1,90,4\n2,180,5\n")
+    record = gb.read(path, columns={"q": name + hold, "V": "V_m/s"})["flight"]
+    np.testing.assert_allclose(record["q"], np.radians([90, 90, 180]))
+    assert record.units == {"q": "rad/s", "V": "m/s"}
+    assert record.hold == {"": {}, ":held": {"q": np.inf}, ":sampled": {"q": 0.0}}[hold]
+
+
+def test_a_unit_that_the_table_contradicts_is_refused(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("t [s],stick [deg]\n0,1\n1,2\n")
+    with pytest.raises(ValueError, match=r"its unit is deg in the table, not V: leave"):
+        gb.read(path, columns={"u": "stick:V"})

@@ -243,6 +243,7 @@ def test_the_digital_filter_model_is_the_digital_filter():
     ("options", "error", "words"),
     [
         ({"signals": {}}, ValueError, "signals is empty"),
+        ({"signals": ["u", "y"]}, TypeError, r"signals is \['u', 'y'\]: give \{"),
         ({"signals": {"u": "RATE.Nothing"}}, KeyError, "no signal 'Nothing'; it has POut"),
         ({"signals": {"u": "RTAE.POut"}}, KeyError, "no message 'RTAE'; it has RATE"),
         ({"rate": 0}, ValueError, "rate 0 must be"),

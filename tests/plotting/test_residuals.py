@@ -91,7 +91,7 @@ def test_angles_are_in_degrees_on_both_axes():
     over = {figure.label: figure for figure in residual_figures(fit.records[0])}
     means = named(over["da, °"].panels[0], "", "points")
     assert means.x.min() == pytest.approx(np.degrees(-0.2))
-    x = named(over["fitted phi, °"].panels[0], "", "points").x
+    x = named(over["fitted φ, °"].panels[0], "", "points").x
     assert np.ptp(x) > 10
 
 

@@ -273,3 +273,10 @@ def test_slow_errors_beside_white_ones_widen_intervals():
         covered.append(np.abs(estimate) < t.ppf(0.975, dof) * np.sqrt(np.diag(covariance)))
     # 0.58 to 0.6 without these correlations.
     assert np.mean(covered) > 0.74
+
+
+@pytest.mark.parametrize("count", [2, 5, 8])
+def test_means_of_neighbors_are_among_the_kinds_of_errors(count):
+    correlations, _ = error_kinds(40)
+    of_means = np.clip(1 - np.arange(40) / count, 0, 1)
+    assert np.abs(correlations - of_means).max(axis=1).min() < 0.03

@@ -27,7 +27,7 @@ DRAG = ("fit", "--model", "drag:Drag", "--data")
         ("omega_rad_s,alpha,beta\n1,1\n", "2 cells"),
         ("omega_rad_s,alpha,beta\n", "empty"),
         ("omega,alpha,beta\n1,1,1\n", "no column 'omega_rad_s'"),
-        ("", "no column 'omega_rad_s'"),
+        ("", "bad.csv is empty"),
         ("omega_rad_s,alpha,beta,coherence\n1,1,1,1.5\n", "coherence is 1.5"),
     ],
 )
@@ -55,7 +55,7 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
         (
             "theta",
             "pitch",
-            "no messages with the signals of Drag (theta, v) but has data: pitch, v. To fit it, name "
+            "no records with the signals of Drag (theta, v); it has data: pitch, v. To fit it, name "
             "the columns",
         ),
         (
@@ -143,7 +143,7 @@ def test_fit_says_of_a_record_what_inspect_says(capsys, tmp_path):
 
 def test_a_log_with_many_messages_asks_for_a_problem_file(capsys):
     sentence = refused(capsys, *DRAG, files("greybox.problems") / "data" / "sitl_pitch.BIN")
-    assert "no messages with the signals of Drag (theta, v)" in sentence
+    assert "no records with the signals of Drag (theta, v)" in sentence
     assert "in a file my.py whose function problem()" in sentence
     assert len(sentence) < 800
 

@@ -17,7 +17,7 @@ def bic(comparison, name, structure):
 def test_the_true_structure_is_supported_by_all_data_sets(small_study):
     comparison = gb.compare(small_study)
     assert comparison.supported == "Lag"
-    assert "3 data sets together" in comparison.verdict
+    assert "Over 3 data sets" in comparison.verdict
     fits = [small_study[f"slow, {name}"].fit for name in ("Lag", "Gain", "LagLead")]
     pair = gb.compare(*fits, labels=["Lag", "Gain", "LagLead"])
     for name in ("Lag", "Gain", "LagLead"):

@@ -76,7 +76,7 @@ def test_other_data_and_other_weights_are_told(fits):
         two, parts=(replace(two.parts[0], data=measured(Lag(), TWO_LAGS_OMEGA, name="else")),)
     )
     assert data_difference([one, elsewhere], ("a", "b")).startswith(
-        "b was fitted to other data than a ('else', "
+        "b was fitted to other data ('else', "
     )
     twice = replace(two, parts=two.parts * 2)
     assert data_difference([one, twice], ("a", "b")).startswith("b was fitted to 2 sets of data")

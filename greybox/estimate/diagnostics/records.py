@@ -12,6 +12,7 @@ from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.record import Record, share_samples
+from greybox.data.units import known_unit, misspelled
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Findings, once
 from greybox.estimate.fitted_part import FittedRecord
@@ -21,6 +22,7 @@ from greybox.files.arrays import Array, Strings
 from greybox.files.grouping import grouped
 from greybox.files.text_table import listed, some
 from greybox.modeling.colored_disturbance import ColoredDisturbance
+from greybox.modeling.model import Model
 from greybox.statistics.metrics import cross_correlation, is_resolved, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -47,10 +49,17 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
         # Findings of one kind differ in their numbers.
         (re.sub(r"[\d.]+", "", text), part.name, f"data of {part.name!r}: {text}")
         for part in nlp.problem.parts_with(Record)
-        for text in part.data.findings
+        for text in (*part.data.findings, *_misspelled_units(part.model, part.data))
         # What a unit was taken for is certain where the model declares it.
         if text.partition(":")[0] not in part.model.units
     )
+
+
+def _misspelled_units(model: Model, data: Record) -> Iterator[str]:
+    for name in (*model.input_names, *model.output_names):
+        unit = data.units.get(name, "")
+        if known_unit(unit) is None and (text := misspelled(unit)):
+            yield f"{name}: {text}."
 
 
 def repeated_data(nlp: CompiledProblem) -> Iterator[str]:

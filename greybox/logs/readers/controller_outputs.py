@@ -58,7 +58,7 @@ SAMPLES = {
     "sensor_combined": r"(gyro_rad|accelerometer_m_s2)\[\d\]",
 }
 
-# Added in every pass of the loop until the next message.
+# The controller adds these signals in every pass of its loop until the next message.
 KEPT = {"autotune_attitude_control_status": r"rate_sp\[\d\]"}
 
 # Hz; of ArduPilot, of PX4 (0 there: the sensor's own rate).
