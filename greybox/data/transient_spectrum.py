@@ -8,8 +8,19 @@ import numpy as np
 
 from greybox.data.checked_array import checksum_of, finite_array, require_size
 from greybox.data.frequency_response import Stretch
-from greybox.files.arrays import Array, ComplexArray, NamedStrings, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    NamedArrays,
+    NamedStrings,
+    Strings,
+    Values,
+    frozen,
+)
 from greybox.files.text_table import as_names, one_line, printable, write_out
+
+# Share of a sample over which a held input changes, as `greybox.modeling.held_inputs.ROUNDED`.
+ROUNDED = 0.05
 
 
 @frozen
@@ -33,6 +44,9 @@ class TransientSpectrum:
     input_change : mapping of name to float
         Last less first value of each input, from which the integral of a delayed input follows; 0
         for inputs that are not listed.
+    last_changes : mapping of name to (2, k) array
+        When each input changed, in s before the end, and by how much: a delayed input has not made
+        the last ones within the manoeuvre. Inputs that are not listed rest before the end.
     held : sequence of str
         Inputs whose values were held from sample to sample: samples of outputs then show more than
         their integrals, which the model takes into account.
@@ -54,6 +68,7 @@ class TransientSpectrum:
     duration: float
     step: float
     input_change: Values = field(default_factory=dict)
+    last_changes: NamedArrays = field(default_factory=dict)
     units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
@@ -121,7 +136,7 @@ class TransientSpectrum:
         # As for a response: the same numbers are the same data, whatever their name and source.
         names = f"{', '.join(self.inputs)}->{', '.join(self.outputs)}"
         ends = np.array([self.duration, self.step, *map(self.change, self.inputs)])
-        spectra = (*self.inputs.values(), *self.outputs.values())
+        spectra = (*self.inputs.values(), *self.outputs.values(), *self.last_changes.values())
         return checksum_of(names, self.omega, *spectra, ends)
 
     def is_same_as(self, other: "TransientSpectrum") -> bool:
@@ -132,13 +147,29 @@ class TransientSpectrum:
         """Return the last less the first value of an input."""
         return float(self.input_change.get(name, 0.0))
 
-    def delayed_input(self, name: str, delay: float) -> ComplexArray:
+    def delayed_input(self, name: str, delay: float) -> tuple[ComplexArray, ComplexArray]:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
-        The input is assumed to have its first value before the manoeuvre, and its last value during
-        the last `delay` seconds:
+        Also return its derivative with respect to the delay. The input is assumed to have its first
+        value before the manoeuvre. What it does during the last `delay` seconds, it does later:
 
-            ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) U - (u(T) - u(0)) (1 - exp(-jωτ)) / jω.
+            ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) (U + V) - (u(T) - u(0)) (1 - exp(-jωτ)) / jω,
+
+        where V = ∫ (u(T) - u(T - r)) exp(jωr) dr from 0 to τ.
         """
-        shift = np.exp(-1j * self.omega * delay)
-        return shift * self.inputs[name] - self.change(name) * (1 - shift) / (1j * self.omega)
+        s = 1j * self.omega
+        shift, change = np.exp(-s * delay), self.change(name)
+        times, changes = self.last_changes.get(name, np.zeros((2, 0)))[:, :, None]
+        # A step would be a corner of the cost where the delay reaches it, in which no search ends.
+        rise = self.step * (ROUNDED if name in self.held else 1.0)
+
+        def after(delay: float) -> tuple[Array, ComplexArray]:
+            since = delay - times
+            share = np.clip(since / rise + 0.5, 0, 1)
+            ramp = rise * share**2 / 2 + np.maximum(since - rise / 2, 0)
+            return share, changes * np.exp(s * (times + ramp))
+
+        share, late = after(delay)
+        left = np.sum(late - after(0.0)[1], axis=0) / s
+        delayed = shift * (self.inputs[name] + left) - change * (1 - shift) / s
+        return delayed, shift * np.sum(share * late, axis=0) - s * delayed - change

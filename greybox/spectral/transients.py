@@ -77,6 +77,10 @@ def transient_spectrum(
             name: float(values[-1] - values[0])
             for name, values in zip(inputs, stretch.values, strict=False)
         },
+        {
+            name: _last_changes(values, step, readings[name].held)
+            for name, values in zip(inputs, stretch.values, strict=False)
+        },
         units={name: record.units[name] for name in names if name in record.units},
         name=record.name,
         source=record.source,
@@ -84,8 +88,10 @@ def transient_spectrum(
         held=tuple(name for name in inputs if readings[name].held),
     )
     # A value that lasts for part of a step acts half of that time later than a continuous signal.
-    delayed = {name: spectrum.delayed_input(name, readings[name].late) for name in inputs}
-    return replace(spectrum, inputs=delayed)
+    late = {name: readings[name].late for name in inputs}
+    delayed = {name: spectrum.delayed_input(name, late[name])[0] for name in inputs}
+    later = {name: rows - [[late[name]], [0]] for name, rows in spectrum.last_changes.items()}
+    return replace(spectrum, inputs=delayed, last_changes=later)
 
 
 def lines_in_band(band: Interval, duration: float, step: float) -> Array:
@@ -111,6 +117,13 @@ def lines_in_band(band: Interval, duration: float, step: float) -> Array:
             f"resolution of {duration:.4g} s: widen the band or use a longer part."
         )
     return lines * spacing
+
+
+def _last_changes(values: Array, step: float, is_held: bool) -> Array:
+    """Return times before the end and changes, (2, k). Lines change most in the middle of steps."""
+    changes = np.diff(values)[::-1]
+    times = step * (np.arange(changes.size) + (0.0 if is_held else 0.5))
+    return np.array([times, changes])[:, changes != 0]
 
 
 def _sums(values: Array, omega: Array, step: float) -> ComplexArray:

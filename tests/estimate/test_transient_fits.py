@@ -107,7 +107,7 @@ def test_the_cost_is_the_likelihood_of_the_outputs(spectrum):
     p = fit.estimate
     s = 1j * spectrum.omega
     pole = s**2 + 2 * p["z"] * p["w"] * s + p["w"] ** 2
-    modelled = p["K"] * (p["T_z"] * s + 1) / pole * spectrum.delayed_input("u", p["T"])
+    modelled = p["K"] * (p["T_z"] * s + 1) / pole * spectrum.delayed_input("u", p["T"])[0]
     errors, basis = pole * (spectrum.outputs["q"] - modelled), np.array([np.ones_like(s), s]).T
     parts = [np.concatenate([x.real, x.imag]) for x in (errors, *basis.T)]
     left = (
