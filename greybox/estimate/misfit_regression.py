@@ -255,7 +255,7 @@ def regression_of_response(
     part: ResponsePart, part_name: str, values: Array, names: Labels, moves: BoolArray
 ) -> Regression:
     """Return the regression of a response at all `values`; of the free ones some are fitted."""
-    response, criterion, data = part.response(values), part.criterion, part.data
+    response, criterion, data = part.response(values), part.error_model, part.data
     # Where the modeled response is zero, all of the measured one is misfit.
     size = criterion.error_size(response if response.any() else data.response, data)
     if criterion.known_noise and data.dof is not None:
