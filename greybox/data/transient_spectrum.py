@@ -14,7 +14,6 @@ from greybox.files.arrays import (
     NamedArrays,
     NamedStrings,
     Strings,
-    Values,
     frozen,
 )
 from greybox.files.text_table import as_names, one_line, printable, write_out
@@ -41,12 +40,9 @@ class TransientSpectrum:
         From the first to the last sample.
     step : float, s
         Sampling interval.
-    input_change : mapping of name to float
-        Last less first value of each input, from which the integral of a delayed input follows; 0
-        for inputs that are not listed.
-    last_changes : mapping of name to (2, k) array
-        When each input changed, in s before the end, and by how much: a delayed input has not made
-        the last ones within the manoeuvre. Inputs that are not listed rest before the end.
+    input_changes : mapping of name to (2, k) array
+        When each input changed, in s before the end, and by how much, from which the integral of a
+        delayed input follows; inputs that are not listed are at rest.
     held : sequence of str
         Inputs whose values were held from sample to sample: samples of outputs then show more than
         their integrals, which the model takes into account.
@@ -67,8 +63,7 @@ class TransientSpectrum:
     outputs: Mapping[str, ComplexArray]
     duration: float
     step: float
-    input_change: Values = field(default_factory=dict)
-    last_changes: NamedArrays = field(default_factory=dict)
+    input_changes: NamedArrays = field(default_factory=dict)
     units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
@@ -77,7 +72,7 @@ class TransientSpectrum:
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
-        write_out(self, "name", "source", "units", "input_change")
+        write_out(self, "name", "source", "units")
         vars(self)["held"] = as_names(self.held)
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
@@ -104,10 +99,10 @@ class TransientSpectrum:
             for name, values in arrays.items():
                 require_size(name, values, "omega", omega.size)
             vars(self)[kind] = arrays
-        if not all(np.isfinite(float(change)) for change in self.input_change.values()):
-            raise ValueError(
-                f"input_change is {dict(self.input_change)!r:.60}: give finite numbers."
-            )
+        vars(self)["input_changes"] = {
+            printable(name): np.reshape(finite_array("input_changes", np.ravel(rows)), (2, -1))
+            for name, rows in self.input_changes.items()
+        }
 
     def __len__(self) -> int:
         return self.omega.size
@@ -135,17 +130,14 @@ class TransientSpectrum:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
         # As for a response: the same numbers are the same data, whatever their name and source.
         names = f"{', '.join(self.inputs)}->{', '.join(self.outputs)}"
-        ends = np.array([self.duration, self.step, *map(self.change, self.inputs)])
-        spectra = (*self.inputs.values(), *self.outputs.values(), *self.last_changes.values())
-        return checksum_of(names, self.omega, *spectra, ends)
+        numbers = [np.array([self.duration, self.step])]
+        for signals in (self.inputs, self.outputs, self.input_changes):
+            numbers += signals.values()
+        return checksum_of(names, self.omega, *numbers)
 
     def is_same_as(self, other: "TransientSpectrum") -> bool:
         """Return whether another spectrum has the same data."""
         return self.checksum == other.checksum
-
-    def change(self, name: str) -> float:
-        """Return the last less the first value of an input."""
-        return float(self.input_change.get(name, 0.0))
 
     def delayed_input(self, name: str, delay: float) -> tuple[ComplexArray, ComplexArray]:
         """Return the integral of an input that acts `delay` seconds later, (n,).
@@ -158,10 +150,11 @@ class TransientSpectrum:
         where V = ∫ (u(T) - u(T - r)) exp(jωr) dr from 0 to τ.
         """
         s = 1j * self.omega
-        shift, change = np.exp(-s * delay), self.change(name)
-        times, changes = self.last_changes.get(name, np.zeros((2, 0)))[:, :, None]
+        rows = self.input_changes.get(name, np.zeros((2, 0)))
+        shift, change = np.exp(-s * delay), np.sum(rows[1])
         # A step would be a corner of the cost where the delay reaches it, in which no search ends.
         rise = self.step * (ROUNDED if name in self.held else 1.0)
+        times, changes = rows[:, rows[0] < delay + rise][..., None]
 
         def after(delay: float) -> tuple[Array, ComplexArray]:
             since = delay - times

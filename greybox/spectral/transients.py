@@ -74,11 +74,7 @@ def transient_spectrum(
         duration,
         step,
         {
-            name: float(values[-1] - values[0])
-            for name, values in zip(inputs, stretch.values, strict=False)
-        },
-        {
-            name: _last_changes(values, step, readings[name].held)
+            name: _changes(values, step, readings[name].held)
             for name, values in zip(inputs, stretch.values, strict=False)
         },
         units={name: record.units[name] for name in names if name in record.units},
@@ -90,8 +86,8 @@ def transient_spectrum(
     # A value that lasts for part of a step acts half of that time later than a continuous signal.
     late = {name: readings[name].late for name in inputs}
     delayed = {name: spectrum.delayed_input(name, late[name])[0] for name in inputs}
-    later = {name: rows - [[late[name]], [0]] for name, rows in spectrum.last_changes.items()}
-    return replace(spectrum, inputs=delayed, last_changes=later)
+    later = {name: rows - [[late[name]], [0]] for name, rows in spectrum.input_changes.items()}
+    return replace(spectrum, inputs=delayed, input_changes=later)
 
 
 def lines_in_band(band: Interval, duration: float, step: float) -> Array:
@@ -119,7 +115,7 @@ def lines_in_band(band: Interval, duration: float, step: float) -> Array:
     return lines * spacing
 
 
-def _last_changes(values: Array, step: float, is_held: bool) -> Array:
+def _changes(values: Array, step: float, is_held: bool) -> Array:
     """Return times before the end and changes, (2, k). Lines change most in the middle of steps."""
     changes = np.diff(values)[::-1]
     times = step * (np.arange(changes.size) + (0.0 if is_held else 0.5))
