@@ -80,6 +80,11 @@ class RecordPart(SegmentedPart):
         data = self.data.excerpts(samples)
         return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
 
+    def thinned(self, factor: int) -> "RecordPart":
+        """Return the part on every sample of this number, whatever its steps then miss."""
+        data = self.data.thinned(factor)
+        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
+
     def with_outputs(self, outputs: Arrays) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)
