@@ -260,7 +260,7 @@ def shortened(
         nodes = shorter.data.at_samples(states)[:, :: shorter.data.segment_length].T
         return shorter.trajectory(trajectory.z, nodes)
 
-    coarse = part.thinned(-(-part.samples // samples))
+    coarse = part.with_data(part.data.thinned(-(-part.samples // samples)))
     simulated, exact = coarse.simulated_outputs(along(coarse)), coarse.data.at_samples(outputs)
     moved = np.std(np.diff(exact), axis=1)
     # The gains of a predictor belong to its step.
