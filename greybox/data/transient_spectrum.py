@@ -18,8 +18,8 @@ from greybox.files.arrays import (
 )
 from greybox.files.text_table import as_names, one_line, printable, write_out
 
-# Share of a sample over which a held input changes, as `greybox.modeling.held_inputs.ROUNDED`.
-ROUNDED = 0.05
+# Share of a sample that a held input takes to change: half of it is the error of when it does.
+ROUNDED = 0.02
 
 
 @frozen
@@ -41,8 +41,9 @@ class TransientSpectrum:
     step : float, s
         Sampling interval.
     input_changes : mapping of name to (2, k) array
-        When each input changed, in s before the end, and by how much, from which the integral of a
-        delayed input follows; inputs that are not listed are at rest.
+        When the last changes of each input ended, in s before the end, and by how much it changed,
+        from which the integral of a delayed input follows. Changes are steps of held inputs and
+        lines of one sample of others; inputs that are not listed are at rest.
     held : sequence of str
         Inputs whose values were held from sample to sample: samples of outputs then show more than
         their integrals, which the model takes into account.
@@ -154,15 +155,11 @@ class TransientSpectrum:
         shift, change = np.exp(-s * delay), np.sum(rows[1])
         # A step would be a corner of the cost where the delay reaches it, in which no search ends.
         rise = self.step * (ROUNDED if name in self.held else 1.0)
-        times, changes = rows[:, rows[0] < delay + rise][..., None]
-
-        def after(delay: float) -> tuple[Array, ComplexArray]:
-            since = delay - times
-            share = np.clip(since / rise + 0.5, 0, 1)
-            ramp = rise * share**2 / 2 + np.maximum(since - rise / 2, 0)
-            return share, changes * np.exp(s * (times + ramp))
-
-        share, late = after(delay)
-        left = np.sum(late - after(0.0)[1], axis=0) / s
+        times, changes = rows[:, rows[0] < delay][..., None]
+        share = np.clip((delay - times) / rise, 0, 1)
+        ramp = rise * share**2 / 2 + np.maximum(delay - times - rise, 0)
+        middle = times + rise / 2
+        late = changes * np.exp(s * (middle + ramp))
+        left = np.sum(late - changes * np.exp(s * middle), axis=0) / s
         delayed = shift * (self.inputs[name] + left) - change * (1 - shift) / s
         return delayed, shift * np.sum(share * late, axis=0) - s * delayed - change

@@ -247,21 +247,21 @@ def shortened(
     """
     if part.samples <= samples:
         return part, trajectory
-    states = np.zeros((part.states, len(part.model.record)))
-    outputs = np.zeros((len(part.outputs), len(part.model.record)))
-    for whole, values in (
-        (states, part.segments.in_order(trajectory.states)),
-        (outputs, part.simulated_outputs(trajectory)),
-    ):
+
+    def chosen(shorter: RecordPart, values: Array) -> Array:
+        whole = np.zeros((len(values), len(part.model.record)))
         for stretch, row in zip(part.data.stretches, part.data.unpadded(values), strict=True):
             whole[:, stretch.rows] = row
+        return shorter.data.at_samples(whole)
 
     def along(shorter: RecordPart) -> Trajectory:
-        nodes = shorter.data.at_samples(states)[:, :: shorter.data.segment_length].T
+        states = chosen(shorter, part.segments.in_order(trajectory.states))
+        nodes = states[:, :: shorter.data.segment_length].T
         return shorter.trajectory(trajectory.z, nodes)
 
     coarse = part.with_data(part.data.thinned(-(-part.samples // samples)))
-    simulated, exact = coarse.simulated_outputs(along(coarse)), coarse.data.at_samples(outputs)
+    simulated = coarse.simulated_outputs(along(coarse))
+    exact = chosen(coarse, part.simulated_outputs(trajectory))
     moved = np.std(np.diff(exact), axis=1)
     # The gains of a predictor belong to its step.
     if not part.gains and np.all(np.std(simulated - exact, axis=1) < FOLLOWED * moved):

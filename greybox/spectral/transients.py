@@ -74,7 +74,7 @@ def transient_spectrum(
         duration,
         step,
         {
-            name: _changes(values, step, readings[name].held)
+            name: np.array([step * np.arange(values.size - 1), np.diff(values)[::-1]])
             for name, values in zip(inputs, stretch.values, strict=False)
         },
         units={name: record.units[name] for name in names if name in record.units},
@@ -86,7 +86,10 @@ def transient_spectrum(
     # A value that lasts for part of a step acts half of that time later than a continuous signal.
     late = {name: readings[name].late for name in inputs}
     delayed = {name: spectrum.delayed_input(name, late[name])[0] for name in inputs}
-    later = {name: rows - [[late[name]], [0]] for name, rows in spectrum.input_changes.items()}
+    later = {
+        name: np.array([np.maximum(times - late[name], 0), changes])
+        for name, (times, changes) in spectrum.input_changes.items()
+    }
     return replace(spectrum, inputs=delayed, input_changes=later)
 
 
@@ -113,13 +116,6 @@ def lines_in_band(band: Interval, duration: float, step: float) -> Array:
             f"resolution of {duration:.4g} s: widen the band or use a longer part."
         )
     return lines * spacing
-
-
-def _changes(values: Array, step: float, is_held: bool) -> Array:
-    """Return times before the end and changes, (2, k). Lines change most in the middle of steps."""
-    changes = np.diff(values)[::-1]
-    times = step * (np.arange(changes.size) + (0.0 if is_held else 0.5))
-    return np.array([times, changes])[:, changes != 0]
 
 
 def _sums(values: Array, omega: Array, step: float) -> ComplexArray:

@@ -52,7 +52,7 @@ def test_what_an_input_does_at_the_end_acts_later(delay, held):
     width = step * 1e-3 if held else step
 
     def u(at):
-        rising = np.clip((at[:, None] - T + times) / width + 0.5, 0, 1)
+        rising = np.clip((at[:, None] - T + times) / width + 1, 0, 1)
         return 0.3 + rising @ changes
 
     made = spectrum(

@@ -56,7 +56,7 @@ def test_an_input_that_ends_elsewhere_is_delayed_exactly():
 def test_an_input_that_changes_at_the_end_is_delayed_exactly():
     """A step 0.2 s before the end and the last sample, of which a delay leaves out what is late.
 
-    Changes take a twentieth of a sample, so that the cost has no corners.
+    Changes take 2 % of a sample, so that the cost has no corners.
     """
     spectrum = transient_spectrum(
         record(lambda t: 2.0 * (t > T - 0.21) + (t > T - 0.01), np.sin, hold={"u": np.inf}),
@@ -66,9 +66,9 @@ def test_an_input_that_changes_at_the_end_is_delayed_exactly():
     )
     s = 1j * spectrum.omega
     np.testing.assert_allclose(
-        spectrum.delayed_input("u", 0.15)[0], 2 * (np.exp(s * 0.05) - 1) / s, atol=2e-4
+        spectrum.delayed_input("u", 0.15)[0], 2 * (np.exp(s * 0.05) - 1) / s, atol=1e-3
     )
-    np.testing.assert_allclose(spectrum.delayed_input("u", 0.3)[0], 0 * s, atol=2e-4)
+    np.testing.assert_allclose(spectrum.delayed_input("u", 0.3)[0], 0 * s, atol=1e-3)
 
 
 def test_errors_of_white_noise_are_independent_and_of_known_size():
