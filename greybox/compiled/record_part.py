@@ -75,17 +75,19 @@ class RecordPart(SegmentedPart):
 
     # --- parts made of this one
 
+    def with_data(self, data: SampledData) -> "RecordPart":
+        """Return the part with other samples."""
+        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
+
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on evenly spaced excerpts with about this total number of samples."""
-        data = self.data.excerpts(samples)
-        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
+        return self.with_data(self.data.excerpts(samples))
 
     def with_outputs(self, outputs: Arrays) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
-        data = replace(self.data, stretches=stretches)
-        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
+        return self.with_data(replace(self.data, stretches=stretches))
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
         """Return the part with pseudo-values as outputs, if its large errors are bounded."""

@@ -28,7 +28,7 @@ from greybox.files.arrays import (
     real_and_imaginary,
 )
 from greybox.files.rebuilt import Rebuilt
-from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
@@ -118,6 +118,11 @@ class ResponsePart(Part):
     def travels_whole(self) -> bool:
         """True with one of the included criteria."""
         return type(getattr(self, "criterion", None)) in INCLUDED
+
+    @property
+    def error_model(self) -> Criterion:
+        """The criterion with the sizes of the errors: of given variances, whatever is minimized."""
+        return self.criterion if self.data.variance is None else MaximumLikelihood()
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""

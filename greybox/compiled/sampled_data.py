@@ -57,6 +57,16 @@ class Stretch:
     def __len__(self) -> int:
         return self.inputs.shape[1]
 
+    def at(self, places: slice) -> "Stretch":
+        """Return the samples at these places."""
+        return Stretch(
+            self.inputs[:, places],
+            self.outputs[:, places],
+            self.rows[places],
+            self.step * places.step,
+            times=None if self.times is None else self.times[places],
+        )
+
 
 @frozen
 class SampledData:
@@ -113,13 +123,15 @@ class SampledData:
             length = max(samples // (count * len(self.stretches)), 2 * self.segment_length)
             length = min(length, len(stretch) // count)
             for start in np.linspace(0, len(stretch) - length, count).astype(int):
-                rows = slice(start, start + length)
-                inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
-                times = None if stretch.times is None else stretch.times[rows]
-                piece = Stretch(inputs, outputs, stretch.rows[rows], stretch.step, times=times)
-                pieces.append(piece)
+                pieces.append(stretch.at(slice(start, start + length, 1)))
 
         return SampledData(tuple(pieces), self.segment_length)
+
+    def thinned(self, factor: int) -> "SampledData":
+        """Return every sample of this number."""
+        rows = slice(0, None, factor)
+        thinned = tuple(stretch.at(rows) for stretch in self.stretches)
+        return SampledData(thinned, self.segment_length)
 
     def padded(self, values: Arrays, fill: float | None = None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).

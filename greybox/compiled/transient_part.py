@@ -183,8 +183,8 @@ class TransientPart(Part):
         )
         n, k = len(self.states), len(self.outputs)
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
-        late = map(self.data.delayed_input, self.inputs, delays.ravel().tolist())
-        inputs = np.array(list(late))
+        late = [*map(self.data.delayed_input, self.inputs, delays.ravel().tolist())]
+        inputs, later = np.array(late).reshape(-1, 2, len(self.data)).swapaxes(0, 1)
         pencil = 1j * self.data.omega[:, None, None] * np.eye(n) - A
 
         try:
@@ -218,9 +218,6 @@ class TransientPart(Part):
         covariance = self._covariance.along(self._transformed(transform, self.measured))
         errors, ends = _without_ends(errors, basis, covariance)
         states = np.einsum("lij,jl->il", inverse, B @ inputs + ends[:, None])
-        # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
-        changes = np.array([[self.data.change(name)] for name in self.inputs])
-        later = -1j * self.data.omega * inputs - changes
         by_delays = transfer.transpose(1, 2, 0) * later
         by_delays += (C @ B)[..., None] * (step * ramps * later + turned * inputs)
         return Along(

@@ -8,8 +8,18 @@ import numpy as np
 
 from greybox.data.checked_array import checksum_of, finite_array, require_size
 from greybox.data.frequency_response import Stretch
-from greybox.files.arrays import Array, ComplexArray, NamedStrings, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    NamedArrays,
+    NamedStrings,
+    Strings,
+    frozen,
+)
 from greybox.files.text_table import as_names, one_line, printable, write_out
+
+# Share of a sample that a held input takes to change: half of it is the error of when it does.
+ROUNDED = 0.02
 
 
 @frozen
@@ -30,9 +40,10 @@ class TransientSpectrum:
         From the first to the last sample.
     step : float, s
         Sampling interval.
-    input_change : mapping of name to float
-        Last less first value of each input, from which the integral of a delayed input follows; 0
-        for inputs that are not listed.
+    input_changes : mapping of name to (2, k) array
+        When the last changes of each input ended, in s before the end, and by how much it changed,
+        from which the integral of a delayed input follows. Changes are steps of held inputs and
+        lines of one sample of others; inputs that are not listed are at rest.
     held : sequence of str
         Inputs whose values were held from sample to sample: samples of outputs then show more than
         their integrals, which the model takes into account.
@@ -53,7 +64,7 @@ class TransientSpectrum:
     outputs: Mapping[str, ComplexArray]
     duration: float
     step: float
-    input_change: Values = field(default_factory=dict)
+    input_changes: NamedArrays = field(default_factory=dict)
     units: NamedStrings = field(default_factory=dict)
     name: str = ""
     source: str = ""
@@ -62,7 +73,7 @@ class TransientSpectrum:
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
-        write_out(self, "name", "source", "units", "input_change")
+        write_out(self, "name", "source", "units")
         vars(self)["held"] = as_names(self.held)
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
@@ -89,10 +100,10 @@ class TransientSpectrum:
             for name, values in arrays.items():
                 require_size(name, values, "omega", omega.size)
             vars(self)[kind] = arrays
-        if not all(np.isfinite(float(change)) for change in self.input_change.values()):
-            raise ValueError(
-                f"input_change is {dict(self.input_change)!r:.60}: give finite numbers."
-            )
+        vars(self)["input_changes"] = {
+            printable(name): np.reshape(finite_array("input_changes", np.ravel(rows)), (2, -1))
+            for name, rows in self.input_changes.items()
+        }
 
     def __len__(self) -> int:
         return self.omega.size
@@ -120,25 +131,35 @@ class TransientSpectrum:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
         # As for a response: the same numbers are the same data, whatever their name and source.
         names = f"{', '.join(self.inputs)}->{', '.join(self.outputs)}"
-        ends = np.array([self.duration, self.step, *map(self.change, self.inputs)])
-        spectra = (*self.inputs.values(), *self.outputs.values())
-        return checksum_of(names, self.omega, *spectra, ends)
+        numbers = [np.array([self.duration, self.step])]
+        for signals in (self.inputs, self.outputs, self.input_changes):
+            numbers += signals.values()
+        return checksum_of(names, self.omega, *numbers)
 
     def is_same_as(self, other: "TransientSpectrum") -> bool:
         """Return whether another spectrum has the same data."""
         return self.checksum == other.checksum
 
-    def change(self, name: str) -> float:
-        """Return the last less the first value of an input."""
-        return float(self.input_change.get(name, 0.0))
-
-    def delayed_input(self, name: str, delay: float) -> ComplexArray:
+    def delayed_input(self, name: str, delay: float) -> tuple[ComplexArray, ComplexArray]:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
-        The input is assumed to have its first value before the manoeuvre, and its last value during
-        the last `delay` seconds:
+        Also return its derivative with respect to the delay. The input is assumed to have its first
+        value before the manoeuvre. What it does during the last `delay` seconds, it does later:
 
-            ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) U - (u(T) - u(0)) (1 - exp(-jωτ)) / jω.
+            ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) (U + V) - (u(T) - u(0)) (1 - exp(-jωτ)) / jω,
+
+        where V = ∫ (u(T) - u(T - r)) exp(jωr) dr from 0 to τ.
         """
-        shift = np.exp(-1j * self.omega * delay)
-        return shift * self.inputs[name] - self.change(name) * (1 - shift) / (1j * self.omega)
+        s = 1j * self.omega
+        rows = self.input_changes.get(name, np.zeros((2, 0)))
+        shift, change = np.exp(-s * delay), np.sum(rows[1])
+        # A step would be a corner of the cost where the delay reaches it, in which no search ends.
+        rise = self.step * (ROUNDED if name in self.held else 1.0)
+        times, changes = rows[:, rows[0] < delay][..., None]
+        share = np.clip((delay - times) / rise, 0, 1)
+        ramp = rise * share**2 / 2 + np.maximum(delay - times - rise, 0)
+        middle = times + rise / 2
+        late = changes * np.exp(s * (middle + ramp))
+        left = np.sum(late - changes * np.exp(s * middle), axis=0) / s
+        delayed = shift * (self.inputs[name] + left) - change * (1 - shift) / s
+        return delayed, shift * np.sum(share * late, axis=0) - s * delayed - change

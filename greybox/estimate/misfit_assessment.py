@@ -23,10 +23,10 @@ from greybox.estimate.misfit_regression import (
     TINY,
     Key,
     Regression,
-    on_excerpts,
     regression_of_manoeuvre,
     regression_of_record,
     regression_of_response,
+    shortened,
 )
 from greybox.estimate.missing_terms import KNOTS, Term, constants_of_record, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
@@ -269,12 +269,17 @@ def _disturbed(
         if part.model.has_time
     ]
 
+<<<<<<< HEAD
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
     # of more. A third of the samples of six outputs informs as much as all of two outputs.
+=======
+    # Of all records together, at least 500 samples of each: a fit would wait for the test of more.
+    # A third of the samples of six outputs tells as much as all of two.
+>>>>>>> s47-misfit
     outputs = max((len(part.outputs) for part, *_ in records), default=1)
     most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
     return [
-        DisturbedRecord(*on_excerpts(part, trajectory, most), name)
+        DisturbedRecord(*shortened(part, trajectory, most), name)
         for part, trajectory, name in records
     ]
 

@@ -45,6 +45,8 @@ OF_RESPONSES = 0.01
 TINY = 1e-300
 NOTHING = 1e-200  # in place of a modeled response of zero: the square of its effects is zero
 STEP = 1e-6  # of the numbers of a term, for derivatives
+# Share of the motion from sample to sample by which larger steps may miss it.
+FOLLOWED = 0.1
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 
@@ -235,27 +237,46 @@ def _lines(measured: BoolArray) -> Array:
     return np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1)
 
 
-def on_excerpts(
+def shortened(
     part: RecordPart, trajectory: Trajectory, samples: int
 ) -> tuple[RecordPart, Trajectory]:
-    """Return a longer part on excerpts of this many samples, with its trajectory there."""
+    """Return a longer part with about this many samples, and its trajectory there.
+
+    Of a motion that is much slower than the samples, every second, third ... one suffices, which
+    shows slow effects over the whole record; other records are cut to excerpts.
+    """
     if part.samples <= samples:
         return part, trajectory
-    excerpt = part.excerpt(samples)
-    states = np.zeros((part.states, len(part.model.record)))
-    in_order = part.data.unpadded(part.segments.in_order(trajectory.states))
-    for stretch, row in zip(part.data.stretches, in_order, strict=True):
-        states[:, stretch.rows] = row
 
-    nodes = excerpt.data.at_samples(states)[:, :: excerpt.data.segment_length].T
-    return excerpt, excerpt.trajectory(trajectory.z, nodes)
+    def chosen(shorter: RecordPart, values: Array) -> Array:
+        whole = np.zeros((len(values), len(part.model.record)))
+        for stretch, row in zip(part.data.stretches, part.data.unpadded(values), strict=True):
+            whole[:, stretch.rows] = row
+        return shorter.data.at_samples(whole)
+
+    def along(shorter: RecordPart) -> Trajectory:
+        states = chosen(shorter, part.segments.in_order(trajectory.states))
+        nodes = states[:, :: shorter.data.segment_length].T
+        return shorter.trajectory(trajectory.z, nodes)
+
+    coarse = part.with_data(part.data.thinned(-(-part.samples // samples)))
+    simulated = coarse.simulated_outputs(along(coarse))
+    exact = chosen(coarse, part.simulated_outputs(trajectory))
+    moved = np.std(np.diff(exact), axis=1)
+    # The gains of a predictor belong to its step.
+    if not part.gains and np.all(np.std(simulated - exact, axis=1) < FOLLOWED * moved):
+        # With the residuals that the whole part has there.
+        coarse = coarse.with_outputs(coarse.data.unpadded(coarse.data.measured + simulated - exact))
+        return coarse, along(coarse)
+    excerpt = part.excerpt(samples)
+    return excerpt, along(excerpt)
 
 
 def regression_of_response(
     part: ResponsePart, part_name: str, values: Array, names: Labels, moves: BoolArray
 ) -> Regression:
     """Return the regression of a response at all `values`; of the free ones some are fitted."""
-    response, criterion, data = part.response(values), part.criterion, part.data
+    response, criterion, data = part.response(values), part.error_model, part.data
     # Where the modeled response is zero, all of the measured one is misfit.
     size = criterion.error_size(response if response.any() else data.response, data)
     if criterion.known_noise and data.dof is not None:

@@ -127,7 +127,8 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
         return whole
 
     assert isinstance(model, StateSpace)
-    x, u = z[: len(model.states)], z[len(model.states) :]
+    # Of a single symbol, an empty slice has one row, which would count as a state.
+    x, u = ca.vertsplit(z, [0, len(model.states), z.numel()])
     delays = input_delays(model, parameter_names(model, p)).values()
     f = traced_column(model, "derivative", z, p)
 

@@ -63,6 +63,7 @@ def transient_spectrum(
     omega = lines_in_band(band, duration, step)
 
     readings = {name: intersample(record.hold.get(name, 0.0), step) for name in names}
+    before_end = step * np.arange(stretch.values.shape[1] - 1)
     transforms = {
         name: (_held if readings[name].held else _interpolated)(values, omega, step)
         for name, values in zip(names, stretch.values, strict=True)
@@ -74,7 +75,7 @@ def transient_spectrum(
         duration,
         step,
         {
-            name: float(values[-1] - values[0])
+            name: np.array([np.maximum(before_end - readings[name].late, 0), np.diff(values)[::-1]])
             for name, values in zip(inputs, stretch.values, strict=False)
         },
         units={name: record.units[name] for name in names if name in record.units},
@@ -84,7 +85,7 @@ def transient_spectrum(
         held=tuple(name for name in inputs if readings[name].held),
     )
     # A value that lasts for part of a step acts half of that time later than a continuous signal.
-    delayed = {name: spectrum.delayed_input(name, readings[name].late) for name in inputs}
+    delayed = {name: spectrum.delayed_input(name, readings[name].late)[0] for name in inputs}
     return replace(spectrum, inputs=delayed)
 
 

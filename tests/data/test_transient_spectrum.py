@@ -37,10 +37,31 @@ def test_a_delayed_input_is_the_integral_of_the_delayed_signal(delay):
     def u(at):
         return 0.7 + 1.3 * np.sin(2.1 * np.clip(at, 0, last)) + 0.4 * np.clip(at, 0, last)
 
-    made = spectrum(inputs={"u": integral(t, u(t)), "v": OMEGA}, input_change={"u": u(T) - u(0)})
-    assert made.delayed_input("u", delay) == pytest.approx(integral(t, u(t - delay)), abs=1e-6)
-    assert (made.change("u"), made.change("v")) == (u(T) - u(0), 0.0)
-    assert made.delayed_input("v", delay) == pytest.approx(OMEGA * np.exp(-1j * OMEGA * delay))
+    changes = {"u": [[T], [u(T) - u(0)]]}
+    made = spectrum(inputs={"u": integral(t, u(t)), "v": OMEGA}, input_changes=changes)
+    assert made.delayed_input("u", delay)[0] == pytest.approx(integral(t, u(t - delay)), abs=1e-6)
+    assert made.delayed_input("v", delay)[0] == pytest.approx(OMEGA * np.exp(-1j * OMEGA * delay))
+
+
+@pytest.mark.parametrize("delay", [0.1, 0.25, 0.9])
+@pytest.mark.parametrize("held", [(), ("u",)])
+def test_what_an_input_does_at_the_end_acts_later(delay, held):
+    """Steps, or lines of one sample, 0.8 and 0.2 s before the end; the derivative by differences."""
+    t, step = np.linspace(0, T, 80_001), 0.02
+    times, changes = np.array([T - 1, 0.8, 0.2]), np.array([1.0, -0.7, 0.4])
+    width = step * 1e-3 if held else step
+
+    def u(at):
+        rising = np.clip((at[:, None] - T + times) / width + 1, 0, 1)
+        return 0.3 + rising @ changes
+
+    made = spectrum(
+        inputs={"u": integral(t, u(t))}, input_changes={"u": [times, changes]}, held=held
+    )
+    late, slope = made.delayed_input("u", delay)
+    assert late == pytest.approx(integral(t, u(t - delay)), abs=4e-4)
+    ends = [made.delayed_input("u", delay + change)[0] for change in (1e-6, -1e-6)]
+    assert slope == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +99,7 @@ def test_a_delayed_input_is_the_integral_of_the_delayed_signal(delay):
             {"outputs": {"y": [1, 2, 3, 1e80]}},
             "y is 1e+80+0j at index 3: squares of such numbers",
         ),
-        ({"input_change": {"u": np.nan}}, "input_change is {'u': nan}: give finite numbers."),
+        ({"input_changes": {"u": [[0.1], [np.nan]]}}, "input_changes is nan at index 1"),
     ],
 )
 def test_what_is_no_spectrum_is_refused(changes, words):
@@ -93,19 +114,20 @@ def test_rounding_of_frequencies_is_allowed():
 
 
 def test_numbers_and_names_make_the_checksum():
-    known = spectrum(input_change={"u": 0.5})
+    known = spectrum(input_changes={"u": [[T], [0.5]]})
     assert (
-        known.checksum == spectrum(input_change={"u": 0.5}, name="another", source="file").checksum
+        known.checksum
+        == spectrum(input_changes={"u": [[T], [0.5]]}, name="another", source="file").checksum
     )
     others = [
-        {"input_change": {}},
-        {"input_change": {"u": 0.6}},
+        {"input_changes": {}},
+        {"input_changes": {"u": [[T], [0.6]]}},
         {"step": 0.01},
         {"inputs": {"v": KNOWN["inputs"]["u"]}},
         {"outputs": {"z": KNOWN["outputs"]["y"]}},
         {"outputs": {"y": [4 + 2j, 1 - 1j, 0.3j, 0.2]}},
     ]
-    sums = {spectrum(**{"input_change": {"u": 0.5}} | each).checksum for each in others}
+    sums = {spectrum(**{"input_changes": {"u": [[T], [0.5]]}} | each).checksum for each in others}
     assert len(sums | {known.checksum}) == 7
     assert [*known.signals] == ["u", "y"]
     assert not known.omega.flags.writeable

@@ -430,6 +430,20 @@ def test_variances_of_three_periods_have_few_degrees_of_freedom(T, explains):
     assert count == explains
 
 
+@pytest.mark.parametrize(("T", "explains"), [(0.0, 5), (0.03, 0)])
+def test_errors_of_unlike_variances_are_judged_by_these(T, explains):
+    """Also where relative errors are minimized: at the end of a sweep they are 100 times larger."""
+    random, s, count = np.random.default_rng(7), 1j * np.linspace(0.5, 15, 30), 0
+    exact = 25 / (s**2 + 2 * s + 25) * np.exp(-T * s)
+    size = np.where(s.imag > 13.7, 0.5, 0.005) * np.abs(exact)
+    for _ in range(5):
+        error = size * (random.normal(size=(30, 2)) @ [1, 1j])
+        data = gb.FrequencyResponse(s.imag, exact + error, "u", "y", variance=2 * size**2)
+        fit = gb.fit(gb.Problem(Resonance(), data), starts=[{}], progress=False, profiles=False)
+        count += fit.misfit.explains
+    assert count == explains
+
+
 def test_larger_errors_at_the_highest_frequencies_are_no_misfit():
     random = np.random.default_rng(3)
     s = 1j * np.geomspace(0.8, 30, 24)
@@ -1413,3 +1427,36 @@ def test_values_at_a_bound_are_no_better_ones():
     misfit = gb.fit(of, starts=2, progress=False).misfit
     assert not misfit.explains
     assert not misfit.elsewhere
+
+
+class Drive(gb.StateSpace):
+    """A drive whose friction is proportional to its speed."""
+
+    states, inputs, outputs = ("q", "v"), ("F",), ("q",)
+    m = gb.Parameter(1.0, bounds=(0.1, 10))
+    d = gb.Parameter(2.0, bounds=(0.1, 20))
+
+    def derivative(self, x, u, p):
+        return (x.v, (u.F - p.d * x.v) / p.m)
+
+    def output(self, x, u, p):
+        return (x.q,)
+
+
+class Dry(Drive):
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a - 0.4 * gb.tanh(x.v / 0.01) / p.m)
+
+
+def test_dry_friction_is_named_also_in_a_record_of_many_samples():
+    """Excerpts of a few tenths of the time constant would show none."""
+    time = 0.001 * np.arange(16_000)
+    force = np.interp(time % 4, [0, 0.3, 1.7, 2.3, 3.7, 4], [0, 2, 2, -2, -2, 0])
+    flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
+    q = gb.simulate(Dry(), {"m": 1.0, "d": 2.0}, flight)["q"]
+    noise = 2e-3 * np.random.default_rng(0).normal(size=time.size)
+    problem = gb.Problem(Drive(), flight.with_signals(q=q + noise))
+    misfit = gb.fit(problem, starts=[{}], progress=False, profiles=False).misfit
+    assert not misfit.explains
+    assert "sign(v) in the equation of v" in [cause.text for cause in misfit.likely[:2]]

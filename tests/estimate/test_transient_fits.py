@@ -107,7 +107,7 @@ def test_the_cost_is_the_likelihood_of_the_outputs(spectrum):
     p = fit.estimate
     s = 1j * spectrum.omega
     pole = s**2 + 2 * p["z"] * p["w"] * s + p["w"] ** 2
-    modelled = p["K"] * (p["T_z"] * s + 1) / pole * spectrum.delayed_input("u", p["T"])
+    modelled = p["K"] * (p["T_z"] * s + 1) / pole * spectrum.delayed_input("u", p["T"])[0]
     errors, basis = pole * (spectrum.outputs["q"] - modelled), np.array([np.ones_like(s), s]).T
     parts = [np.concatenate([x.real, x.imag]) for x in (errors, *basis.T)]
     left = (
@@ -336,3 +336,29 @@ def test_a_report_of_a_manoeuvre(fit, tmp_path):
     """It is written, and says what was fitted."""
     gb.report(fit, tmp_path / "report.html")
     assert "12 lines in 1 manoeuvre" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+class Gain(gb.StateSpace):
+    """An output in proportion to the input."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    K = gb.Parameter(2.0, bounds=(0.1, 20))
+
+    def derivative(self, x, u, p):
+        return ()
+
+    def output(self, x, u, p):
+        return (p.K * u.u,)
+
+
+@pytest.mark.parametrize("criterion", [gb.OutputError(), gb.EquationError()])
+def test_a_model_without_states_is_fitted_to_a_manoeuvre(criterion):
+    random = np.random.default_rng(0)
+    u = np.repeat(random.uniform(-1, 1, 40), 20)
+    flight = gb.Record(
+        0.02 * np.arange(800), {"u": u, "y": 2.5 * u + 0.01 * random.normal(size=800)}
+    )
+    spectrum = gb.spectral.transient_spectrum(flight, "u", "y", (0.5, 20))
+    fit = gb.fit(gb.Problem(Gain(), spectrum, criterion), progress=False)
+    assert fit.estimate["K"] == pytest.approx(2.5, abs=4 * fit.standard_error["K"])
+    assert fit.misfit.explains

@@ -25,7 +25,7 @@ def test_integrals_are_the_analytic_ones():
     # The trapezoidal rule is off by step²/12 times the change of the slope.
     off = np.abs(spectrum.inputs["u"] - (1 - np.exp(-T)) / (s + 1))
     assert np.all(off < 1.1 * STEP**2 / 12 * np.exp(0))
-    assert spectrum.input_change["u"] == pytest.approx(np.exp(-T) - 1)
+    assert np.sum(spectrum.input_changes["u"][1]) == pytest.approx(np.exp(-T) - 1)
 
 
 def test_held_signals_are_integrated_as_held():
@@ -40,7 +40,7 @@ def test_held_signals_are_integrated_as_held():
     np.testing.assert_allclose(spectrum.inputs["u"], exact, atol=1e-12)
     # A signal that acts later, after the value it had before.
     late = (np.exp(-s * 1.3) - np.exp(-s * 1.5)) / s
-    np.testing.assert_allclose(spectrum.delayed_input("u", 0.3), late, atol=1e-12)
+    np.testing.assert_allclose(spectrum.delayed_input("u", 0.3)[0], late, atol=1e-12)
 
 
 def test_an_input_that_ends_elsewhere_is_delayed_exactly():
@@ -50,7 +50,25 @@ def test_an_input_that_ends_elsewhere_is_delayed_exactly():
     )
     s = 1j * spectrum.omega
     exact = 2 * (np.exp(-s * 1.5) - 1) / s  # exp(-sT) = 1
-    np.testing.assert_allclose(spectrum.delayed_input("u", 0.5), exact, atol=1e-12)
+    np.testing.assert_allclose(spectrum.delayed_input("u", 0.5)[0], exact, atol=1e-12)
+
+
+def test_an_input_that_changes_at_the_end_is_delayed_exactly():
+    """A step 0.2 s before the end and the last sample, of which a delay leaves out what is late.
+
+    Changes take 2 % of a sample, so that the cost has no corners.
+    """
+    spectrum = transient_spectrum(
+        record(lambda t: 2.0 * (t > T - 0.21) + (t > T - 0.01), np.sin, hold={"u": np.inf}),
+        "u",
+        "y",
+        (0.5, 100),
+    )
+    s = 1j * spectrum.omega
+    np.testing.assert_allclose(
+        spectrum.delayed_input("u", 0.15)[0], 2 * (np.exp(s * 0.05) - 1) / s, atol=1e-3
+    )
+    np.testing.assert_allclose(spectrum.delayed_input("u", 0.3)[0], 0 * s, atol=1e-3)
 
 
 def test_errors_of_white_noise_are_independent_and_of_known_size():

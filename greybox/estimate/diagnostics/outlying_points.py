@@ -190,7 +190,7 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
 
 
 def _largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
-    data, criterion = part.data, part.criterion
+    data, criterion = part.data, part.error_model
     model = part.response(values)
     size = criterion.error_size(model, data)
     points = np.flatnonzero(np.isfinite(size) & (size > ROUNDING * np.max(size, initial=0.0)))
