@@ -237,8 +237,7 @@ class Segments:
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.
         starts = np.flatnonzero(np.diff(records, prepend=-1))
-        if starts.size:
-            result[records[starts]] = np.add.reduceat(values, starts, axis=0)
+        result[records[starts]] = np.add.reduceat(values, starts, axis=0)
         return result
 
     def outputs(self, at: Course) -> Array:
