@@ -653,12 +653,8 @@ def remaining_products(stretches: Arrays) -> Array:
     missing at random. The lag is the most frequent distance from one measured sample to the next:
     an output at a rate of its own may have no two samples within the lags of autoregressions.
     """
-    samples = sum(e.shape[1] for e in stretches)
     shares = []
     for rows in zip(*stretches, strict=True):
         distances = np.concatenate([np.diff(np.flatnonzero(e)) for e in rows])
-        lag = int(np.bincount(distances).argmax()) if distances.size else 1
-        possible = sum(max(len(e) - lag, 0) for e in rows) / samples
-        products = np.count_nonzero(distances == lag)
-        shares.append(products / max(sum(map(np.count_nonzero, rows)) * possible, 1))
+        shares.append(np.bincount(distances).max(initial=0) / max(distances.size, 1))
     return np.clip(shares, 1e-3, 1.0)
