@@ -271,6 +271,7 @@ def _disturbed(
 
 <<<<<<< HEAD
     # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
+<<<<<<< HEAD
     # of more. A third of the samples of six outputs informs as much as all of two outputs.
 =======
     # Of all records together, at least 500 samples of each: a fit would wait for the test of more.
@@ -278,6 +279,12 @@ def _disturbed(
 >>>>>>> s47-misfit
     outputs = max((len(part.outputs) for part, *_ in records), default=1)
     most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
+=======
+    # of more. A third of the samples of six outputs tells as much as all of two, but one at a rate
+    # of its own has few samples in an excerpt.
+    outputs = sum(part.numbers / part.samples for part, *_ in records)
+    most = int(max(6000 / max(outputs, 2 * len(records), 1), 500))
+>>>>>>> s47-large
     return [
         DisturbedRecord(*shortened(part, trajectory, most), name)
         for part, trajectory, name in records
@@ -362,9 +369,13 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
         added = term.added and (term.b, term.added)
         causes.append(Cause(*text, test.factor, test.error, *row, alike=others, added=added))
 
-    # What earlier samples do not predict.
+    # What earlier samples do not predict. An output of too few samples is not tested.
     count = len(group.residuals)
-    innovations = [count / float(weights[0]) ** 2 for weights in group.filters]
+    innovations = [
+        count / float(weights[0]) ** 2
+        for weights, rows in zip(group.filters, group.outputs, strict=True)
+        if any(map(len, rows))
+    ]
     squares = float(np.sum(group.residuals**2)) + TINY
     misfit = Misfit(
         left,

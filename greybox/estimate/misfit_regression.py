@@ -116,8 +116,9 @@ def regression_of_record(
     part, weight, data = record.part, record.weight, record.part.data
     slopes = sensitivity(part, record.trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    # Straight lines and an autoregression leave nothing of fewer samples of an output.
-    is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= 8)
+    # Straight lines and an autoregression leave nothing of fewer samples of an output in a stretch.
+    fewest = 8 * len(data.stretches)
+    is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= fewest)
     present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
     def by_stretch(values: Array) -> Arrays:

@@ -35,7 +35,7 @@ from greybox.statistics.frequency_grid import (
     filtered,
     products,
 )
-from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER, autocovariance, levinson
+from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER, levinson
 from greybox.statistics.variance_components import (
     LEAST,
     variance_components,
@@ -557,7 +557,9 @@ class ResidualSpectra:
         matrices = _positive(means).T + LEAST * np.eye(k)
         size = np.sqrt(np.einsum("bii->bi", matrices).real)
         coherency = matrices / (size[..., None] * size[:, None])
-        gain = self.counts.max() * float(shares @ np.linalg.slogdet(coherency)[1])
+        # Only samples that all outputs have in common show a coherency.
+        common = self.counts.min()
+        gain = common * float(shares @ np.linalg.slogdet(coherency)[1])
         widths = np.diff(starts, append=len(weight))
         density = np.repeat(coherency, widths, axis=0).T * root[:, None] * root
 
@@ -565,7 +567,7 @@ class ResidualSpectra:
             apart,
             density=density,
             taken=self.taken_by(density),
-            score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, self.counts.sum()),
+            score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, k * common),
         )
 
     def taken_by(self, density: NDArray) -> float:
@@ -648,15 +650,11 @@ def remaining_products(stretches: Arrays) -> Array:
     """Return the share (k,) of sample products in which none is missing, at the best lag.
 
     It is near 1 if blocks are missing, or if every n-th sample is measured, and less if samples are
-    missing at random.
+    missing at random. The lag is the most frequent distance from one measured sample to the next:
+    an output at a rate of its own may have no two samples within the lags of autoregressions.
     """
-    measured = [(e != 0).astype(float) for e in stretches]
-    if all(np.all(e) for e in measured):
-        return np.ones(len(measured[0]))
-    complete = autocovariance([np.ones(e.shape[1]) for e in stretches], HIGHEST_ORDER)
-    masks = zip(*measured, strict=True)
-    pairs = np.array([autocovariance(list(rows), HIGHEST_ORDER) for rows in masks])
-    # Above the rounding errors that remain at lags longer than the record.
-    possible = np.flatnonzero(complete > 1e-9)[1:]
-    shares = pairs[:, possible] / complete[possible]
-    return np.clip(shares.max(axis=1, initial=0.0), 1e-3, 1.0)
+    shares = []
+    for rows in zip(*stretches, strict=True):
+        distances = np.concatenate([np.diff(np.flatnonzero(e)) for e in rows])
+        shares.append(np.bincount(distances).max(initial=0) / max(distances.size, 1))
+    return np.clip(shares, 1e-3, 1.0)

@@ -244,6 +244,44 @@ def test_three_samples_of_an_output_do_not_decide():
         assert gb.fit(gb.Problem(Watched(), data), starts=1, progress=False).misfit.explains
 
 
+class Drone(gb.StateSpace):
+    """A drone that tilts, with its drag: its accelerometer, position and rate are measured."""
+
+    states, inputs, outputs = ("angle", "rate", "v", "x"), ("command",), ("a", "x", "rate")
+    stiffness = gb.Parameter(64.0, bounds=(1, 1000))
+    damping = gb.Parameter(11.0, bounds=(0, 100))
+    drag = gb.Parameter(0.3, bounds=(0, 3))
+
+    def derivative(self, x, u, p):
+        turning = p.stiffness * (u.command - x.angle) - p.damping * x.rate
+        return (x.rate, turning, -9.81 * x.angle - p.drag * x.v, x.v)
+
+    def output(self, x, u, p):
+        return (-p.drag * x.v, x.x, x.rate)
+
+
+def test_a_position_once_a_second_neither_widens_errors_nor_looks_like_a_misfit():
+    random, time = np.random.default_rng(0), np.arange(0, 32, 0.01)
+    flown = gb.Record(time, {"command": 0.2 * np.sin(0.5 * time**1.3)}, hold={"command": np.inf})
+    rest = dict.fromkeys(Drone().states, 0.0)
+    exact = gb.simulate(Drone(), {}, flown, initial=rest)
+    signals = {
+        name: exact[name] + sigma * random.normal(size=time.size)
+        for name, sigma in {"a": 0.05, "x": 0.3, "rate": 0.02}.items()
+    }
+    signals["x"][np.arange(time.size) % 100 != 0] = np.nan
+    record = flown.with_signals(**signals)
+    criterion = gb.OutputError(initial=rest)
+    fit = gb.fit(gb.Problem(Drone(), record, criterion), starts=1, progress=False)
+    assert fit.misfit.explains_here
+    assert not fit.misfit.is_drifting
+    others = {name: record[name] for name in ("command", "a", "rate")}
+    without = gb.Record(time, others, hold=record.hold)
+    fewer = gb.fit(gb.Problem(Drone(), without, criterion), starts=1, progress=False)
+    for name, error in fit.standard_error.items():
+        assert error < 1.1 * fewer.standard_error[name]
+
+
 @pytest.mark.parametrize("plant", [Spring, Wavy])
 def test_rounding_that_repeats_with_the_inputs_is_no_misfit(plant):
     time = STEP * np.arange(600)

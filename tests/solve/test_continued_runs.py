@@ -131,11 +131,11 @@ def test_ipopt_too_begins_near_the_data_where_initial_states_are_hardly_seen():
 
 
 def test_an_alias_of_the_integrator_is_no_answer():
-    # 101 and 76 turn four substeps of RK4 a sample into a slow pole, with the cost and response of
+    # 101 and 76 turn 64 substeps of RK4 a sample into a slow pole, with the cost and response of
     # the true values.
     starts = [{"k1": 101.0, "k2": 76.0}, {"k1": 1.0, "k2": 1.0}]
     options = {
-        "method": gb.MultipleShooting(integrator=gb.RungeKutta()),
+        "method": gb.MultipleShooting(integrator=gb.RungeKutta(64)),
         "progress": False,
         "profiles": False,
     }

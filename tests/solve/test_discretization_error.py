@@ -80,8 +80,8 @@ def test_the_numbers_of_substeps_that_are_proposed_lead_to_enough(few):
 
 
 def test_where_the_cap_is_reached_the_proposed_number_of_substeps_is_enough():
-    """With noise of a millionth, the number of substeps that the warning proposes is enough."""
-    record = swung(step=0.8, noise=1e-6, n=30)
+    """With hardly any noise, the number of substeps that the warning proposes is enough."""
+    record = swung(step=1.6, noise=1e-8, n=30)
     (said,) = coarse_warnings(record)
     assert "Radau()" in said
     assert not coarse_warnings(record, gb.RungeKutta(int(PROPOSED.search(said)[1])))

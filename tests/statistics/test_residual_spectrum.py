@@ -535,12 +535,16 @@ def test_missing_samples_multiply_covariances_by_their_share():
 def test_the_best_lag_tells_which_share_of_the_products_is_left():
     e = np.ones((4, 20))
     e[1, 1::2] = 0.0  # every other one: all products two samples apart
-    e[2, 4:] = 0.0  # of neighbors 3 are left for 4 samples, of 19 for 20
+    e[2, 4:] = 0.0  # a shorter record
     e[3] = 0.0
-    assert_allclose(remaining_products([e]), [1.0, 1.0, 3 / 4 * 20 / 19, 1e-3])
+    assert_allclose(remaining_products([e]), [1.0, 1.0, 1.0, 1e-3])
     random = np.where(np.random.default_rng(3).random((1, 4000)) < 0.6, 1.0, 0.0)
     assert remaining_products([random, random[:, :1500]])[0] == pytest.approx(0.6, abs=0.05)
     assert remaining_products([e[:1], e[:1, :7]]).tolist() == [1.0]
+    slow = np.where(np.arange(1950) % 100 == 0, 1.0, 0.0)[
+        None
+    ]  # beyond all lags of autoregressions
+    assert remaining_products([slow, slow[:, :950]]).tolist() == [1.0]
 
 
 def test_slow_parts_are_exponentials_in_white_noise():
