@@ -269,22 +269,11 @@ def _disturbed(
         if part.model.has_time
     ]
 
-<<<<<<< HEAD
-    # Excerpts of all records together, at least 500 samples of each: a fit would wait for the test
-<<<<<<< HEAD
-    # of more. A third of the samples of six outputs informs as much as all of two outputs.
-=======
     # Of all records together, at least 500 samples of each: a fit would wait for the test of more.
-    # A third of the samples of six outputs tells as much as all of two.
->>>>>>> s47-misfit
-    outputs = max((len(part.outputs) for part, *_ in records), default=1)
-    most = max(min(3000, 6000 // outputs) // max(len(records), 1), 500)
-=======
-    # of more. A third of the samples of six outputs tells as much as all of two, but one at a rate
-    # of its own has few samples in an excerpt.
+    # A third of the samples of six outputs tells as much as all of two, but one at a rate of its
+    # own has few numbers among them.
     outputs = sum(part.numbers / part.samples for part, *_ in records)
     most = int(max(6000 / max(outputs, 2 * len(records), 1), 500))
->>>>>>> s47-large
     return [
         DisturbedRecord(*shortened(part, trajectory, most), name)
         for part, trajectory, name in records
