@@ -153,10 +153,8 @@ class SampledData:
 
     def unpadded(self, values: Array) -> list[Array]:
         """Cut (r, samples) into the samples of every stretch."""
-        parts = np.split(values, self.first_samples[1:], axis=-1)
-        return [
-            part[..., : len(stretch)] for part, stretch in zip(parts, self.stretches, strict=True)
-        ]
+        pairs = zip(self.first_samples, self.stretches, strict=True)
+        return [values[..., first : first + len(stretch)] for first, stretch in pairs]
 
     @property
     def measured(self) -> Array:

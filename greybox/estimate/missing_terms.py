@@ -262,7 +262,9 @@ NEAR_HALF = 0.6
 # Shares of the samples below stops and overflows, which act seldom.
 STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
-PARTS = 20  # of a record, in each of which the best beginning of a load is tried
+# Parts of a record, in each of which the best beginning of a load is looked for, and how many of
+# these, the likeliest ones, are simulated: that of all would take a fifth of the test's time.
+PARTS, BEGINNINGS = 20, 5
 LATER = {"offset": "jump", "constant": "load", "input offset": "input load"}  # kinds of these
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 KNOTS, FINE = 11, 41  # of functions, and of those of inputs, which an actuator may quantize
@@ -314,6 +316,8 @@ class Term:
         zero for the values themselves.
     tries : int
         Number of samples from which the residuals chose that of the term.
+    is_likely : bool
+        Whether the term is worth a simulation in this record. It counts as tried without, too.
     """
 
     kind: str
@@ -332,6 +336,7 @@ class Term:
     levels: tuple[float, ...] = ()
     knots: int = 0
     tries: int = 1
+    is_likely: bool = True
 
     @property
     def start(self) -> Array:
@@ -448,9 +453,16 @@ def _of_loads(record: DisturbedRecord, constants: Constants) -> Iterator[Term]:
     tries = 1 + len(time) // PARTS
     for constant, effect in zip(constants.terms, constants.effects.swapaxes(0, 1), strict=True):
         if kind := LATER.get(constant.kind):
-            for level in time[_onsets(record, effect)].tolist():
-                later = 1.0 * (time >= level)
-                yield replace(constant, kind=kind, values=later, level=level, tries=tries)
+            for sample, is_likely in _onsets(record, effect):
+                level = float(time[sample])
+                yield replace(
+                    constant,
+                    kind=kind,
+                    values=1.0 * (time >= level),
+                    level=level,
+                    tries=tries,
+                    is_likely=is_likely,
+                )
 
 
 def _time(record: DisturbedRecord) -> Array:
@@ -458,10 +470,11 @@ def _time(record: DisturbedRecord) -> Array:
     return record.part.data.at_samples(record.part.model.record.time)[0]
 
 
-def _onsets(record: DisturbedRecord, effect: Array) -> list[int]:
+def _onsets(record: DisturbedRecord, effect: Array) -> list[tuple[int, bool]]:
     """Return for each part of the record where a constant of this effect (k, samples) may begin.
 
-    From a later sample on, the effect is that from the first one, shifted.
+    From a later sample on, the effect is that from the first one, shifted. The second value is true
+    for the likeliest samples of all.
     """
     # Slow errors, an offset and a trend hardly change from sample to sample.
     e, effect = np.diff([record.residuals * record.present, effect], prepend=0)
@@ -470,7 +483,10 @@ def _onsets(record: DisturbedRecord, effect: Array) -> list[int]:
     along = sum(np.correlate(*pair, "full")[n - 1 :] for pair in pairs)
     following = np.cumsum(np.sum(weight * effect**2, axis=0))[::-1]
     parts = np.array_split(np.arange(n), min(PARTS, n))
-    return [part[np.argmax((along**2 / (following + 1e-300))[part])] for part in parts]
+    share = along**2 / (following + 1e-300)
+    best = [part[np.argmax(share[part])] for part in parts]
+    least = np.sort(share[best])[-BEGINNINGS:][0]
+    return [(sample, share[sample] >= least) for sample in best]
 
 
 def _along(samples: int) -> list[Array]:

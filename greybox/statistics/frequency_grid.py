@@ -137,10 +137,7 @@ class FrequencyGrid:
 
 def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
     """Return the product of a density (k, k, f) and transforms (k, p, f) at each frequency."""
-    result = density[:, 0, None] * transform[0]
-    for j in range(1, len(transform)):
-        result += density[:, j, None] * transform[j]
-    return result
+    return np.einsum("ijf,jpf->ipf", density, transform)
 
 
 def products(a: Array, b: Array) -> Array:
