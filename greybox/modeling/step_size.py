@@ -23,8 +23,8 @@ from greybox.files.arrays import Array, ComplexArray, positive_or_one
 
 # Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 256 · 2.7 = 690
 # per sample; a model with faster ones is stiff, and the implicit `Radau` takes fewer steps. A fit
-# with these takes as long as one with 1400 explicit substeps for a motor of two states, with 500
-# for a rod of 40, and with about 180 for one of 100.
+# with these takes as long as one with 1400 explicit substeps for a motor of two states, and with
+# 500 for a rod of 40.
 MOST_SUBSTEPS = 256
 # A repetition builds and runs everything anew, so it should at least halve the steps.
 LEAST_GROWTH = 2
