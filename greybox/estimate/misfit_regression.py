@@ -45,7 +45,7 @@ OF_RESPONSES = 0.01
 TINY = 1e-300
 NOTHING = 1e-200  # in place of a modeled response of zero: the square of its effects is zero
 STEP = 1e-6  # of the numbers of a term, for derivatives
-# Share of the motion from sample to sample by which larger steps may miss it.
+# Share of an output by which a simulation by larger steps may miss it: so little do terms differ.
 FOLLOWED = 0.1
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
@@ -263,9 +263,9 @@ def shortened(
     coarse = part.with_data(part.data.thinned(-(-part.samples // samples)))
     simulated = coarse.simulated_outputs(along(coarse))
     exact = chosen(coarse, part.simulated_outputs(trajectory))
-    moved = np.std(np.diff(exact), axis=1)
+    missed, moved = np.std(simulated - exact, axis=1), np.std(exact, axis=1)
     # The gains of a predictor belong to its step.
-    if not part.gains and np.all(np.std(simulated - exact, axis=1) < FOLLOWED * moved):
+    if not part.gains and np.all(missed < FOLLOWED * moved):
         # With the residuals that the whole part has there.
         coarse = coarse.with_outputs(coarse.data.unpadded(coarse.data.measured + simulated - exact))
         return coarse, along(coarse)

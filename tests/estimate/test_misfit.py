@@ -1483,7 +1483,7 @@ class Drive(gb.StateSpace):
 
 class Dry(Drive):
     def derivative(self, x, u, p):
-        v, a = super().derivative(x, u, p)
+        v, a = Drive.derivative(self, x, u, p)
         return (v, a - 0.4 * gb.tanh(x.v / 0.01) / p.m)
 
 
@@ -1495,6 +1495,29 @@ def test_dry_friction_is_named_also_in_a_record_of_many_samples():
     q = gb.simulate(Dry(), {"m": 1.0, "d": 2.0}, flight)["q"]
     noise = 2e-3 * np.random.default_rng(0).normal(size=time.size)
     problem = gb.Problem(Drive(), flight.with_signals(q=q + noise))
+    misfit = gb.fit(problem, starts=[{}], progress=False, profiles=False).misfit
+    assert not misfit.explains
+    assert "sign(v) in the equation of v" in [cause.text for cause in misfit.likely[:2]]
+
+
+class Tachometer(Drive):
+    outputs = ("q", "v")
+
+    def output(self, x, u, p):
+        return (x.q, x.v)
+
+
+class DryTachometer(Tachometer):
+    derivative = Dry.derivative
+
+
+def test_dry_friction_is_named_also_where_steps_lie_between_the_chosen_samples():
+    random, time = np.random.default_rng(0), 0.001 * np.arange(16_000)
+    force = np.repeat([2.0, -1.0, 0.5, -2.0, 1.5, 0.0, -0.5, 1.0], 2003)[: time.size]
+    flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
+    exact = gb.simulate(DryTachometer(), {"m": 1.0, "d": 2.0}, flight)
+    signals = {name: exact[name] + 0.03 * random.normal(size=time.size) for name in ("q", "v")}
+    problem = gb.Problem(Tachometer(), flight.with_signals(**signals))
     misfit = gb.fit(problem, starts=[{}], progress=False, profiles=False).misfit
     assert not misfit.explains
     assert "sign(v) in the equation of v" in [cause.text for cause in misfit.likely[:2]]
