@@ -541,9 +541,8 @@ def test_the_best_lag_tells_which_share_of_the_products_is_left():
     random = np.where(np.random.default_rng(3).random((1, 4000)) < 0.6, 1.0, 0.0)
     assert remaining_products([random, random[:, :1500]])[0] == pytest.approx(0.6, abs=0.05)
     assert remaining_products([e[:1], e[:1, :7]]).tolist() == [1.0]
-    slow = np.where(np.arange(1950) % 100 == 0, 1.0, 0.0)[
-        None
-    ]  # beyond all lags of autoregressions
+    # The distance is beyond all lags of autoregressions.
+    slow = np.where(np.arange(1950) % 100 == 0, 1.0, 0.0)[None]
     assert remaining_products([slow, slow[:, :950]]).tolist() == [1.0]
 
 
