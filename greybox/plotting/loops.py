@@ -76,12 +76,9 @@ def loop_figures(margins: Margins) -> list[Figure]:
         size, angle = data.decibels, data.degrees
         # Both phases in the same turn.
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
-        columns = [(data.omega, size), (data.omega, angle), (angle, size)]
-        bars = error_bars(data, np.array([size, angle]))
-        looks: list[Fields] = [
-            by_name(("x", "y", "low", "high"), (*column, *ends))
-            for column, ends in zip(columns, [*bars, bars[0]], strict=True)
-        ]
+        sizes, angles = error_bars(data, np.array([size, angle]))
+        columns = [(data.omega, size, *sizes), (data.omega, angle, *angles), (angle, size, *sizes)]
+        looks: list[Fields] = [by_name(("x", "y", "low", "high"), column) for column in columns]
         looks.append(in_plane(data, margins.level))
         for series, look in zip(curves, looks, strict=True):
             series.append(Series(data.name or "measured", "points", color=k, style=k, **look))

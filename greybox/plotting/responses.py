@@ -90,7 +90,7 @@ def drawn_responses(
     curves = [[drawn for drawn in group if not drawn.is_measured] for group in groups]
     distinct = list(map(_distinct, curves))
     # One curve for several data sets must not have the color of one of them.
-    is_shared = any(len(fewer) < len(group) for group, fewer in zip(curves, distinct, strict=True))
+    is_shared = sum(map(len, distinct)) < sum(map(len, curves))
     is_plain = is_shared or len(data) <= 1
     colors = {} if is_plain else {checksum: k for k, checksum in enumerate(data)}
     drawn = []
