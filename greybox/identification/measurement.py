@@ -443,13 +443,12 @@ def _estimated(
     if sines:
         if settings.conditioned:
             raise ValueError("conditioned=... is for sweeps and noise, and the tests are sines.")
-        setpoint = SETPOINT if SETPOINT in record.signals else ""
         estimate = finite_frequency(
             record,
             sines,
             input=u,
             output=y,
-            setpoint=setpoint,
+            setpoint=settings.setpoint and SETPOINT,
             settle=settings.settle,
         )
         about = dict(estimate.response.about)

@@ -8,6 +8,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Fields, Interval, Labels
+from greybox.files.text_table import number
 from greybox.plotting.figure import Figure, Panel, outlined
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
@@ -90,8 +91,7 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
     for drawn in responses:
         response = drawn.response
         if drawn.is_measured:
-            # Three digits, without exponent where that is readable.
-            labels = [f"{float(f'{omega:.3g}'):g}" for omega in np.sort(response.omega)]
+            labels = [number(omega, 3) for omega in np.sort(response.omega)]
             series.append(drawn.series(**in_plane(response, level), labels=labels))
         else:
             series.append(drawn.series(response.alpha, response.beta))

@@ -52,13 +52,11 @@ class DrawnResponse:
         self,
         x: Array,
         y: Array,
-        low: Array | None = None,
-        high: Array | None = None,
         **more: Any,
     ) -> Series:
         """Return points or a curve with this look; `more` are other fields of `Series`."""
         kind = "points" if self.is_measured else "line"
-        return Series(self.label, kind, x, y, self.color, self.style, low, high, **more)
+        return Series(self.label, kind, x, y, self.color, self.style, **more)
 
 
 def drawn_responses(

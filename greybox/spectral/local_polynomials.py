@@ -538,7 +538,7 @@ def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Ar
     """
     gain = np.log(alone / spread)  # from instrument to input, of the power
     change = np.zeros_like(gain)
-    if gain.size > BESIDE and input_noise.any():
+    if gain.size > BESIDE:
         for k, away in enumerate(np.log(omega / omega[:, None])):
             near = np.argsort(np.abs(away))[1 : 1 + BESIDE]
             change[k] = gain[k] - np.polyfit(away[near], gain[near], 1)[1]
@@ -549,9 +549,6 @@ def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Ar
 
 def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
     """Return the noise density in a band, by its residuals and those beside, and its dof."""
-    if band.number >= NEIGHBORHOOD:
-        return band.squares / band.number, 2 * band.number
-
     table = np.array(
         [(math.log(b.fitted.center / band.fitted.center), b.squares, b.number) for b in bands]
     )

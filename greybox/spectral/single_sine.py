@@ -97,9 +97,7 @@ def finite_frequency(
             f"the segments are of several axes ({', '.join(axes)}): choose one by segment.axis."
         )
 
-    signals = np.stack(
-        [record[name] for name in ((input, output, setpoint) if setpoint else (input, output))]
-    )
+    signals = np.stack([record[name] for name in (input, output, setpoint) if name])
 
     # Only samples that all signals have: a ratio needs both sides at the same time.
     present = np.isfinite(signals).all(axis=0)

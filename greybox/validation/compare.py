@@ -29,7 +29,7 @@ from greybox.validation.same_data import (
     shared_data,
     why_not_comparable,
 )
-from greybox.validation.significance import verdicts
+from greybox.validation.significance import residuals_not_white, verdicts, which_likelihood
 
 
 def compare(
@@ -121,14 +121,10 @@ def compare(
     for kind, of_fits in predictions.items():
         rows += prediction_rows(kind, of_fits, fits)
     statements, tests = verdicts(
-        fits,
-        names,
-        predictions,
-        same_data=not different,
-        comparable=not not_comparable,
-        likelihoods=likelihoods,
-        aic=_known("AIC", rows),
+        fits, names, predictions, same_data=not different, aic=_known("AIC", rows)
     )
+    statements += [] if not_comparable else residuals_not_white(fits, names)
+    statements += [which_likelihood(names, likelihoods)] if likelihoods else []
     notes = [*not_held_out(fits, names, held_out), *notes]
     if not_comparable and not different:
         what = "Costs, AIC and BIC" if likelihoods is None else "Costs"
