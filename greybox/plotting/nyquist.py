@@ -130,7 +130,7 @@ def in_plane(response: FrequencyResponse, level: float | None) -> Fields:
         "notes": [f"{value:.4g} at {omega:.4g} rad/s" for value, omega in values],
     }
     if level is not None and response.variance is not None:
-        dof = np.full(len(response), np.inf) if response.dof is None else response.dof
+        dof = [np.inf] if response.dof is None else response.dof
         sizes = np.array([radius(level, value) for value in dof])
         radii = sizes * response.relative_error * np.abs(response.response)
         look |= {"low": y - radii, "high": y + radii}
