@@ -20,7 +20,7 @@ from greybox.validation.held_out import (
     predict_same_windows,
     window_lengths,
 )
-from greybox.validation.measures import common_likelihood, fit_rows, prediction_rows
+from greybox.validation.measures import fit_rows, prediction_rows
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     check_fits,
@@ -114,10 +114,7 @@ def compare(
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)
 
-    likelihoods = None if different else common_likelihood(fits, comparable=not not_comparable)
-    rows = fit_rows(
-        fits, same_data=not different, comparable=not not_comparable, likelihoods=likelihoods
-    )
+    rows, likelihoods = fit_rows(fits, same_data=not different, comparable=not not_comparable)
     for kind, of_fits in predictions.items():
         rows += prediction_rows(kind, of_fits, fits)
     statements, tests = verdicts(
