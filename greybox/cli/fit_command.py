@@ -1,10 +1,8 @@
 """The command `greybox fit`: a problem from many starts."""
 
 import argparse
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, save_figure
@@ -16,6 +14,7 @@ from greybox.estimate.fit import SolverChoice, fit_with_storage
 from greybox.estimate.printed import summary
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
+from greybox.files.arrays import Fields
 from greybox.files.text_table import counted
 from greybox.solve.interruption import (
     Interrupted,
@@ -75,14 +74,15 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force or continues)
     end = end_after(options.seconds)
     with limited(end), building():
-        make = _stated_fit(options)
+        stated = _stated_fit(options)
     store = nullcontext() if options.out is None else runs_beside(options.out)
     with store as stored, stated_executor(options) as executor, limited(end):
-        return _answer(options, stored, *_fitted(partial(make, executor=executor), stored, options))
+        stated["executor"] = executor
+        return _answer(options, stored, *_fitted(stored, stated, options))
 
 
-def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
-    """Return a function that fits the problem, given a store of runs and an executor."""
+def _stated_fit(options: argparse.Namespace) -> Fields:
+    """Return the arguments of `fit_with_storage` that the options state."""
     # A problem file suggests starts and seed; the command line has the last word.
     problem, settings = problem_of(options)
     responses = problem.parts_with(FrequencyResponse)
@@ -92,17 +92,15 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
     by = SolverChoice(settings.pop("method", None), options.search)
-    return partial(
-        fit_with_storage, problem=problem, by=by, profiles=not options.no_profiles, **settings
-    )
+    return {"problem": problem, "by": by, "profiles": not options.no_profiles, **settings}
 
 
 def _fitted(
-    make: Callable[..., Fit], stored: StoredRuns | None, options: argparse.Namespace
+    stored: StoredRuns | None, stated: Fields, options: argparse.Namespace
 ) -> tuple[Fit, bool]:
     """Return the fit, or the best one so far after Ctrl-C, and whether it was interrupted."""
     try:
-        return make(stored), False
+        return fit_with_storage(stored, **stated), False
     except Interrupted as stopped:
         if stopped.fit is None:
             raise
@@ -115,7 +113,7 @@ def _fitted(
             ) from error
         # A user who allows a fit to be overwritten with --force also allows its runs to be lost.
         stored.remove()
-        return _fitted(make, stored, options)
+        return _fitted(stored, stated, options)
 
 
 def _answer(

@@ -77,7 +77,6 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     tables = [name for name, item in fits.items() if not isinstance(item, Fit)]
-    is_fit = not tables
     others = len(fits) > len(tables)
     if tables and (others or options.log or options.report or options.plot):
         raise UsageError(
@@ -87,7 +86,7 @@ def run(options: argparse.Namespace) -> Answer:
     first = next(iter(fits.values()))
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
-    is_single = is_fit and len(fits) == 1
+    is_single = len(fits) == 1 and not tables
     log = flight_log(first, options.results[0], options) if is_single else None
     if log:
         flown = shipped_module("models", "firmware").loop_of_log(
@@ -104,7 +103,7 @@ def run(options: argparse.Namespace) -> Answer:
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
     else:
-        controllers = stated_controllers(options) if options.controller or is_fit else None
+        controllers = stated_controllers(options) if options.controller or not tables else None
         labeled = [
             (label, margins(fit, controllers, broken_at=place, **settings))
             for label, fit in fits.items()

@@ -78,5 +78,5 @@ def selection_json(selection: Selection) -> dict[str, Any]:
         }
         for candidate, bic in zip(selection.candidates, selection.bic, strict=True)
     ]
-    fit = summary(selection.fit) if selection.fit is not None else None
+    fit = selection.fit and summary(selection.fit)
     return {"structures": structures, **attributes(selection, "explains", "verdict"), "fit": fit}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, updated
@@ -84,9 +85,7 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     grid = time  # a log of every pass has the samples themselves, whatever its time stamps
     if controller.rate > THINNED * record.rate:
         grid = time[0] + np.arange(math.ceil(record.duration * controller.rate)) / controller.rate
-        for n, values in signals.items():
-            spline = ca.interpolant("s", "bspline", [time], values)
-            signals[n] = np.asarray(spline(grid)).ravel()
+        signals = {n: CubicSpline(time, values)(grid) for n, values in signals.items()}
     simulate = _compiled(controller).mapaccum("flown", len(grid))
 
     # After a second, filters have forgotten that they began at zero.

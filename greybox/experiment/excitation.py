@@ -143,9 +143,7 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
 
     schedule = []
     clock = pause
-    for w, eta, count in zip(
-        frequencies.tolist(), amplitudes.tolist(), counts.tolist(), strict=True
-    ):
+    for w, eta, count in np.column_stack([frequencies, amplitudes, counts]).tolist():
         period = 2 * math.pi / w
         # Whole periods of settling keep the phase of the analyzed sine at zero.
         lead = round_up(lead_in / period) * period

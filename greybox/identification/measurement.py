@@ -193,8 +193,6 @@ class Measurement:
     response : FrequencyResponse or None
         None if it was refused; `quality` has the reason.
     quality : Quality
-    choices : tuple of str
-        What was chosen and dropped, and why.
     filters : mapping of str to tuple of KnownFilter
         Filters of the flight controller by name, if the log has their parameters.
     controller : str
@@ -212,11 +210,40 @@ class Measurement:
     record: Record
     response: FrequencyResponse | None
     quality: Quality
-    choices: Strings
     filters: KnownFilters
     controller: str
     detail: str
     linear: Mapping[Orders, LinearFit]
+
+    @property
+    def choices(self) -> Strings:
+        """What was chosen and dropped, and why."""
+        loop = "open loop, as stated" if self.settings.open_loop else loop_text(self.controller)
+        if self.used and self.used[0].kind == "sine":
+            estimate = (
+                "amplitudes at the frequency of the excitation, whose ratio feedback does not bias."
+            )
+        elif self.settings.period:
+            estimate = "averages over whole periods: the more periods, the less bias by feedback."
+        elif INSTRUMENT in self.signals:
+            estimate = (
+                "joint input-output estimate with the instrument "
+                f"{self.signals[INSTRUMENT]}. {FEEDBACK}."
+            )
+        else:
+            estimate = (
+                "direct estimate; in a closed loop, give the injected signal for the joint "
+                "estimate, instrument=..."
+            )
+
+        choices = [f"{loop}: {estimate}"]
+        conditioned = ", ".join(self.settings.conditioned)
+        if conditioned:
+            choices.append(f"conditioned: the effect of {conditioned} is removed.")
+        about = self.response.about if self.response else {}
+        for name in ("dropped", "left out", "converted", "refined", HOLD):
+            choices += [f"{name}: {about[name]}."] if name in about else []
+        return tuple(choices)
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))
@@ -301,7 +328,6 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     if response is not None:
         about = _about(recording, record, response, signals, filters, used, settings)
         response = replace(response, about=about)
-    choices = _choices(settings, used, controller, signals, response)
     return Measurement(
         settings,
         tests,
@@ -310,7 +336,6 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         record,
         response,
         quality,
-        choices,
         filters,
         controller,
         detail,
@@ -443,13 +468,12 @@ def _estimated(
     if sines:
         if settings.conditioned:
             raise ValueError("conditioned=... is for sweeps and noise, and the tests are sines.")
-        setpoint = SETPOINT if SETPOINT in record.signals else ""
         estimate = finite_frequency(
             record,
             sines,
             input=u,
             output=y,
-            setpoint=setpoint,
+            setpoint=settings.setpoint and SETPOINT,
             settle=settings.settle,
         )
         about = dict(estimate.response.about)
@@ -601,38 +625,3 @@ def _conversions(recording: Recording, signals: NamedStrings) -> list[str]:
             half = f" with half a step of {STEP} {unit}, which the log truncates" if cut else ""
             changed.append(f"{name} from {unit} to {conversion.si}{half}")
     return changed
-
-
-def _choices(
-    settings: Settings,
-    used: Sequence[Segment],
-    controller: str,
-    signals: NamedStrings,
-    response: FrequencyResponse | None,
-) -> Strings:
-    loop = "open loop, as stated" if settings.open_loop else loop_text(controller)
-    if used and used[0].kind == "sine":
-        estimate = (
-            "amplitudes at the frequency of the excitation, whose ratio feedback does not bias."
-        )
-    elif settings.period:
-        estimate = "averages over whole periods: the more periods, the less bias by feedback."
-    elif INSTRUMENT in signals:
-        estimate = (
-            f"joint input-output estimate with the instrument {signals[INSTRUMENT]}. {FEEDBACK}."
-        )
-    else:
-        estimate = (
-            "direct estimate; in a closed loop, give the injected signal for the joint estimate, "
-            "instrument=..."
-        )
-
-    choices = [f"{loop}: {estimate}"]
-    if settings.conditioned:
-        choices.append(f"conditioned: the effect of {', '.join(settings.conditioned)} is removed.")
-    if response is not None:
-        names = [
-            n for n in ("dropped", "left out", "converted", "refined", HOLD) if n in response.about
-        ]
-        choices += [f"{name}: {response.about[name]}." for name in names]
-    return tuple(choices)

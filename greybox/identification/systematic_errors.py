@@ -192,8 +192,7 @@ def _rounded(
 def _motion(recording: Recording, steps: float, control: Array, span: Interval) -> float:
     """Return the standard deviation of the quietest motor in steps, at least by the control."""
     by_control = steps * float(np.std(control))
-    outputs = motor_outputs(recording, *span)
-    logged = () if outputs is None else outputs.signals.values()
+    logged = motor_outputs(recording, *span).values()
     return max(by_control, min((float(np.std(values)) for values in logged), default=0.0))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Labels, StringPair
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Fields, Labels, StringPair
 from greybox.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import (
@@ -88,7 +88,7 @@ def bode_figure(
             # Bands first: they are drawn below all curves and points.
             if drawn.band is not None:
                 curves[k].insert(0, _band(drawn, k, values[k]))
-            curves[k].append(drawn.series(omega, values[k], *ends))
+            curves[k].append(drawn.series(omega, values[k], **ends))
 
     # Steps of an axis in degrees: multiples of 45 and 90 are where margins are read.
     panels = [
@@ -132,7 +132,7 @@ def _error_panels(
                 data = replace(data, color=curves[0].color)
             values = np.array([_decibel(error), np.degrees(np.angle(error))])
             for k, ends in enumerate(error_bars(part.data, values)):
-                series = data.series(part.data.omega, values[k], *ends)
+                series = data.series(part.data.omega, values[k], **ends)
                 # Where colors are alike, hollow points tell a second fit from the first.
                 points[k].append(replace(series, is_hollow=number > 0))
 
@@ -177,15 +177,18 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     return band(drawn.label, omega, middle - half_width, middle + half_width, drawn.color)
 
 
-def error_bars(data: FrequencyResponse, values: Array) -> list[tuple[Array | None, Array | None]]:
+def error_bars(data: FrequencyResponse, values: Array) -> list[Fields]:
     """Return the ends of bars around magnitudes in dB and phases in degrees, `values` (2, n)."""
     if data.variance is None:
-        return [(None, None)] * 2
+        return [{}, {}]
     relative = data.relative_error
     # A bar that reaches zero would be infinite in dB: 20 dB to either side at most.
     down, up = (_decibel(1 + np.clip(sign * relative, -0.9, 9.0)) for sign in (-1, 1))
     turn = np.degrees(np.minimum(relative, np.pi))
-    return [(values[0] + down, values[0] + up), (values[1] - turn, values[1] + turn)]
+    return [
+        {"low": values[0] + down, "high": values[0] + up},
+        {"low": values[1] - turn, "high": values[1] + turn},
+    ]
 
 
 # --- phases

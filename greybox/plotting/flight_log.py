@@ -8,6 +8,7 @@ import numpy as np
 from greybox.data.record import Record, Recording, median_step, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, Labels
+from greybox.files.grouping import grouped
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
 from greybox.plotting.long_lines import drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -61,8 +62,7 @@ def traces(
     # One color for each signal: a panel may contain several.
     colors = {name: k for k, name in enumerate(record.signals)}
     panels = []
-    for unit in dict.fromkeys(record.units.get(name, "") for name in record.signals):
-        names = [name for name in record.signals if record.units.get(name, "") == unit]
+    for names in grouped(record.signals, lambda name: record.units.get(name, "")):
         factor, degrees = shown_unit(record.units, names[0])
         series = [
             signal_line(name, record.time, factor * record[name], colors[name]) for name in names

@@ -8,7 +8,7 @@ from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
-from greybox.files.arrays import Array, Fields, by_name
+from greybox.files.arrays import Array, Fields
 from greybox.plotting.bode import BARS, error_bars
 from greybox.plotting.figure import (
     ANGLES,
@@ -76,13 +76,13 @@ def loop_figures(margins: Margins) -> list[Figure]:
         size, angle = data.decibels, data.degrees
         # Both phases in the same turn.
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
-        columns = [(data.omega, size), (data.omega, angle), (angle, size)]
-        bars = error_bars(data, np.array([size, angle]))
+        sizes, angles = error_bars(data, np.array([size, angle]))
         looks: list[Fields] = [
-            by_name(("x", "y", "low", "high"), (*column, *ends))
-            for column, ends in zip(columns, [*bars, bars[0]], strict=True)
+            {"x": data.omega, "y": size, **sizes},
+            {"x": data.omega, "y": angle, **angles},
+            {"x": angle, "y": size, **sizes},
+            in_plane(data, margins.level),
         ]
-        looks.append(in_plane(data, margins.level))
         for series, look in zip(curves, looks, strict=True):
             series.append(Series(data.name or "measured", "points", color=k, style=k, **look))
 

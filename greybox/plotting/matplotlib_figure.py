@@ -2,7 +2,6 @@
 
 import io
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -172,15 +171,13 @@ def _draw_panels(
     """Draw all panels, and return the figures with their axes."""
     if hz:
         figures = [in_hertz(figure) for figure in figures]
-    places = [(axes, figures[0])]
-    if len(figures) > 1:  # panels side by side are figures of their own
-        single = [replace(figure, panels=[panel]) for figure in figures for panel in figure.panels]
-        places = [(axes[k : k + 1], figure) for k, figure in enumerate(single)]
-
-    for place, figure in places:
+    places = []
+    for figure in figures:
+        place, axes = np.split(axes, [len(figure.panels)])
         for ax, panel in zip(place, figure.panels, strict=True):
             _draw_panel(ax, figure, panel)
         _horizontal_axis(place, figure)
+        places.append((place, figure))
 
     return places
 

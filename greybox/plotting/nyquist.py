@@ -8,6 +8,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Fields, Interval, Labels
+from greybox.files.text_table import number
 from greybox.plotting.figure import Figure, Panel, outlined
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
@@ -90,8 +91,7 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
     for drawn in responses:
         response = drawn.response
         if drawn.is_measured:
-            # Three digits, without exponent where that is readable.
-            labels = [f"{float(f'{omega:.3g}'):g}" for omega in np.sort(response.omega)]
+            labels = [number(omega, 3) for omega in np.sort(response.omega)]
             series.append(drawn.series(**in_plane(response, level), labels=labels))
         else:
             series.append(drawn.series(response.alpha, response.beta))
@@ -130,7 +130,7 @@ def in_plane(response: FrequencyResponse, level: float | None) -> Fields:
         "notes": [f"{value:.4g} at {omega:.4g} rad/s" for value, omega in values],
     }
     if level is not None and response.variance is not None:
-        dof = np.full(len(response), np.inf) if response.dof is None else response.dof
+        dof = [np.inf] if response.dof is None else response.dof
         sizes = np.array([radius(level, value) for value in dof])
         radii = sizes * response.relative_error * np.abs(response.response)
         look |= {"low": y - radii, "high": y + radii}

@@ -52,13 +52,11 @@ class DrawnResponse:
         self,
         x: Array,
         y: Array,
-        low: Array | None = None,
-        high: Array | None = None,
         **more: Any,
     ) -> Series:
         """Return points or a curve with this look; `more` are other fields of `Series`."""
         kind = "points" if self.is_measured else "line"
-        return Series(self.label, kind, x, y, self.color, self.style, low, high, **more)
+        return Series(self.label, kind, x, y, self.color, self.style, **more)
 
 
 def drawn_responses(
@@ -90,7 +88,7 @@ def drawn_responses(
     curves = [[drawn for drawn in group if not drawn.is_measured] for group in groups]
     distinct = list(map(_distinct, curves))
     # One curve for several data sets must not have the color of one of them.
-    is_shared = any(len(fewer) < len(group) for group, fewer in zip(curves, distinct, strict=True))
+    is_shared = sum(map(len, distinct)) < sum(map(len, curves))
     is_plain = is_shared or len(data) <= 1
     colors = {} if is_plain else {checksum: k for k, checksum in enumerate(data)}
     drawn = []

@@ -66,13 +66,12 @@ def unexplained(
     (tests,) array
         NaN with a single frequency or a single period.
     """
-    if omega.size < 2:
-        return np.full(len(measured), math.nan)
     return np.array([_share(omega, response, abs(u), harmonics) for u, harmonics in measured])
 
 
 def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics) -> float:
-    if not harmonics.control.size or not harmonics.beside.shape[2] or u == 0:
+    # One frequency has no neighbor between which the plant is interpolated.
+    if omega.size < 2 or not harmonics.control.size or not harmonics.beside.shape[2] or u == 0:
         return math.nan
     at = harmonics.omega * np.arange(2, harmonics.control.size + 2)
     plant = interpolated(omega, response, at)

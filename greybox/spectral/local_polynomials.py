@@ -378,8 +378,8 @@ def _halved(lines: Lines, low: float, high: float, narrowest: float) -> list[Ban
     fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
     if fitted is None:
         return []
-    band, wrong = _judged(lines, fitted, gauss_nodes(lines, fitted))
-    if wrong and high - low >= 2 * narrowest:
+    band = _judged(lines, fitted, gauss_nodes(lines, fitted))
+    if band.squared_error.any() and high - low >= 2 * narrowest:
         halves = [_halved(lines, low, center, narrowest), _halved(lines, center, high, narrowest)]
         # A half without enough lines would leave a hole in the band.
         if all(halves):
@@ -393,8 +393,8 @@ def _centered(lines: Lines, center: float, half: float, narrowest: float) -> Ban
         fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
         if fitted is None:
             return None
-        band, wrong = _judged(lines, fitted, np.array([center]))
-        if not wrong or half <= narrowest / 2:
+        band = _judged(lines, fitted, np.array([center]))
+        if not band.squared_error.any() or half <= narrowest / 2:
             return band
         half = max(half / 2, narrowest / 2)
 
@@ -423,15 +423,15 @@ def _beside(
     u, y, *others = lines.values
     output = near(lines.omega) * u
     rest = lines._replace(values=np.array([u, y - output, *others]))
-    judged = (_judged(rest, band.fitted, band.omega)[0] for band in bands)
+    judged = (_judged(rest, band.fitted, band.omega) for band in bands)
     return [
         b.corrected(b.fitted.weights(b.omega) @ output[b.fitted.rows] - near(b.omega))
         for b in judged
     ]
 
 
-def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
-    """Return the band evaluated at `omega`, and whether its polynomials are visibly wrong."""
+def _judged(lines: Lines, fitted: Fitted, omega: Array) -> Band:
+    """Return the band evaluated at `omega`, with an error if its polynomials are visibly wrong."""
     squares = float(np.sum(np.abs(fitted.residuals(lines.values[1, fitted.rows])) ** 2))
     squares *= fitted.number / fitted.trace()
     plain = Band(fitted, omega, 0j * omega, 0 * omega, squares, fitted.number)
@@ -439,7 +439,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
         fit_band(lines, fitted.center, DOUBLED * fitted.half, extra=extra) for extra in (0, EXTRA)
     )
     if quadratic is None or quartic is None or not np.array_equal(quadratic.rows, quartic.rows):
-        return plain, False
+        return plain
 
     y = lines.values[1, quartic.rows]
     weights = quartic.weights(omega) - quadratic.weights(omega)
@@ -451,27 +451,22 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     if not np.any(
         (squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))
     ):
-        return plain, False
+        return plain
 
     # A pole has two coefficients more: it is estimated only if the error is beyond doubt.
     certain = np.any(squared > CERTAIN * variance)
-    with_pole = _with_pole(lines, fitted, omega) if certain else None
-    if with_pole is None:
-        return plain._replace(squared_error=np.maximum(squared - variance, 0) / GROWTH**2), True
-    correction, squares, number = with_pole
-    return plain._replace(squares=squares, number=number).corrected(correction), True
+    with_pole = _with_pole(lines, plain) if certain else None
+    wrong = plain._replace(squared_error=np.maximum(squared - variance, 0) / GROWTH**2)
+    return with_pole or wrong
 
 
-def _with_pole(
-    lines: Lines, fitted: Fitted, omega: Array
-) -> tuple[ComplexArray, float, int] | None:
-    """Return the error of the polynomials at `omega` given a pole, and its residuals.
-
-    These are the sum of their squares, and their number.
+def _with_pole(lines: Lines, band: Band) -> Band | None:
+    """Return a band with the error of its polynomials given a pole, and the residuals of the pole.
 
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
     T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
     """
+    fitted, omega = band.fitted, band.omega
     center = fitted.center
     half = DOUBLED * fitted.half
     rows, x, y, inputs, signals, transients = _in_band(lines, center, half, TRANSIENT_ORDER)
@@ -505,7 +500,7 @@ def _with_pole(
     squares = float(np.sum(np.abs(y - output) ** 2))
     if not all_finite(correction, squares):
         return None
-    return correction, squares, number
+    return band._replace(squares=squares, number=number).corrected(correction)
 
 
 def _estimates(lines: Lines, bands: Sequence[Band]) -> EstimatedPoints:
@@ -538,7 +533,7 @@ def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Ar
     """
     gain = np.log(alone / spread)  # from instrument to input, of the power
     change = np.zeros_like(gain)
-    if gain.size > BESIDE and input_noise.any():
+    if gain.size > BESIDE:
         for k, away in enumerate(np.log(omega / omega[:, None])):
             near = np.argsort(np.abs(away))[1 : 1 + BESIDE]
             change[k] = gain[k] - np.polyfit(away[near], gain[near], 1)[1]
@@ -549,9 +544,6 @@ def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Ar
 
 def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
     """Return the noise density in a band, by its residuals and those beside, and its dof."""
-    if band.number >= NEIGHBORHOOD:
-        return band.squares / band.number, 2 * band.number
-
     table = np.array(
         [(math.log(b.fitted.center / band.fitted.center), b.squares, b.number) for b in bands]
     )

@@ -97,9 +97,7 @@ def finite_frequency(
             f"the segments are of several axes ({', '.join(axes)}): choose one by segment.axis."
         )
 
-    signals = np.stack(
-        [record[name] for name in ((input, output, setpoint) if setpoint else (input, output))]
-    )
+    signals = np.stack([record[name] for name in (input, output, setpoint) if name])
 
     # Only samples that all signals have: a ratio needs both sides at the same time.
     present = np.isfinite(signals).all(axis=0)
@@ -204,12 +202,9 @@ def _with_pooled_noise(points: list[FrequencyPoint]) -> list[FrequencyPoint]:
     # Referred to the output and to one second, the noise of all tests is comparable.
     level = [(p.standard_error * abs(p.u)) ** 2 * (p.end - p.start) for p in points]
     pooled, dof = pooled_levels([p.omega for p in points], level, [p.dof for p in points])
-    factors = [
-        math.sqrt(new / old) if old > 0 else 1.0 for new, old in zip(pooled, level, strict=True)
-    ]
     return [
-        replace(p, standard_error=factor * p.standard_error, dof=float(d))
-        for p, factor, d in zip(points, factors, dof, strict=True)
+        replace(p, standard_error=math.sqrt(new / (p.end - p.start)) / abs(p.u), dof=float(d))
+        for p, new, d in zip(points, pooled, dof, strict=True)
     ]
 
 

@@ -91,7 +91,7 @@ class Member:
                 f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them."
             )
         self.by  # noqa: B018  (checks the options)
-        as_starts(2 if self.starts is None else self.starts, self.seed)  # checks both
+        self.start_count  # noqa: B018  (checks starts and seed)
         if not self.name:
             vars(self)["name"] = self.problem.name
         if self.name != printable(self.name):

@@ -313,8 +313,8 @@ def bootstrap(
     """
     began = time.perf_counter()
     fit.require_estimate()
-    for name, value, least in (("replicates", replicates, 2), ("seed", seed, 0)):
-        require_whole(name, value, least)
+    require_whole("replicates", replicates, 2)
+    require_whole("seed", seed, 0)
     require_executor(executor)
     obstacles = {
         "manoeuvres, which are not drawn yet": fit.spectra,

@@ -147,10 +147,7 @@ def _locate(kind: str, text: str) -> tuple[ModuleType, str]:
 def _arguments(text: str, whole: str) -> list[Any]:
     try:
         # The arguments are literals: nothing of what a user pastes here is executed.
-        call = ast.parse(f"model{text}", mode="eval").body
-        if not isinstance(call, ast.Call) or call.keywords:
-            raise ValueError("keywords")
-        return [ast.literal_eval(value) for value in call.args]
+        return list(ast.literal_eval(f"[{text[1:-1]}]"))
     except (SyntaxError, ValueError):
         raise ValueError(
             f"the arguments in model {whole!r} are not understood: write plain values, e.g. (4, 1)."

@@ -20,7 +20,7 @@ from greybox.simulation.simulate import predict
 from greybox.statistics.metrics import rms
 from greybox.validation.comparison import Comparison, Row
 from greybox.validation.held_out import not_held_out
-from greybox.validation.measures import common_likelihood, fit_rows, information_rows
+from greybox.validation.measures import fit_rows, information_rows
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     count_unknowns,
@@ -104,9 +104,7 @@ def _evidence(
 ) -> tuple[dict[str, tuple[Fit, float | str | None]], dict[str, float]]:
     """Return the best fit of every structure, and its BIC less the least of all."""
     names, _, fits, held = zip(*group, strict=True)
-    is_comparable = not why_not_comparable(fits, names)
-    likelihoods = common_likelihood(fits, comparable=is_comparable)
-    rows = fit_rows(fits, same_data=True, comparable=is_comparable, likelihoods=likelihoods)
+    rows, _ = fit_rows(fits, same_data=True, comparable=not why_not_comparable(fits, names))
     if all(fit.records and is_likelihood(fit) for fit in fits) and other_samples(fits, names):
         rows = _rows_of_shared_samples(fits)
     excess = next((row.values for row in rows if row.measure == EVIDENCE), [None] * len(fits))

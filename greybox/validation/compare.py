@@ -20,7 +20,7 @@ from greybox.validation.held_out import (
     predict_same_windows,
     window_lengths,
 )
-from greybox.validation.measures import common_likelihood, fit_rows, prediction_rows
+from greybox.validation.measures import fit_rows, prediction_rows
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import (
     check_fits,
@@ -29,7 +29,7 @@ from greybox.validation.same_data import (
     shared_data,
     why_not_comparable,
 )
-from greybox.validation.significance import verdicts
+from greybox.validation.significance import residuals_not_white, verdicts, which_likelihood
 
 
 def compare(
@@ -114,21 +114,14 @@ def compare(
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)
 
-    likelihoods = None if different else common_likelihood(fits, comparable=not not_comparable)
-    rows = fit_rows(
-        fits, same_data=not different, comparable=not not_comparable, likelihoods=likelihoods
-    )
+    rows, likelihoods = fit_rows(fits, same_data=not different, comparable=not not_comparable)
     for kind, of_fits in predictions.items():
         rows += prediction_rows(kind, of_fits, fits)
     statements, tests = verdicts(
-        fits,
-        names,
-        predictions,
-        same_data=not different,
-        comparable=not not_comparable,
-        likelihoods=likelihoods,
-        aic=_known("AIC", rows),
+        fits, names, predictions, same_data=not different, aic=_known("AIC", rows)
     )
+    statements += [] if not_comparable else residuals_not_white(fits, names)
+    statements += [which_likelihood(names, likelihoods)] if likelihoods else []
     notes = [*not_held_out(fits, names, held_out), *notes]
     if not_comparable and not different:
         what = "Costs, AIC and BIC" if likelihoods is None else "Costs"

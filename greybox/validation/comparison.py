@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from greybox.files.arrays import Fields, Strings, by_name, frozen
+from greybox.files.grouping import grouped
 from greybox.files.text_table import Printed, counted, number, one_line, probability, text_table
 from greybox.simulation.prediction import Prediction, seconds
 
@@ -112,8 +113,8 @@ class Comparison(Printed):
         for data, title in titles.items():
             rows = [row for row in self.rows if row.data == data]
             lines += [f"  {title}", ""] if rows and title else []
-            for output in dict.fromkeys(row.output for row in rows):
-                lines += self._section([row for row in rows if row.output == output], output)
+            for of_output in grouped(rows, lambda row: row.output):
+                lines += self._section(of_output)
         return "\n".join(lines).rstrip()
 
     def _windows(self, data: str) -> str:
@@ -132,7 +133,7 @@ class Comparison(Printed):
             texts.append(f"{count} of {window} s, each from {lead} s before it")
         return " and ".join(texts)
 
-    def _section(self, rows: Sequence[Row], title: str) -> list[str]:
+    def _section(self, rows: Sequence[Row]) -> list[str]:
         cells = [[r.measure, r.unit, *r.texts] for r in rows]
-        table = text_table([title, "", *self.labels], cells, left=(0, 1))
+        table = text_table([rows[0].output, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]

@@ -97,13 +97,13 @@ def fit_rows(
     *,
     same_data: bool,
     comparable: bool,
-    likelihoods: Likelihoods | None,
-) -> list[Row]:
-    """Return the rows of the fits as a whole: costs, sizes, AIC, AICc and BIC.
+) -> tuple[list[Row], Likelihoods | None]:
+    """Return the rows of the fits as a whole, costs, sizes, AIC, AICc and BIC, and likelihoods.
 
     Costs are in the table if they are `comparable`; information criteria if costs are likelihoods,
-    or if the fits have common `likelihoods`.
+    or if the fits have common likelihoods.
     """
+    likelihoods = common_likelihood(fits, comparable=comparable) if same_data else None
     names = list(dict.fromkeys(fit.criterion for fit in fits))
     criterion = names[0] if len(names) == 1 else LIKELIHOOD
     costs = [fit.cost for fit in fits]
@@ -131,7 +131,8 @@ def fit_rows(
             rows.append(_row("relative residual (rms)", sizes, "%"))
     # A reader looks for costs, AIC and BIC: dashes show that they are not known.
     always = ("cost", "AIC", "BIC")
-    return [r for r in rows if r.measure in always or any(v is not None for v in r.values)]
+    rows = [r for r in rows if r.measure in always or any(v is not None for v in r.values)]
+    return rows, likelihoods
 
 
 def information_rows(
@@ -162,11 +163,7 @@ def relative_rms(fit: Fit) -> float:
 
 
 def _row(measure: str, values: Sequence[float], unit: str = "") -> Row:
-    return Row("fit", "", measure, unit, _finite(values))
-
-
-def _finite(values: Sequence[float]) -> tuple[float | None, ...]:
-    return tuple(map(finite, values))
+    return Row("fit", "", measure, unit, tuple(map(finite, values)))
 
 
 def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> list[Row]:
@@ -175,12 +172,12 @@ def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> list[Row
     estimated = [sum(len(p.own) for p in of_fit) for of_fit in predictions]
     if any(estimated):
         text = "values estimated from the records"
-        rows.append(Row(kind, "", text, "", _finite(estimated)))
+        rows.append(Row(kind, "", text, "", tuple(map(finite, estimated))))
     for output in dict.fromkeys(name for p in predictions[0] for name in p.outputs):
         pairs = zip(predictions, fits, strict=True)
         measures = [_measures(output, of_fit, fit) for of_fit, fit in pairs]
         rows += [
-            Row(kind, output, *key, _finite([values[key] for values in measures]))
+            Row(kind, output, *key, tuple(finite(values[key]) for values in measures))
             for key in measures[0]
         ]
     return rows

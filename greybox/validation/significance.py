@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Arrays, ArrayTriple, Labels, StringPair, Strings
+from greybox.files.arrays import Arrays, ArrayTriple, Labels, StringPair
 from greybox.files.text_table import counted, listed, number, p_text
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
@@ -30,14 +30,11 @@ def verdicts(
     predictions: Mapping[str, Predictions],
     *,
     same_data: bool,
-    comparable: bool,
-    likelihoods: Likelihoods | None,
     aic: Sequence[float],
-) -> tuple[Strings, list[NestedTest]]:
+) -> tuple[list[str], list[NestedTest]]:
     """Return the sentences of a comparison, and the tests of nested models.
 
-    `predictions` are by kind of data, `comparable` says whether the costs are. `likelihoods` are
-    those of fits of responses by other criteria, and `aic` their information criterion.
+    `predictions` are by kind of data, `aic` is the information criterion, empty if not known.
     """
     sentences: list[str] = []
     tests: list[NestedTest] = []
@@ -52,12 +49,7 @@ def verdicts(
             prediction_verdict(names, (of_fits[a], of_fits[b]), kind)
             for kind, of_fits in predictions.items()
         ]
-
-    if comparable and predictions:
-        sentences += _residuals_not_white(fits, labels)
-    if likelihoods is not None:
-        sentences.append(_which_likelihood(labels, likelihoods))
-    return tuple(sentences), tests
+    return sentences, tests
 
 
 def fit_verdict(
@@ -204,7 +196,7 @@ def mean_squares(first: Prediction, second: Prediction) -> ArrayTriple:
     return totals[0], totals[1], rounding
 
 
-def _residuals_not_white(fits: Fits, labels: Labels) -> Iterator[str]:
+def residuals_not_white(fits: Fits, labels: Labels) -> Iterator[str]:
     """Warn of information criteria that assume white residuals where they are not."""
     colored = []
     for fit, label in zip(fits, labels, strict=True):
@@ -220,7 +212,7 @@ def _residuals_not_white(fits: Fits, labels: Labels) -> Iterator[str]:
         )
 
 
-def _which_likelihood(labels: Labels, likelihoods: Likelihoods) -> str:
+def which_likelihood(labels: Labels, likelihoods: Likelihoods) -> str:
     """Say which likelihood AIC, AICc and BIC are based on, and where it is not at its maximum."""
     criterion = likelihoods.criterion
     name = f"{type(criterion).__name__} ({criterion.description})"

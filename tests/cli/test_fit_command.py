@@ -409,7 +409,7 @@ def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeyp
             "greybox.cli.problem_options.stated_problem",
             lambda options: (pitch_hover.problem(), settings),
         )
-        return _stated_fit(fit_options(**options)).keywords
+        return _stated_fit(fit_options(**options))
 
     made = stated()
     assert (made["starts"], made["seed"], made["profiles"]) == (5, 3, True)

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.record import Record, Recording
+from greybox.data.record import Recording
 from greybox.files.arrays import Array, Interval, Values
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
@@ -74,25 +74,18 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     return np.sqrt(np.sum(terms**2, axis=-1) / 2)
 
 
-def motor_outputs(recording: Recording, start: float, end: float) -> Record | None:
-    """Return the PWM of the motors from `start` to `end`, µs; None where it was not logged."""
-    parameters = recording.parameters
+def motor_outputs(recording: Recording, start: float, end: float) -> dict[str, Array]:
+    """Return the PWM of the motors from `start` to `end`, µs, by name; none without a log."""
     if "RCOU" not in recording:
-        return None
+        return {}
     record = recording["RCOU"]
+    during = record.during(start, end)
     motors = [
         name
         for name in record.signals
-        if name[:1] == "C" and parameters.get(f"SERVO{name[1:]}_FUNCTION") in MOTORS
+        if name[:1] == "C" and recording.parameters.get(f"SERVO{name[1:]}_FUNCTION") in MOTORS
     ]
-    rows = np.flatnonzero(record.during(start, end))
-    if not motors or not rows.size:
-        return None
-    inside = record.rows(rows)
-
-    return Record(
-        inside.time, {name: inside[name] for name in motors}, dict.fromkeys(motors, "µs"), "RCOU"
-    )
+    return {name: record[name][during] for name in motors if during.any()}
 
 
 def limits(parameters: Values) -> Interval:
@@ -107,8 +100,8 @@ def saturation(recording: Recording, spans: Sequence[Interval]) -> float:
     at_limit = []
     for start, end in spans:
         outputs = motor_outputs(recording, start, end)
-        if outputs is not None:
-            values = np.array(list(outputs.signals.values()))
+        if outputs:
+            values = np.array(list(outputs.values()))
             # Outputs are truncated to whole numbers: the greatest may be a step less.
             at_limit.append(np.any((values <= low) | (values >= high - 1), axis=0))
     return float(np.mean(np.concatenate(at_limit))) if at_limit else math.nan

@@ -60,7 +60,7 @@ def test_motors_at_their_limits_are_counted():
     assert limits(QUAD) == (1150, 1950)
     assert saturation(log, [(0, 10)]) == pytest.approx(0.15)
     assert saturation(log, [(5, 10)]) == 0
-    assert set(motor_outputs(log, 0, 10).signals) == {"C1", "C2", "C3", "C4"}
+    assert set(motor_outputs(log, 0, 10)) == {"C1", "C2", "C3", "C4"}
     assert np.isnan(saturation(Recording({}), [(0, 10)]))
 
 
@@ -72,7 +72,7 @@ def test_motors_are_those_of_ardupilots_list_of_functions():
     motors = motor_outputs(
         Recording({"RCOU": outputs}, metadata={"parameters": parameters}), 0.0, 1.0
     )
-    assert [*motors.signals] == ["C2", "C3", "C6", "C7"]
+    assert [*motors] == ["C2", "C3", "C6", "C7"]
 
 
 @pytest.mark.parametrize(
@@ -128,10 +128,9 @@ def test_the_share_of_saturation_is_weighted_by_the_samples_of_each_stretch():
     spans = [(0.0, 9.95), (11.0, 15.95), (50.0, 60.0)]
     assert saturation(log, spans[:1]) == pytest.approx(0.3)
     assert saturation(log, spans) == pytest.approx(70 / 150)
-    inside = motor_outputs(log, time[3], time[7])
-    assert inside.time.tolist() == time[3:8].tolist()
-    assert (inside.units, inside.name) == ({"C1": "µs"}, "RCOU")
-    assert motor_outputs(log, 30.0, 40.0) is None
-    assert (
-        motor_outputs(Recording(log.records), 0.0, 9.0) is None
-    )  # no servo is known to be a motor
+    inside = motor_outputs(log, time[28], time[32])
+    assert {name: values.tolist() for name, values in inside.items()} == {
+        "C1": outputs[28:33].tolist()
+    }
+    assert motor_outputs(log, 30.0, 40.0) == {}
+    assert motor_outputs(Recording(log.records), 0.0, 9.0) == {}  # no servo is known to be a motor
