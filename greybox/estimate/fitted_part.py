@@ -13,6 +13,7 @@ from greybox.data.record import NOT_STORED, Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.stored_values import require
 from greybox.files.arrays import (
+    AnyArray,
     Array,
     ComplexArray,
     Fields,
@@ -107,6 +108,16 @@ class FittedPart(ABC):
     def compared(self) -> int:
         """Number of points, lines or samples that are compared with the model."""
         return len(self.data)
+
+    @property
+    @abstractmethod
+    def residuals(self) -> AnyArray:
+        """Measured less fitted values."""
+
+    @property
+    def compared_numbers(self) -> int:
+        """Number of real numbers in the data that are compared with the model."""
+        return 2 * self.residuals.size
 
     @property
     @abstractmethod
@@ -211,11 +222,6 @@ class FittedResponse(FittedPart):
         """Magnitudes of the residuals over those of the data, (n,); not finite at a zero."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.abs(self.residuals) / np.abs(self.data.response)
-
-    @property
-    def compared_numbers(self) -> int:
-        """Number of real numbers in the data that are compared with the model."""
-        return 2 * len(self.data)
 
     @property
     def signal_path(self) -> str:
@@ -405,11 +411,6 @@ class FittedSpectrum(FittedPart):
     def residuals(self) -> ComplexArray:
         """Measured less fitted transforms, (outputs, n)."""
         return np.array([self.residual(name) for name in self.outputs])
-
-    @property
-    def compared_numbers(self) -> int:
-        """Number of real numbers in the data that are compared with the model."""
-        return 2 * len(self.data) * len(self.outputs)
 
     @property
     def signal_path(self) -> str:

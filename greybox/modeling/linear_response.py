@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, StringPair, Values, all_finite
+from greybox.files.arrays import Array, StringPair, Values, all_finite, evenly_spread
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -186,7 +186,7 @@ def _elimination_order(
     if not samples:
         return tuple(range(len(model.states)))
     # Fifty frequencies limit the time of the search.
-    few = np.linspace(0, omega.size - 1, min(omega.size, 50)).astype(int)
+    few = evenly_spread(omega.size, 50)
     return elimination_order(np.array(samples), omega[few], outputs)
 
 
