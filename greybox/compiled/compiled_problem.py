@@ -36,7 +36,7 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import enough_harmonics
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import Parameter
-from greybox.modeling.symbolic_reading import entries_by_name
+from greybox.modeling.symbolic_reading import as_column, entries_by_name
 
 
 @frozen
@@ -330,5 +330,5 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
                     label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
                     limits.setdefault(label, (label, sign * (local[name] - bound)))
 
-    values = ca.vertcat(ca.SX(0, 1), *[value for _, value in limits.values()])
+    values = as_column(value for _, value in limits.values())
     return tuple(label for label, _ in limits.values()), ca.Function("constraint", [x], [values])

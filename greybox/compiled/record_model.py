@@ -20,7 +20,7 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.symbolic_reading import called, dense_jacobian
+from greybox.modeling.symbolic_reading import as_column, called, dense_jacobian
 
 
 @frozen
@@ -208,7 +208,7 @@ def _shared_functions(
         bias = [-local[f"{i}_bias"] if i in criterion.biases else 0 for i in system.inputs]
         states[len(system.undelayed.states) :] = ca.vertsplit(system.delay_rest(ca.vertcat(*bias)))
 
-    known = ca.Function("known", [symbol], [ca.vertcat(ca.SX(0, 1), *states)])
+    known = ca.Function("known", [symbol], [as_column(states)])
     return system, known, InitialStates(system), {}
 
 

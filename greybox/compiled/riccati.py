@@ -21,6 +21,7 @@ from greybox.files.arrays import (
     BoolArray,
     IntArray,
     all_finite,
+    as_arrays,
     frozen,
     of_diagonal,
 )
@@ -134,7 +135,7 @@ class NoiseModel:
         tiny = 1e-100
         steps = 1j * tiny * np.eye(len(q))[self.columns]
         moved = q + np.vstack([np.zeros(len(q)), steps])
-        values = [np.asarray(value, dtype=float) for value in self.linear.call([ca.DM(q)])]
+        values = as_arrays(self.linear.call([ca.DM(q)]))
         matrices = []
         for M, slope in zip(values[:3], values[3:], strict=True):
             # CasADi stacks matrices column by column; the first filter is at q itself.

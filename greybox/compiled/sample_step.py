@@ -17,7 +17,7 @@ from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function, substep_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
-from greybox.modeling.symbolic_reading import input_symbols
+from greybox.modeling.symbolic_reading import as_column, input_symbols
 
 # Samples of one call: of its overhead of 12 µs a sample bears a tenth of a microsecond.
 RUN = 100
@@ -143,8 +143,7 @@ def _measurement(
     bias = {name: q[names.index(f"{name}_bias")] for name in criterion.biases}
 
     of_inputs, of_outputs = (
-        ca.vertcat(ca.SX(0, 1), *[bias.get(name, 0) for name in names])
-        for names in (system.inputs, system.outputs)
+        as_column(bias.get(name, 0) for name in names) for names in (system.inputs, system.outputs)
     )
 
     delay = system.delay(p)

@@ -53,6 +53,11 @@ def positive_or_one(sizes: Array) -> Array:
     return np.where(sizes > 0, sizes, 1.0)
 
 
+def as_arrays(matrices: Iterable[Any]) -> list[Array]:
+    """Return matrices of CasADi as dense arrays."""
+    return [matrix.full() for matrix in matrices]
+
+
 def evenly_spread(count: int, most: int) -> IntArray:
     """Return at most this many of `count` places, evenly from the first to the last."""
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
