@@ -235,9 +235,7 @@ def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
         if part.amplitude is None or part.amplitude.harmonics:
             continue
         # The start values, not the estimate: the number of harmonics must not change during a fit.
-        starts = {name: parameter.start for name, parameter in part.parameters.items()}
-        values = dict(part.local_values(starts))
-        omega = part.response.omega
+        values, omega = part.local_starts, part.response.omega
         sine = enough_harmonics(part.model, omega, part.amplitude, values, **part.signals)
         parts[k] = part.with_(amplitude=sine)
 

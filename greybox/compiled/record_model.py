@@ -153,7 +153,6 @@ def record_model(
     states = known(symbol)
     initial = ca.Function("initial", [symbol], [states, dense_jacobian(states, symbol[active])])
     located = (q, slope[active, :], delay)
-    begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
 
     return RecordModel(
         problem=problem,
@@ -172,7 +171,7 @@ def record_model(
         outside_names=tuple(map(problem.outside, parameters)),
         gains=gains,
         driven=driven,
-        begin=np.array([*begin.values()], dtype=float)[: len(system.parameters)],
+        begin=np.array([*problem.local_starts.values()], dtype=float)[: len(system.parameters)],
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [*map(ca.densify, located), *initial(q)]),
         initial=initial,

@@ -67,6 +67,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     return np.full(F.shape, np.nan)
 
 
+@np.errstate(invalid="ignore")
 def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     """Return the gain (n, k) of the steady filter for process noise of variances (n,).
 
@@ -75,8 +76,6 @@ def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     The sensors have unit variances.
     """
     P = steady_covariance(F, C, np.diag(process))
-    if not all_finite(P):
-        return np.full((len(F), len(C)), np.nan)
     return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T
 
 

@@ -110,9 +110,9 @@ class FittedPart(ABC):
         return len(self.data)
 
     @property
-    @abstractmethod
     def residuals(self) -> AnyArray:
-        """Measured less fitted values."""
+        """Measured less fitted values, (outputs, n); NaN where nothing was compared."""
+        return np.array([self.residual(name) for name in self.outputs])
 
     @property
     def compared_numbers(self) -> int:
@@ -140,6 +140,10 @@ class FittedPart(ABC):
         kinds = {"class": str, "arguments": list, "keywords": dict}
         is_reference = all(isinstance(self.model[name], kind) for name, kind in kinds.items())
         require(is_reference, "its model is not a class with arguments")
+
+    def residual(self, output: str) -> AnyArray:
+        """Return measured less fitted values of one of several outputs, (n,)."""
+        raise NotImplementedError
 
     def has_criterion_of(self, other: "FittedPart") -> bool:
         """Return whether both have the same criterion: one class with the same settings."""
@@ -332,11 +336,6 @@ class FittedRecord(FittedPart):
         return described_inputs(self.inputs, self.input_names, self.data)
 
     @property
-    def residuals(self) -> Array:
-        """Measured less fitted values, (outputs, n); NaN where nothing was compared."""
-        return np.array([self.residual(name) for name in self.outputs])
-
-    @property
     def compared_numbers(self) -> int:
         """Number of measured values that are compared with the model."""
         return int(np.isfinite(self.residuals).sum())
@@ -406,11 +405,6 @@ class FittedSpectrum(FittedPart):
     noise: Array
     ends: Values
     at: Values = field(default_factory=dict)
-
-    @property
-    def residuals(self) -> ComplexArray:
-        """Measured less fitted transforms, (outputs, n)."""
-        return np.array([self.residual(name) for name in self.outputs])
 
     @property
     def signal_path(self) -> str:

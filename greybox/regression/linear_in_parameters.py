@@ -22,12 +22,13 @@ class KnownState:
     """How the time history of a state is obtained.
 
     ``value(x, s)`` gives it from the states known before it and from `s`: the signal `source` of
-    the record, or the derivative of the state `source`.
+    the record, or the derivative of the state `source`. Behind it is the measured `signal`.
     """
 
     name: str
     how: Literal["signal", "derivative"]
     source: str
+    signal: str
     value: ca.Function
 
     def __str__(self) -> str:
@@ -124,8 +125,6 @@ class _Analysis:
         self.h = entries_by_name(model.outputs, ca.SX(model.output(self.x, self.u, p)))
         self.delays = ca.SX(model.delay(p))
         self.states: dict[str, KnownState] = {}
-        # The signal behind each state that is a signal or a derivative.
-        self.measured: dict[str, str] = {}
         self.left_out: list[str] = []
 
     @one_thread_at_a_time
@@ -175,8 +174,8 @@ class _Analysis:
                 signal = ca.SX.sym("s")
                 offset = ca.substitute(row, x, 0)
                 value = ca.Function("value", [self.x, signal], [(signal - offset) / slope])
-                self.states[name] = KnownState(name, how, source, value)
-                self.measured[name] = source if how == "signal" else self.measured[source]
+                measured = source if how == "signal" else self.states[source].signal
+                self.states[name] = KnownState(name, how, source, measured, value)
                 return True
         return False
 
@@ -204,7 +203,7 @@ class _Analysis:
                 continue
             # The measured states behind the row and its target.
             names = {*_needed(row, self.state), name if kind == "derivative" else ""}
-            sources = sorted({self.measured[n] for n in names & self.measured.keys()})
+            sources = sorted({self.states[n].signal for n in names & self.states.keys()})
             equation = Equation(name, kind, parameters, tuple(sources))
             unknown = " and ".join(sorted(self._unknown(row)))
             if unknown:

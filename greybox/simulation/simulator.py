@@ -394,7 +394,7 @@ def _standard_errors(
     values are returned, too.
     """
     unknown: Strings = ()
-    if model.covariance is not None and len(model.uncertain):
+    if model.covariance is not None:
         covariance = model.covariance[np.ix_(model.uncertain, model.uncertain)]
         undetermined = np.isnan(np.diag(covariance))
         variance = variance + np.einsum(
