@@ -250,8 +250,8 @@ class HeldMinima:
     @cached_property
     def numbers(self) -> float:
         """N for costs of the form N/2 log(sum of squares); infinite for other costs."""
-        parts = self.nlp.parts
-        return sum(p.numbers for p in parts) if all(p.is_logarithm for p in parts) else math.inf
+        is_logarithm = all(part.is_logarithm for part in self.nlp.parts)
+        return self.nlp.numbers if is_logarithm else math.inf
 
     @cached_property
     def _solver(self) -> GaussNewton:

@@ -63,6 +63,11 @@ def evenly_spread(count: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
 
+def unit_length(vectors: Array, axis: int) -> Array:
+    """Return vectors along an axis divided by their lengths; zeros stay."""
+    return vectors / positive_or_one(np.linalg.norm(vectors, axis=axis, keepdims=True))
+
+
 def real_and_imaginary(values: ComplexArray, axis: int = 0) -> Array:
     """Return real parts, then imaginary parts, along an axis, which becomes twice as long."""
     return np.concatenate([values.real, values.imag], axis=axis)

@@ -186,16 +186,16 @@ def equation_error(
     values, errors = _solved(rows, len(bands), low, high)
     groups = [tuple(equations.linear[k] for k in group) for group in undetermined(rows.slopes)]
     lost = {name for group in groups for name in group}
-    limits = zip(equations.linear, values.tolist(), low, high, strict=True)
-    estimates = {name: (value, *bounds) for name, value, *bounds in limits if name not in lost}
-    if not estimates:
+    pairs = zip(equations.linear, values.tolist(), strict=True)
+    estimate = {name: value for name, value in pairs if name not in lost}
+    if not estimate:
         names = ", ".join(equations.linear) or "the parameters linearly"
         raise ValueError(
             f"the record determines none of {names}: the signals that they multiply are constant, "
             "or only a combination of them is determined; fix some."
         )
 
-    at_bound = tuple(name for name, (value, a, b) in estimates.items() if not a < value < b)
+    at_bound = tuple(name for name, value in estimate.items() if value in unknown[name].bounds)
     residuals = rows.spread(errors, len(bands))
     used = list[UsedEquation]()
     for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):
@@ -207,15 +207,13 @@ def equation_error(
         used.append(UsedEquation(left, names, share, count, band_hz, float(residuals[k])))
     return EquationErrorEstimate(
         name=f"{model.label}, {record.name or 'record'}",
-        estimate={name: value for name, (value, *_) in estimates.items()},
+        estimate=estimate,
         equations=tuple(e for e in used if e.rows),
         left_out=(
             *equations.left_out,
             *(f"{e.left} (no stretch is long enough)" for e in used if not e.rows),
         ),
-        missing={
-            n: _why(n, equations, groups, p) for n, p in unknown.items() if n not in estimates
-        },
+        missing={n: _why(n, equations, groups, p) for n, p in unknown.items() if n not in estimate},
         at_bound=at_bound,
         states=tuple(map(str, equations.states)),
         parameters=parameters,
