@@ -35,7 +35,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import enough_harmonics
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, lower_and_upper
 from greybox.modeling.symbolic_reading import as_column, entries_by_name
 
 
@@ -266,7 +266,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     unknowns = [parameters[name] for name in free]
     scaling = scaling_of(unknowns)
-    lower, upper = np.array([p.bounds for p in unknowns], dtype=float).T
+    lower, upper = lower_and_upper(unknowns)
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
 

@@ -25,7 +25,7 @@ from greybox.files.text_table import (
 )
 from greybox.formulation.starts import sobol_shares
 from greybox.modeling.model import Names
-from greybox.modeling.parameter import require_whole
+from greybox.modeling.parameter import lower_and_upper, require_whole
 from greybox.solve.gauss_newton.driver import GaussNewton
 
 # Factor on a step: for a lag with an error of half its value, the upper error is that much larger.
@@ -175,7 +175,7 @@ def drawn_values(fit: Fit, count: int, names: Labels, seed: int = 0) -> Array:
     normal = ndtri(shares[:, :-1]) @ root.T
     widening = np.sqrt(dof / chdtri(dof, shares[:, -1])) if math.isfinite(dof) else np.ones(count)
     steps = normal * widening[:, None] - np.array([line.bias for line in lines])
-    limits = np.array([line.bounds for line in lines]).T
+    limits = lower_and_upper(lines)
 
     def drawn(steps: Array) -> Array:
         return _within(limits, known.at + steps, known.covariance)

@@ -33,7 +33,7 @@ from greybox.formulation.time_criteria import (
     modeled_outputs,
 )
 from greybox.modeling.model import Model
-from greybox.modeling.parameter import Parameter, Parameters, start_values
+from greybox.modeling.parameter import Parameter, Parameters, lower_and_upper, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.least_squares import Rows, undetermined
@@ -182,7 +182,7 @@ def equation_error(
     _require_equations(model, equations, record)
     between = by_name(system.inputs, between_samples(inputs, system.inputs, record))
     rows, bands = regressors(equations, record, start, between)
-    low, high = np.reshape([unknown[n].bounds for n in equations.linear], (-1, 2)).T
+    low, high = lower_and_upper(unknown[n] for n in equations.linear)
     values, errors = _solved(rows, len(bands), low, high)
     groups = [tuple(equations.linear[k] for k in group) for group in undetermined(rows.slopes)]
     lost = {name for group in groups for name in group}
