@@ -35,8 +35,8 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.harmonic_balance import enough_harmonics
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.parameter import Parameter
-from greybox.modeling.symbolic_reading import entries_by_name
+from greybox.modeling.parameter import Parameter, lower_and_upper
+from greybox.modeling.symbolic_reading import as_column, entries_by_name
 
 
 @frozen
@@ -235,9 +235,7 @@ def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
         if part.amplitude is None or part.amplitude.harmonics:
             continue
         # The start values, not the estimate: the number of harmonics must not change during a fit.
-        starts = {name: parameter.start for name, parameter in part.parameters.items()}
-        values = dict(part.local_values(starts))
-        omega = part.response.omega
+        values, omega = part.local_starts, part.response.omega
         sine = enough_harmonics(part.model, omega, part.amplitude, values, **part.signals)
         parts[k] = part.with_(amplitude=sine)
 
@@ -268,7 +266,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     unknowns = [parameters[name] for name in free]
     scaling = scaling_of(unknowns)
-    lower, upper = np.array([p.bounds for p in unknowns], dtype=float).T
+    lower, upper = lower_and_upper(unknowns)
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
 
@@ -330,5 +328,5 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
                     label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
                     limits.setdefault(label, (label, sign * (local[name] - bound)))
 
-    values = ca.vertcat(ca.SX(0, 1), *[value for _, value in limits.values()])
+    values = as_column(value for _, value in limits.values())
     return tuple(label for label, _ in limits.values()), ca.Function("constraint", [x], [values])

@@ -45,7 +45,7 @@ def condense(
     """
     held = np.zeros_like(b.node_hessian)
     if largest is not None:
-        held = _held_curvature(b, variance, data.coupled, largest)
+        held = _held_curvature(b, variance, data, largest)
     # Damping enters the matrix but not the gradient: a minimum of the problem stays one. Without
     # it, 91 % of 58 fits of hard problems reach the best minimum instead of 97 %.
     node_damping = np.zeros_like(trajectory.gaps)
@@ -95,7 +95,7 @@ def condense(
     )
 
 
-def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, largest: Array) -> Array:
+def _held_curvature(b: Linearization, variance: Array, data: SampledData, largest: Array) -> Array:
     """Return the curvature (s, n, n) that holds what the outputs hardly show of the first nodes.
 
     That are directions whose variances at known parameters exceed four times the `largest` (n,).
@@ -103,7 +103,7 @@ def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, large
     # Along such a direction, the linearization does not reach to where its step leads: runs would
     # creep for thousands of steps, and gain what fits the noise.
     size = np.sqrt(positive_or_one(largest))  # those of delays are known
-    begins = np.append(True, ~coupled[:-1])
+    begins = data.begins_stretch
     curvature = np.zeros_like(b.node_hessian)
     # What the first segments show is enough for most models.
     shown, _ = np.linalg.eigh(b.node_hessian[begins] * size * size[:, None])
@@ -111,7 +111,7 @@ def _held_curvature(b: Linearization, variance: Array, coupled: BoolArray, large
         return curvature
     forces = begins[:, None, None] * np.diag(1 / size)
     x, _ = solve_continuity(
-        b.node_hessian, b.transition, coupled, forces, np.zeros_like(forces), variance
+        b.node_hessian, b.transition, data.coupled, forces, np.zeros_like(forces), variance
     )
     covariance = x[begins] / size[:, None]
     values, directions = np.linalg.eigh((covariance + covariance.swapaxes(1, 2)) / 2)

@@ -33,7 +33,7 @@ class DisturbedRecord:
         self._placed = trajectory.detail
         segments, data = part.segments, self._placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        slopes = segments.sample_derivatives(self._placed.along(trajectory.states))
+        slopes = segments.sample_derivatives(trajectory.course)
         # Slopes of the next states (length, s, n, v), and of the residuals (length, s, k, v).
         self._slopes = [
             slope.reshape(*slope.shape[:2], segments.length, segments.count)

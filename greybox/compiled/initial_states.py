@@ -37,7 +37,7 @@ class InitialStates:
         self._driven = len((system.undelayed or system).states)
         x, u, p = system.symbols
         y = system.output(x, u, p)
-        f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
+        f = system.derivative(x, u, p)
         slopes = ca.vertcat(ca.vec(dense_jacobian(f, x)), ca.vec(dense_jacobian(y, x)))
         self._model = Columns(
             ca.Function("first", [x, u, p], [f, y, slopes], {"cse": True}), shared=(2,)

@@ -14,8 +14,7 @@ import numpy as np
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
-from greybox.compiled.segmented_part import Placed
-from greybox.files.arrays import Array, IntArray, all_finite, frozen
+from greybox.files.arrays import Array, ArrayPair, IntArray, all_finite, frozen
 from greybox.modeling.one_thread import cached_property
 
 
@@ -59,7 +58,7 @@ class KalmanGain:
 
         Or as those of the model do: without process noise, slow states need no correction.
         """
-        of_model = spectral_radius(self.error_transition(trajectory, gain=0))
+        of_model = spectral_radius(self.error_transition(trajectory, corrected=False))
         return max(self.limit, of_model if of_model < 1 else 0.0)
 
     def is_stable(self, trajectory: Trajectory) -> bool:
@@ -77,16 +76,20 @@ class KalmanGain:
         # gain, poles are those of the model, and nothing limits them.
         return 0 < abs(radius - largest) < 0.02 * (1 - radius)
 
-    def error_transition(self, trajectory: Trajectory, gain: float = 1.0) -> Array:
+    def error_transition(self, trajectory: Trajectory, *, corrected: bool = True) -> Array:
         """Return the transition over a sample for errors of the states that innovations reach.
 
-        The gain may be a share of its value.
+        They are those of the model alone if the gain has not `corrected` them.
         """
-        at: Placed = trajectory.detail
-        q = at.q.copy()
-        q[self.places] *= gain
-        A, _ = self.part.segments.mean_transition(at.along(trajectory.states)._replace(q=q))
+        A, _ = self._mean_transition(trajectory, corrected)
         return self._reached(A)
+
+    def _mean_transition(self, trajectory: Trajectory, corrected: bool) -> ArrayPair:
+        """Return the mean transition (n, n) and output matrix (k, n), with or without the gain."""
+        q = trajectory.detail.q.copy()
+        if not corrected:
+            q[self.places] = 0
+        return self.part.segments.mean_transition(trajectory.course._replace(q=q))
 
     def room(self, trajectory: Trajectory) -> Array:
         """Return how far the poles are from what limits them (m,), negative beyond it.
@@ -124,10 +127,8 @@ class KalmanGain:
         The process noise has the variances (n,) per sample in the corrected or driven states; the
         residuals of the trajectory are the measurement noise.
         """
+        F, C = self._mean_transition(trajectory, corrected=False)
         placed = trajectory.detail
-        q = placed.q.copy()
-        q[self.places] = 0
-        F, C = self.part.segments.mean_transition(placed.along(trajectory.states)._replace(q=q))
         K = 0 * C.T
         noise = self.part.noise_model
         errors = self.part.covariance
@@ -141,6 +142,7 @@ class KalmanGain:
         else:
             deviations = np.diag(errors.covariance(trajectory.products))
             unknowns = np.sqrt(np.append(variance[noise.driven] / noise.step, deviations))
+            q = placed.q.copy()
             q[self.unknowns] = unknowns
             K = noise.at(q).gain
         if spectral_radius(self._reached(F - F @ K @ C)) >= self.limit:

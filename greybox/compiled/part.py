@@ -78,6 +78,11 @@ class Trajectory:
     detail: Any = None
 
     @property
+    def course(self) -> Any:
+        """Of a record, where the functions of its segments are evaluated: a `Course`."""
+        return self.detail.along(self.states)
+
+    @property
     def finite(self) -> bool:
         """True when nothing diverged."""
         return all_finite(self.gaps, self.products)

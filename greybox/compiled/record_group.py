@@ -19,7 +19,7 @@ from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.files.arrays import Array, Arrays, IntArray, of_diagonal
+from greybox.files.arrays import Array, Arrays, IntArray, as_arrays, of_diagonal
 from greybox.files.grouping import grouped
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
@@ -76,7 +76,7 @@ class RecordGroup(SegmentedPart):
     def place(self, z: Array) -> Placed:
         """Return the parameters and data at z (p,), by record where records differ."""
         function, index = self._located
-        q, slope, delay, initial, initial_slope = (value.full() for value in function(z))
+        q, slope, delay, initial, initial_slope = as_arrays(function(z))
         n = self.states
         active = len(self.model.active)
         # One placement is used for all records: nothing needs an axis of records.

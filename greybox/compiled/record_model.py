@@ -20,7 +20,7 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.symbolic_reading import called, dense_jacobian
+from greybox.modeling.symbolic_reading import as_column, called, dense_jacobian
 
 
 @frozen
@@ -153,7 +153,6 @@ def record_model(
     states = known(symbol)
     initial = ca.Function("initial", [symbol], [states, dense_jacobian(states, symbol[active])])
     located = (q, slope[active, :], delay)
-    begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
 
     return RecordModel(
         problem=problem,
@@ -172,7 +171,7 @@ def record_model(
         outside_names=tuple(map(problem.outside, parameters)),
         gains=gains,
         driven=driven,
-        begin=np.array([*begin.values()], dtype=float)[: len(system.parameters)],
+        begin=np.array([*problem.local_starts.values()], dtype=float)[: len(system.parameters)],
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [*map(ca.densify, located), *initial(q)]),
         initial=initial,
@@ -208,7 +207,7 @@ def _shared_functions(
         bias = [-local[f"{i}_bias"] if i in criterion.biases else 0 for i in system.inputs]
         states[len(system.undelayed.states) :] = ca.vertsplit(system.delay_rest(ca.vertcat(*bias)))
 
-    known = ca.Function("known", [symbol], [ca.vertcat(ca.SX(0, 1), *states)])
+    known = ca.Function("known", [symbol], [as_column(states)])
     return system, known, InitialStates(system), {}
 
 

@@ -28,6 +28,7 @@ from greybox.files.arrays import (
     Named,
     StringPair,
     Strings,
+    as_arrays,
     by_name,
 )
 from greybox.files.grouping import grouped
@@ -136,8 +137,7 @@ class RecordPart(SegmentedPart):
 
     def place(self, z: Array) -> Placed:
         """Return the parameters and the data at z (p,)."""
-        located = (value.full() for value in self.model.locate(z))
-        q, slope, delay, initial, initial_slope = located
+        q, slope, delay, initial, initial_slope = as_arrays(self.model.locate(z))
         q = q.ravel()
         steady = None
         if self.noise_model is not None:

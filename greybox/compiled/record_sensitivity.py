@@ -69,7 +69,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle, squares = np.zeros((0, p)), np.zeros(p)
     for batch in segments.batches():
-        _, J, _ = segments.sensitivities(placed.along(trajectory.states), batch)
+        _, J, _ = segments.sensitivities(trajectory.course, batch)
         J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
         # In the order of J, a sum takes an eighth of its time.
         nodes = by_nodes[batch].transpose(1, 2, 0).copy()

@@ -100,15 +100,12 @@ class ResidualCovariance:
         if not all_finite(products):
             return math.inf
         covariance = self.covariance(products)
-        if self.predicted is not None:
-            logarithm = float(np.linalg.slogdet(2 * math.pi * covariance)[1] * self.counts.max())
-            return (logarithm + float(np.trace(np.linalg.solve(covariance, products)))) / 2
-
-        if self.full:
-            logarithm = (
-                float(np.sum(np.linalg.slogdet(covariance)[1] * self.counts.max(axis=-1))) / 2
-            )
-            return logarithm + self.counts.sum() / 2 * (math.log(2 * math.pi) + 1)
+        if self.predicted is not None or self.full:
+            logarithms = np.linalg.slogdet(2 * math.pi * covariance)[1] * self.counts.max(axis=-1)
+            squares = self.counts.sum()
+            if self.predicted is not None:
+                squares = np.trace(np.linalg.solve(covariance, products))
+            return float(np.sum(logarithms) + squares) / 2
 
         variance = of_diagonal(covariance)
         squares = of_diagonal(products) / variance if self.known is not None else self.counts

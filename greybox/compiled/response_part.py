@@ -23,6 +23,7 @@ from greybox.files.arrays import (
     ComplexArray,
     Fields,
     Strings,
+    as_arrays,
     complex_array,
     frozen,
     real_and_imaginary,
@@ -178,7 +179,7 @@ class ResponsePart(Part):
         """Return the point z, without nodes; its cost may not be finite."""
         # Smoothed already, because every iteration asks for this cost and rarely for another.
         outputs = self.functions.objective(z, SMOOTHING, self.inputs)
-        cost, response = (value.full() for value in outputs)
+        cost, response = as_arrays(outputs)
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True, detail=response)
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
@@ -190,7 +191,7 @@ class ResponsePart(Part):
     def linearize(self, trajectory: Trajectory, weight: Array) -> ArrayPair:
         """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
         derivatives = self.functions.derivatives(trajectory.z, SMOOTHING, self.inputs)
-        gradient, hessian = (value.full() for value in derivatives)
+        gradient, hessian = as_arrays(derivatives)
         # Away from a minimum the Hessian may be indefinite; a descent needs positive curvature.
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
         return gradient.ravel(), (vectors * np.abs(values)) @ vectors.T

@@ -21,6 +21,7 @@ from greybox.files.arrays import (
     BoolArray,
     IntArray,
     all_finite,
+    as_arrays,
     frozen,
     of_diagonal,
 )
@@ -66,6 +67,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     return np.full(F.shape, np.nan)
 
 
+@np.errstate(invalid="ignore")
 def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     """Return the gain (n, k) of the steady filter for process noise of variances (n,).
 
@@ -74,8 +76,6 @@ def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     The sensors have unit variances.
     """
     P = steady_covariance(F, C, np.diag(process))
-    if not all_finite(P):
-        return np.full((len(F), len(C)), np.nan)
     return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T
 
 
@@ -134,7 +134,7 @@ class NoiseModel:
         tiny = 1e-100
         steps = 1j * tiny * np.eye(len(q))[self.columns]
         moved = q + np.vstack([np.zeros(len(q)), steps])
-        values = [np.asarray(value, dtype=float) for value in self.linear.call([ca.DM(q)])]
+        values = as_arrays(self.linear.call([ca.DM(q)]))
         matrices = []
         for M, slope in zip(values[:3], values[3:], strict=True):
             # CasADi stacks matrices column by column; the first filter is at q itself.

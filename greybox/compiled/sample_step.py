@@ -17,7 +17,7 @@ from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function, substep_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
-from greybox.modeling.symbolic_reading import input_symbols
+from greybox.modeling.symbolic_reading import as_column, input_symbols
 
 # Samples of one call: of its overhead of 12 µs a sample bears a tenth of a microsecond.
 RUN = 100
@@ -142,20 +142,20 @@ def _measurement(
     p = q[: len(system.parameters)]
     bias = {name: q[names.index(f"{name}_bias")] for name in criterion.biases}
 
+    of_inputs, of_outputs = (
+        as_column(bias.get(name, 0) for name in names) for names in (system.inputs, system.outputs)
+    )
+
     delay = system.delay(p)
-    means, changes, nows = [], [], []
-    for i, name in enumerate(system.inputs):
+    rows = []
+    for i in range(m):
         # The data are shifted by the whole samples of the delay: the formula sees the rest.
         fraction = ca.SX(0) if delay[i].is_zero() else delay[i] / step - whole[i]
-        mean, change, now = input_over_step(window[3 * i : 3 * i + 3], fraction, held[i])
-        means.append(mean - bias.get(name, 0))
-        changes.append(change)
-        nows.append(now - bias.get(name, 0))
+        rows.append(ca.horzcat(*input_over_step(window[3 * i : 3 * i + 3], fraction, held[i])))
 
-    mean, change, now = (ca.vertcat(ca.SX(0, 1), *values) for values in (means, changes, nows))
-
-    biases = ca.vertcat(*[bias.get(name, 0) for name in system.outputs])
-    simulated = system.output(x, now, p) + biases
+    mean, change, now = ca.horzsplit(ca.vertcat(ca.SX(0, 3), *rows))
+    mean, now = mean - of_inputs, now - of_inputs
+    simulated = system.output(x, now, p) + of_outputs
     # Zero where nothing was measured: no correction, and no share in the cost.
     residual = present * (measured - simulated)
 

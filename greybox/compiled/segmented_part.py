@@ -179,13 +179,11 @@ class SegmentedPart(Part):
 
     def residuals(self, trajectory: Trajectory) -> Array:
         """Return the residuals (k, samples) in the order of the samples, zero if missing."""
-        at = trajectory.detail.along(trajectory.states)
-        return self.segments.in_order(self.segments.residuals(at))
+        return self.segments.in_order(self.segments.residuals(trajectory.course))
 
     def simulated_outputs(self, trajectory: Trajectory) -> Array:
         """Return the outputs (k, samples) along a trajectory, in the order of the samples."""
-        at = trajectory.detail.along(trajectory.states)
-        return self.segments.in_order(self.segments.outputs(at))
+        return self.segments.in_order(self.segments.outputs(trajectory.course))
 
     def explains_data(self, trajectory: Trajectory) -> bool:
         """Return whether all residuals are white; rows without a time have no order."""
@@ -235,7 +233,7 @@ class SegmentedPart(Part):
     def linearize(self, trajectory: Trajectory, weight: Array) -> Linearization:
         """Linearize along a trajectory, known initial states eliminated."""
         placed: Placed = trajectory.detail
-        b = self.segments.linearize(placed.along(trajectory.states), weight)
+        b = self.segments.linearize(trajectory.course, weight)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):
             # With weights other than the filter's own, the merit does not contain its covariance.
             count = self.compared_samples

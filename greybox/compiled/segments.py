@@ -27,7 +27,7 @@ from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
 from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.modeling.symbolic_reading import dense_jacobian
+from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
@@ -388,7 +388,7 @@ class SubstepDerivatives:
     ) -> None:
         x, q, d = step.measurement.sx_in()
         corrected, mean, change, residual, output = step.measurement(x, q, d)
-        parameters = ca.vertcat(ca.SX(0, 1), *(q[i] for i in active))
+        parameters = as_column(q[i] for i in active)
         place = ca.SX.sym("place")
         p = q[: len(step.system.parameters)]
         end = step.substep(x, mean + change * place, change / d[-1], p, d[-1] / step.substeps)

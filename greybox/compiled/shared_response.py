@@ -28,6 +28,7 @@ from greybox.files.arrays import (
     ComplexArray,
     IntArray,
     Named,
+    as_arrays,
     frozen,
     real_and_imaginary,
 )
@@ -39,7 +40,7 @@ from greybox.modeling.held_inputs import first_terms, folded_back
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
 from greybox.modeling.state_space import input_delays
-from greybox.modeling.symbolic_reading import dense_jacobian, parameter_names
+from greybox.modeling.symbolic_reading import as_column, dense_jacobian, parameter_names
 from greybox.modeling.trim import trim_of
 
 
@@ -177,7 +178,7 @@ class SineTest(Rebuilt):
 
     def _response(self, z: Array) -> ComplexArray:
         """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
-        settings, by_z = (value.full() for value in self._settings(z))
+        settings, by_z = as_arrays(self._settings(z))
         rows = is_motion = np.zeros(0, bool)
         for guess, most in self._guesses(z, settings):
             harmonics = guess
@@ -293,7 +294,7 @@ def shared_systems(
     finds and Padé delays are not shared.
     """
     groups: dict[Any, list[int]] = {}
-    values = [ca.SX(ca.vertcat(*part.local_values(named).values())) for part in parts]
+    values = [as_column(part.local_values(named).values()) for part in parts]
     local = [ca.Function("values", [point], [own]) for own in values]
     systems = []
     for k, part in enumerate(parts):

@@ -78,9 +78,9 @@ def drawn_parameters(problem: Problem) -> Array:
             name: p.start if k == 0 or p.fixed else p.draw(random)
             for name, p in problem.parameters.items()
         }
-        drawn.append(list(map(float, problem.local_values(outside).values())))
+        drawn.append([*problem.local_values(outside).values()])
 
-    return np.array(drawn).reshape(DRAWS, -1)
+    return np.array(drawn, dtype=float).reshape(DRAWS, -1)
 
 
 def _upper_quartile(values: Sequence[float]) -> float:

@@ -469,9 +469,9 @@ def share_samples(a: Record, b: Record) -> bool:
     """
     if a.has_time != b.has_time:
         return False
-    if a.checksum == b.checksum and not a.has_time:
-        return bool(np.intersect1d(a.time, b.time).size)
     if a.checksum == b.checksum:
+        if not a.has_time:
+            return bool(np.intersect1d(a.time, b.time).size)
         return any(
             piece.time[0] <= other_piece.time[-1] and other_piece.time[0] <= piece.time[-1]
             for piece in a.pieces

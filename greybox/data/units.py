@@ -256,17 +256,13 @@ def with_units_in_header(text: DelimitedText) -> DelimitedText:
 def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
     """Return whether two units measure the same kind of quantity; radians are pure numbers."""
     # Derived units may be written in several ways: N/kg and m/s² are one kind.
-    kinds = []
-    for conversion in (a, b):
-        powers = Counter[str]()
-        for name, power in _powers(conversion.si).items():
+    quotient = Counter[str]()
+    for si, sign in ((a.si, 1), (b.si, -1)):
+        for name, power in _powers(si).items():
             for base, exponent in _powers(IN_BASE_UNITS.get(name, name)).items():
-                powers[base] += power * exponent
-        kinds.append(
-            {name: power for name, power in powers.items() if power and name not in ("rad", "1")}
-        )
+                quotient[base] += sign * power * exponent
 
-    return kinds[0] == kinds[1]
+    return not any(quotient[base] for base in quotient.keys() - {"rad", "1"})
 
 
 def _named(name: str) -> Conversion | None:

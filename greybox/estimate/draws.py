@@ -23,8 +23,9 @@ from greybox.files.text_table import (
     some,
     text_table,
 )
+from greybox.formulation.starts import sobol_shares
 from greybox.modeling.model import Names
-from greybox.modeling.parameter import require_whole
+from greybox.modeling.parameter import lower_and_upper, require_whole
 from greybox.solve.gauss_newton.driver import GaussNewton
 
 # Factor on a step: for a lag with an error of half its value, the upper error is that much larger.
@@ -160,7 +161,6 @@ def drawn_values(fit: Fit, count: int, names: Labels, seed: int = 0) -> Array:
     Their tails are those of the fewest degrees of freedom among `names`.
     """
     from scipy.special import chdtri, ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
-    from scipy.stats import qmc  # noqa: PLC0415  (takes a third of a second to import)
 
     # The cost depends on every parameter of the fit, also on those of its other parts.
     known = fit.known_directions(fit.names)
@@ -171,14 +171,11 @@ def drawn_values(fit: Fit, count: int, names: Labels, seed: int = 0) -> Array:
     root[np.diag(known.covariance) == 0] = 0
     dof = fit.fewest_degrees(names)
 
-    # Sobol's points are balanced in powers of two.
-    power = max(count - 1, 1).bit_length()
-    sobol = qmc.Sobol(len(lines) + 1, rng=np.random.default_rng(seed))
-    shares = np.clip(sobol.random_base2(power)[:count], 1e-9, 1 - 1e-9)
+    shares = np.clip(sobol_shares(count, len(lines) + 1, seed), 1e-9, 1 - 1e-9)
     normal = ndtri(shares[:, :-1]) @ root.T
     widening = np.sqrt(dof / chdtri(dof, shares[:, -1])) if math.isfinite(dof) else np.ones(count)
     steps = normal * widening[:, None] - np.array([line.bias for line in lines])
-    limits = np.array([line.bounds for line in lines]).T
+    limits = lower_and_upper(lines)
 
     def drawn(steps: Array) -> Array:
         return _within(limits, known.at + steps, known.covariance)

@@ -13,6 +13,7 @@ from greybox.data.record import NOT_STORED, Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.stored_values import require
 from greybox.files.arrays import (
+    AnyArray,
     Array,
     ComplexArray,
     Fields,
@@ -109,6 +110,16 @@ class FittedPart(ABC):
         return len(self.data)
 
     @property
+    def residuals(self) -> AnyArray:
+        """Measured less fitted values, (outputs, n); NaN where nothing was compared."""
+        return np.array([self.residual(name) for name in self.outputs])
+
+    @property
+    def compared_numbers(self) -> int:
+        """Number of real numbers in the data that are compared with the model."""
+        return 2 * self.residuals.size
+
+    @property
     @abstractmethod
     def signal_path(self) -> str:
         """Inputs and outputs, ``u → theta``."""
@@ -129,6 +140,10 @@ class FittedPart(ABC):
         kinds = {"class": str, "arguments": list, "keywords": dict}
         is_reference = all(isinstance(self.model[name], kind) for name, kind in kinds.items())
         require(is_reference, "its model is not a class with arguments")
+
+    def residual(self, output: str) -> AnyArray:
+        """Return measured less fitted values of one of several outputs, (n,)."""
+        raise NotImplementedError
 
     def has_criterion_of(self, other: "FittedPart") -> bool:
         """Return whether both have the same criterion: one class with the same settings."""
@@ -211,11 +226,6 @@ class FittedResponse(FittedPart):
         """Magnitudes of the residuals over those of the data, (n,); not finite at a zero."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.abs(self.residuals) / np.abs(self.data.response)
-
-    @property
-    def compared_numbers(self) -> int:
-        """Number of real numbers in the data that are compared with the model."""
-        return 2 * len(self.data)
 
     @property
     def signal_path(self) -> str:
@@ -326,11 +336,6 @@ class FittedRecord(FittedPart):
         return described_inputs(self.inputs, self.input_names, self.data)
 
     @property
-    def residuals(self) -> Array:
-        """Measured less fitted values, (outputs, n); NaN where nothing was compared."""
-        return np.array([self.residual(name) for name in self.outputs])
-
-    @property
     def compared_numbers(self) -> int:
         """Number of measured values that are compared with the model."""
         return int(np.isfinite(self.residuals).sum())
@@ -400,16 +405,6 @@ class FittedSpectrum(FittedPart):
     noise: Array
     ends: Values
     at: Values = field(default_factory=dict)
-
-    @property
-    def residuals(self) -> ComplexArray:
-        """Measured less fitted transforms, (outputs, n)."""
-        return np.array([self.residual(name) for name in self.outputs])
-
-    @property
-    def compared_numbers(self) -> int:
-        """Number of real numbers in the data that are compared with the model."""
-        return 2 * len(self.data) * len(self.outputs)
 
     @property
     def signal_path(self) -> str:

@@ -10,7 +10,16 @@ from itertools import combinations, product
 
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, Labels, NamedArrays, Strings, by_name, frozen
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    Labels,
+    NamedArrays,
+    Strings,
+    by_name,
+    frozen,
+    unit_length,
+)
 from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
 from greybox.statistics.column_space import triangle_of
 
@@ -434,15 +443,7 @@ def collinear_groups(
     rows = np.vstack([jacobian, active])
     inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
     # Columns of unit length: the index measures how parallel effects are, not how large.
-    length = np.linalg.norm(jacobian[:, inside], axis=0)
-    limits = active[:, inside]
-    limit_length = np.linalg.norm(limits, axis=1, keepdims=True)
-    unit = np.vstack(
-        [
-            jacobian[:, inside] / np.maximum(length, 1e-300),
-            limits / np.maximum(limit_length, 1e-300),
-        ]
-    )
+    unit = np.vstack([unit_length(jacobian[:, inside], 0), unit_length(active[:, inside], 1)])
     _, singular, rows = np.linalg.svd(triangle_of(unit), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
     # The smallest singular values belong to the invisible directions, which have groups already.

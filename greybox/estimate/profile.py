@@ -12,6 +12,7 @@ One solver is used for all parameters, and one program for each other quantity.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -249,8 +250,8 @@ class HeldMinima:
     @cached_property
     def numbers(self) -> float:
         """N for costs of the form N/2 log(sum of squares); infinite for other costs."""
-        parts = self.nlp.parts
-        return sum(p.numbers for p in parts) if all(p.is_logarithm for p in parts) else math.inf
+        is_logarithm = all(part.is_logarithm for part in self.nlp.parts)
+        return self.nlp.numbers if is_logarithm else math.inf
 
     @cached_property
     def _solver(self) -> GaussNewton:
@@ -576,9 +577,8 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
         at_bound = search.minima.at_bounds(outer) - at_best
         return search.crossing(inner, outer, root), "crossed", tuple(sorted(at_bound))
 
-    low = end_of(first, -1, lowest, low_end)
-    high = end_of(last, 1, highest, high_end)
-
+    sides: Any = end_of(first, -1, lowest, low_end), end_of(last, 1, highest, high_end)
+    interval, ends, at_bound = zip(*sides, strict=True)
     scaling = search.minima.nlp.scaling
     return ProfileOf(
         name=line.name,
@@ -589,10 +589,10 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
         costs=np.array([point.cost for point in points]),
         roots=roots,
         others=scaling.to_parameters(np.array([point.z for point in points])),
-        interval=(low[0], high[0]),
-        ends=(low[1], high[1]),
+        interval=interval,
+        ends=ends,
         bounds=line.bounds,
         bias=bias,
-        at_bound=(low[2], high[2]),
+        at_bound=at_bound,
         connected=len(inside) == last - first + 1,
     )

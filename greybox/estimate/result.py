@@ -339,10 +339,9 @@ class Fit(Printed):
         ValueError
             If the fit has no estimate or no covariance.
         """
-        free = [q for q in self.quantities if q.kind == "free"]
         return identifiability(
             self.free,
-            [q.unit for q in free],
+            [self.by_name[name].unit for name in self.free],
             self.known_directions(self.free),
             self.at_bound,
         )

@@ -53,6 +53,21 @@ def positive_or_one(sizes: Array) -> Array:
     return np.where(sizes > 0, sizes, 1.0)
 
 
+def as_arrays(matrices: Iterable[Any]) -> list[Array]:
+    """Return matrices of CasADi as dense arrays."""
+    return [matrix.full() for matrix in matrices]
+
+
+def evenly_spread(count: int, most: int) -> IntArray:
+    """Return at most this many of `count` places, evenly from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+
+
+def unit_length(vectors: Array, axis: int) -> Array:
+    """Return vectors along an axis divided by their lengths; zeros stay."""
+    return vectors / positive_or_one(np.linalg.norm(vectors, axis=axis, keepdims=True))
+
+
 def real_and_imaginary(values: ComplexArray, axis: int = 0) -> Array:
     """Return real parts, then imaginary parts, along an axis, which becomes twice as long."""
     return np.concatenate([values.real, values.imag], axis=axis)

@@ -367,13 +367,12 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         }
         functions |= {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
         functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
-        parameters = self.parameters
-        numbers = self.local_values({name: p.start for name, p in parameters.items()})
+        numbers = self.local_starts
         for what, function in functions.items():
             _require_number(_call(function, numbers, what), what)
 
         # `if`, `max` and `math.exp` work with numbers and fail here.
-        symbols = self.local_values({name: ca.SX.sym(name) for name in parameters})
+        symbols = self.local_values({name: ca.SX.sym(name) for name in self.parameters})
         for what, function in functions.items():
             require_no_nan(what, ca.SX(_call(function, symbols, what)))
 
@@ -481,6 +480,11 @@ class Problem(Addable, metaclass=_OneOrSeveral):
                 tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]"
             )
         return Names({name: local[name] for name in self.declared}, self.model.label)
+
+    @property
+    def local_starts(self) -> Names:
+        """The start values of the parameters by inside name, ties evaluated."""
+        return self.local_values({name: p.start for name, p in self.parameters.items()})
 
     def with_parts(self, parts: "Sequence[Problem]") -> "Problem":
         """Return the only part, see `Sum.with_parts`."""

@@ -56,8 +56,6 @@ class Sobol(Starts):
 
     def draw(self, parameters: Parameters) -> Array:
         """Return the points, spread over the boxes."""
-        from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
-
         # Not before: in a study, too large a number is the failure of this member alone.
         if self.number > MOST:
             raise ValueError(f"{self.number} Sobol points are too many: give at most {MOST}.")
@@ -70,12 +68,18 @@ class Sobol(Starts):
                     "the starts as a list."
                 )
 
-        # A sequence is balanced at powers of two; scipy warns otherwise.
-        power = math.ceil(math.log2(self.number))
-        sequence = qmc.Sobol(len(parameters), scramble=True, rng=np.random.default_rng(self.seed))
-        shares = sequence.random_base2(power)[: self.number].T
-        pairs = zip(parameters.values(), shares, strict=True)
+        shares = sobol_shares(self.number, len(parameters), self.seed)
+        pairs = zip(parameters.values(), shares.T, strict=True)
         return np.column_stack([parameter.in_box(share) for parameter, share in pairs])
+
+
+def sobol_shares(number: int, dimensions: int, seed: int) -> Array:
+    """Return scrambled Sobol points (number, dimensions) between 0 and 1."""
+    from scipy.stats import qmc  # noqa: PLC0415  (takes a third of a second to import)
+
+    # A sequence is balanced at powers of two; scipy warns otherwise.
+    sequence = qmc.Sobol(dimensions, rng=np.random.default_rng(seed))
+    return sequence.random_base2((number - 1).bit_length())[:number]
 
 
 @dataclass(frozen=True)

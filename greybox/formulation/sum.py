@@ -15,7 +15,7 @@ from greybox.files.text_table import counted, one_line, preformatted
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters
-from greybox.modeling.parameter import Parameter, parameter_table, start_values
+from greybox.modeling.parameter import Parameter, lower_and_upper, parameter_table, start_values
 
 # A part is a `Problem`, whose file imports this one.
 Part = TypeVar("Part", bound=Any)
@@ -86,8 +86,8 @@ class Sum(Addable, Generic[Part]):
         """Require that a name tied in one part is tied alike, or absent, in all others."""
         merged = self.parameters
         # Functions cannot be compared, so their values are.
-        bounds = np.array([parameter.bounds for parameter in merged.values()])
-        low, high = np.clip(bounds.T, -1e3, 1e3)  # bounds may be infinite
+        # Bounds may be infinite.
+        low, high = np.clip(lower_and_upper(merged.values()), -1e3, 1e3)
 
         # Different formulas agree at a random point with probability zero; there are four points,
         # since formulas may be undefined in places.

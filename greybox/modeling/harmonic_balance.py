@@ -31,7 +31,15 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, complex_array, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    ComplexArray,
+    Values,
+    complex_array,
+    frozen,
+    unit_length,
+)
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means, walk
 from greybox.modeling.functions import exp
@@ -436,10 +444,7 @@ def _mean_conditions(*slopes: Array) -> list[int] | None:
     comes first. It determines nothing if an integrator follows it, as the angle follows the rate;
     the mean of a state then does. None if no conditions close the balance.
     """
-    rows, conditions = (
-        block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300)
-        for block in map(np.nan_to_num, slopes)
-    )
+    rows, conditions = (unit_length(np.nan_to_num(block), 1) for block in slopes)
     closed = rows
     rank = np.linalg.matrix_rank(rows, 1e-9)
     chosen: list[int] = []

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, StringPair, Values, all_finite
+from greybox.files.arrays import Array, StringPair, Values, all_finite, evenly_spread
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -71,8 +71,7 @@ def frequency_response(
             system = linearize(model, values, at)
             i, k = system.inputs.index(input), system.outputs.index(output)
             pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
-            b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
-            plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
+            plant = solve_pencils(pencil, system.B[:, i]) @ system.C[k] + system.D[k, i]
             result = exp(-system.delays[i] * s) * plant
         re, im = _parts(result, model.label, omega.size)
         response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
@@ -186,7 +185,7 @@ def _elimination_order(
     if not samples:
         return tuple(range(len(model.states)))
     # Fifty frequencies limit the time of the search.
-    few = np.linspace(0, omega.size - 1, min(omega.size, 50)).astype(int)
+    few = evenly_spread(omega.size, 50)
     return elimination_order(np.array(samples), omega[few], outputs)
 
 

@@ -1,7 +1,7 @@
 """One unknown of a model: its start, bounds, unit and meaning."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -146,6 +146,11 @@ Parameters = Mapping[str, Parameter]  # by name
 def start_values(parameters: Parameters) -> Array:
     """Return the declared starts of parameters, (p,)."""
     return np.array([parameter.start for parameter in parameters.values()], dtype=float)
+
+
+def lower_and_upper(parameters: Iterable[Any]) -> Array:
+    """Return the lower and upper bounds (2, p) of parameters, or of what else has `bounds`."""
+    return np.array([parameter.bounds for parameter in parameters], dtype=float).reshape(-1, 2).T
 
 
 def parameter_table(parameters: Parameters) -> str:

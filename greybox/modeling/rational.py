@@ -120,7 +120,7 @@ class Rational(FunctionOfS):
 
         return Rational(
             [1.0],
-            delay=-self.numerator[0] / self.denominator[0] if len(self.numerator) == 2 else 0.0,
+            delay=-self.numerator[0] / self.denominator[0],
         )
 
     @property

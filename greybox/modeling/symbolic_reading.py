@@ -38,6 +38,12 @@ def entries_by_name(names: Iterable[str], column: Any) -> Fields:
     return by_name(names, ca.vertsplit(column))
 
 
+def as_column(entries: Iterable[Any]) -> ca.SX:
+    """Return numbers and scalar expressions as a column (n, 1), also without any."""
+    # The first part makes it an SX: numbers alone would be a DM.
+    return ca.vertcat(ca.SX(0, 1), *entries)
+
+
 def dense_jacobian(values: Any, by: Any) -> Any:
     """Return the Jacobian of expressions as a dense matrix."""
     return ca.densify(ca.jacobian(values, by))
@@ -129,7 +135,7 @@ def column(owner: str, values: Sequence[Any]) -> ca.SX:
                 f"{owner} gives {value.numel()} numbers as value {k}: return one scalar for each."
             )
 
-    return require_no_nan(owner, ca.SX(ca.vertcat(*values)) if values else ca.SX(0, 1))
+    return require_no_nan(owner, as_column(values))
 
 
 def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:

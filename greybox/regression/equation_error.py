@@ -33,7 +33,7 @@ from greybox.formulation.time_criteria import (
     modeled_outputs,
 )
 from greybox.modeling.model import Model
-from greybox.modeling.parameter import Parameter, Parameters, start_values
+from greybox.modeling.parameter import Parameter, Parameters, lower_and_upper, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.least_squares import Rows, undetermined
@@ -182,20 +182,20 @@ def equation_error(
     _require_equations(model, equations, record)
     between = by_name(system.inputs, between_samples(inputs, system.inputs, record))
     rows, bands = regressors(equations, record, start, between)
-    low, high = np.reshape([unknown[n].bounds for n in equations.linear], (-1, 2)).T
+    low, high = lower_and_upper(unknown[n] for n in equations.linear)
     values, errors = _solved(rows, len(bands), low, high)
     groups = [tuple(equations.linear[k] for k in group) for group in undetermined(rows.slopes)]
     lost = {name for group in groups for name in group}
-    limits = zip(equations.linear, values.tolist(), low, high, strict=True)
-    estimates = {name: (value, *bounds) for name, value, *bounds in limits if name not in lost}
-    if not estimates:
+    pairs = zip(equations.linear, values.tolist(), strict=True)
+    estimate = {name: value for name, value in pairs if name not in lost}
+    if not estimate:
         names = ", ".join(equations.linear) or "the parameters linearly"
         raise ValueError(
             f"the record determines none of {names}: the signals that they multiply are constant, "
             "or only a combination of them is determined; fix some."
         )
 
-    at_bound = tuple(name for name, (value, a, b) in estimates.items() if not a < value < b)
+    at_bound = tuple(name for name, value in estimate.items() if value in unknown[name].bounds)
     residuals = rows.spread(errors, len(bands))
     used = list[UsedEquation]()
     for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):
@@ -207,15 +207,13 @@ def equation_error(
         used.append(UsedEquation(left, names, share, count, band_hz, float(residuals[k])))
     return EquationErrorEstimate(
         name=f"{model.label}, {record.name or 'record'}",
-        estimate={name: value for name, (value, *_) in estimates.items()},
+        estimate=estimate,
         equations=tuple(e for e in used if e.rows),
         left_out=(
             *equations.left_out,
             *(f"{e.left} (no stretch is long enough)" for e in used if not e.rows),
         ),
-        missing={
-            n: _why(n, equations, groups, p) for n, p in unknown.items() if n not in estimates
-        },
+        missing={n: _why(n, equations, groups, p) for n, p in unknown.items() if n not in estimate},
         at_bound=at_bound,
         states=tuple(map(str, equations.states)),
         parameters=parameters,

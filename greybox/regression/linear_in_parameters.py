@@ -1,8 +1,8 @@
 """Which equations of a model become regressions, and which parameters are linear in them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 
@@ -10,7 +10,7 @@ from greybox.files.arrays import Strings, Values, frozen
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
-from greybox.modeling.symbolic_reading import entries_by_name
+from greybox.modeling.symbolic_reading import as_column, entries_by_name
 
 Kind = Literal["derivative", "output"]
 Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
@@ -22,12 +22,13 @@ class KnownState:
     """How the time history of a state is obtained.
 
     ``value(x, s)`` gives it from the states known before it and from `s`: the signal `source` of
-    the record, or the derivative of the state `source`.
+    the record, or the derivative of the state `source`. Behind it is the measured `signal`.
     """
 
     name: str
     how: Literal["signal", "derivative"]
     source: str
+    signal: str
     value: ca.Function
 
     def __str__(self) -> str:
@@ -100,11 +101,6 @@ def regressions(
     return _Analysis(model, set(signals), fixed).result()
 
 
-def _column(entries: Sequence[Any]) -> ca.SX:
-    # The last entry makes it an SX; without entries, it would be a DM.
-    return ca.vertcat(*entries, ca.SX(0, 1))
-
-
 class _Analysis:
     """A model in symbols, with numbers for the fixed parameters."""
 
@@ -124,13 +120,11 @@ class _Analysis:
         self.state = entries_by_name(model.states, self.x)
         self.input = entries_by_name(model.inputs, self.u)
         self.parameter = entries_by_name(self.free, self.p)
-        p = _column([{**fixed, **self.parameter}[name] for name in model.parameters])
+        p = as_column([{**fixed, **self.parameter}[name] for name in model.parameters])
         self.f = entries_by_name(model.states, ca.SX(model.derivative(self.x, self.u, p)))
         self.h = entries_by_name(model.outputs, ca.SX(model.output(self.x, self.u, p)))
         self.delays = ca.SX(model.delay(p))
         self.states: dict[str, KnownState] = {}
-        # The signal behind each state that is a signal or a derivative.
-        self.measured: dict[str, str] = {}
         self.left_out: list[str] = []
 
     @one_thread_at_a_time
@@ -143,9 +137,9 @@ class _Analysis:
             pass
         candidates = list(self._candidates())
         equations = tuple(equation for _, equation in candidates)
-        rows = _column([row for row, _ in candidates])
+        rows = as_column([row for row, _ in candidates])
         linear = self._linear(rows)
-        unknowns = _column([self.parameter[n] for n in linear])
+        unknowns = as_column([self.parameter[n] for n in linear])
         # The rows where the unknowns are zero, and their slopes.
         affine = [ca.substitute(rows, unknowns, 0 * unknowns), ca.jacobian(rows, unknowns)]
         nonlinear = tuple(
@@ -180,15 +174,15 @@ class _Analysis:
                 signal = ca.SX.sym("s")
                 offset = ca.substitute(row, x, 0)
                 value = ca.Function("value", [self.x, signal], [(signal - offset) / slope])
-                self.states[name] = KnownState(name, how, source, value)
-                self.measured[name] = source if how == "signal" else self.measured[source]
+                measured = source if how == "signal" else self.states[source].signal
+                self.states[name] = KnownState(name, how, source, measured, value)
                 return True
         return False
 
     def _affine(self, rows: ca.SX, symbols: ca.SX) -> bool:
         """Return whether rows are affine in the symbols."""
         others = [s for s in ca.symvar(rows) if not ca.depends_on(symbols, s)]
-        alone = ca.substitute(rows, _column(others), ca.DM.ones(len(others)))
+        alone = ca.substitute(rows, as_column(others), ca.DM.ones(len(others)))
         # CasADi takes a sign for linear: its derivative is zero.
         return ca.is_linear(rows, symbols) and not has_switches(alone)
 
@@ -209,7 +203,7 @@ class _Analysis:
                 continue
             # The measured states behind the row and its target.
             names = {*_needed(row, self.state), name if kind == "derivative" else ""}
-            sources = sorted({self.measured[n] for n in names & self.measured.keys()})
+            sources = sorted({self.states[n].signal for n in names & self.states.keys()})
             equation = Equation(name, kind, parameters, tuple(sources))
             unknown = " and ".join(sorted(self._unknown(row)))
             if unknown:
@@ -240,7 +234,7 @@ class _Analysis:
         # If parameters multiply one another, the one with the most partners is held: the others are
         # then linear.
         for name in sorted(names, key=partners):
-            if self._affine(rows, _column([self.parameter[n] for n in (*linear, name)])):
+            if self._affine(rows, as_column([self.parameter[n] for n in (*linear, name)])):
                 linear.append(name)
         return tuple(name for name in names if name in linear)
 

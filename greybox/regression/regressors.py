@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record, median_step
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, as_arrays
 from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -71,7 +71,7 @@ def regressors(
         row[:] = _delayed(time, without_holes(time, record[name]), delay + course.late, course.held)
         lateness = max(lateness, delay + (step if course.held else course.late))
 
-    base, slopes = (np.asarray(value) for value in equations.rows(x, u, p))
+    base, slopes = as_arrays(equations.rows(x, u, p))
     slopes = slopes.reshape(len(base), time.size, -1)
     # Share of the lowest cutoff of the signals of an equation. With 1, what smoothing took from the
     # signals biases the tilt model by many standard errors; with 0.7 and 0.5, the intervals cover;

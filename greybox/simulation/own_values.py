@@ -21,7 +21,7 @@ from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known
-from greybox.modeling.parameter import Parameters
+from greybox.modeling.parameter import Parameters, lower_and_upper
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Windows, cut
 from greybox.simulation.simulator import Simulator
@@ -217,7 +217,7 @@ def _minimized(
 ) -> _Estimate:
     """Return the best values of the parameters, within their bounds."""
     # Bounds keep a value finite that the windows determine badly.
-    low, high = np.array([p.bounds for p in parameters.values()]).reshape(-1, 2).T
+    low, high = lower_and_upper(parameters.values())
     places = np.array([model.names.index(name) for name in parameters], dtype=int)
 
     def at(values: Array) -> _Estimate:
@@ -294,7 +294,7 @@ def _not_determined(estimate: _Estimate, parameters: Parameters) -> str:
     if blind.max() > 1e-4:
         return estimate.names[np.argmax(blind)]
     # Its error exceeds half of its bounds.
-    low, high = np.array([p.bounds for p in parameters.values()]).T
+    low, high = lower_and_upper(parameters.values())
     ratio = np.sqrt(np.diag(estimate.covariance)) / ((high - low) / 2)
     return estimate.names[np.argmax(ratio)] if ratio.max() > 1 else ""
 

@@ -340,10 +340,8 @@ def sample_data(windows: Windows, inputs: Strings, delays: Array) -> Array:
     record = windows.record
     stretches = gapless(record, inputs, windows.outputs, lead=np.maximum(delays, 0.0))
     # Windows index the record, the data its stretches without gaps.
-    column = np.full(len(record), -1)
-    rows = np.concatenate([s.rows for s in stretches])
-    column[rows] = np.arange(rows.size)
-    return SampledData(tuple(stretches)).rows(delays)[:, column[windows.rows]]
+    columns = np.searchsorted(np.concatenate([s.rows for s in stretches]), windows.rows)
+    return SampledData(tuple(stretches)).rows(delays)[:, columns]
 
 
 def require_signals(record: Record, inputs: Labels, label: str = "the model") -> None:

@@ -20,6 +20,7 @@ from greybox.files.arrays import (
     Strings,
     all_finite,
     by_name,
+    evenly_spread,
     frozen,
 )
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta
@@ -318,8 +319,7 @@ class Simulator:
         states = result.along.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
         # At 400 of all samples, since each costs two evaluations of the model.
-        places = np.linspace(0, usable.size - 1, min(usable.size, 400)).astype(int)
-        checked = usable[np.unique(places)].tolist()
+        checked = usable[evenly_spread(usable.size, 400)].tolist()
         if not checked:
             return 0.0
         x = states[:, checked]
@@ -394,7 +394,7 @@ def _standard_errors(
     values are returned, too.
     """
     unknown: Strings = ()
-    if model.covariance is not None and len(model.uncertain):
+    if model.covariance is not None:
         covariance = model.covariance[np.ix_(model.uncertain, model.uncertain)]
         undetermined = np.isnan(np.diag(covariance))
         variance = variance + np.einsum(

@@ -99,7 +99,7 @@ def estimate_states(
             mean, precision = shared_prior(
                 H[finite], states[finite], mean, measured[finite], R, spread
             )
-        posterior = _inverse(H, precision)
+        posterior = np.linalg.inv(H + np.diag(precision))
         step = np.einsum("wij,wj->wi", posterior, b - precision * (x - mean))
         step = np.where(finite[:, None], step, 0.0)
         step = _halved(step, x, e, residual, R, mean, precision)
@@ -195,10 +195,6 @@ def whitening(covariance: Array) -> Array:
     return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
-def _inverse(H: Array, precision: Array) -> Array:
-    return np.linalg.inv(H + np.diag(precision))
-
-
 def shared_prior(
     H: Array, information: Array, mean: Array, measured: Array, R: Array, spread: Array
 ) -> ArrayPair:
@@ -216,7 +212,7 @@ def shared_prior(
         return mean, precision
     # Expectation and maximization: these need no simulation.
     for _ in range(50):
-        covariance = _inverse(H, precision)
+        covariance = np.linalg.inv(H + np.diag(precision))
         x = np.einsum("wij,wj->wi", covariance, information + precision * mean)
         mean = x.mean(axis=0)
         variance = of_diagonal(covariance).sum(axis=0)

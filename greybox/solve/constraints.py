@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray, as_arrays, frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.solve.quadratic_program import solve_small_qp
@@ -52,7 +52,7 @@ class Limits:
         """Return by how much all constraints together are violated, beyond rounding."""
         if not self.constraints.numel_out(0):  # a call costs as much as a hundred samples
             return 0.0
-        value, normal = (result.full() for result in self.constraints(z))
+        value, normal = as_arrays(self.constraints(z))
         rounding = 1e-9 * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
         below = -value.ravel()
         return float(np.where(below > rounding, below, 0.0).sum())
@@ -63,7 +63,7 @@ class Limits:
         Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads
         back to one that is violated.
         """
-        value, normal = (result.full() for result in self.constraints(z))
+        value, normal = as_arrays(self.constraints(z))
 
         # A point may lie beyond a bound by rounding: no step need lead back.
         rooms = (self.low - z, z - self.high)

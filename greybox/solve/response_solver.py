@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.response_programs import CostProgram, fits_a_batch, instructions
-from greybox.files.arrays import Array, ArrayPair, Arrays, Named
+from greybox.files.arrays import Array, ArrayPair, Arrays, Named, as_arrays
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
@@ -195,7 +195,7 @@ class ResponseSolver(LocalSolver):
             return None
         z = self.nlp.scaling.to_solver(starts).T
         first = self.nlp.programs[0].function
-        costs, limits = (value.full() for value in first(z, SMOOTHING, self.nlp.data))
+        costs, limits = as_arrays(first(z, SMOOTHING, self.nlp.data))
         # A constraint missed by a thousandth weighs as much as a cost of one.
         values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
         values = np.where(np.isfinite(values), values, np.inf)

@@ -74,12 +74,10 @@ class TranscribedProgram(LocalSolver):
         self._ipopt = Ipopt(statement, options, derivatives)
 
         # Where the unknowns and parameters of each part end in those of the program.
-        self._unknown_ends = (
-            len(nlp.free) + np.cumsum([program.unknowns.numel() for program in self._programs])[:-1]
-        )
-        self._parameter_ends = np.cumsum(
-            [program.parameters.numel() for program in self._programs]
-        )[:-1]
+        sizes = [program.unknowns.numel() for program in self._programs]
+        self._unknown_ends = np.cumsum([z.numel(), *sizes])[:-1]
+        sizes = [program.parameters.numel() for program in self._programs]
+        self._parameter_ends = np.cumsum(sizes)[:-1]
 
         # States may go anywhere: a bound would only cut off their search.
         unbounded = np.full(unknowns.numel() - z.numel(), np.inf)
@@ -148,7 +146,7 @@ class TranscribedProgram(LocalSolver):
     def _outcome(self, solution: Array, w: Array) -> tuple[float, Array, bool]:
         """Return cost, next parameters, and whether no delay passed a whole sample."""
         z = solution[: len(self.nlp.free)]
-        unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
+        unknowns = np.split(solution, self._unknown_ends)[1:]
         parameters = np.split(w, self._parameter_ends)
         values = zip(self._programs, unknowns, parameters, strict=True)
         products = [program.products(z, states, ws).full() for program, states, ws in values]

@@ -1,6 +1,7 @@
 """Which fits may be compared: by their data, and by their criteria's type and settings."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -108,12 +109,15 @@ def test_what_cannot_be_compared_is_told(fits):
 def test_numbers_of_data_and_outputs_are_counted_in_each_kind(fits):
     part = fits[1.0].parts[0]
     spectrum = FittedSpectrum.__new__(FittedSpectrum)
-    vars(spectrum).update(data=np.zeros(7), outputs=("p", "r", "beta"))
+    lines = dict.fromkeys(("p", "r", "beta"), np.zeros(7, complex))
+    vars(spectrum).update(data=SimpleNamespace(outputs=lines), fitted=lines, outputs=(*lines,))
     assert spectrum.compared_numbers == 2 * 7 * 3
     assert (
         shared_data([fits[1.0]]) == f"the same for all: made ({part.data.checksum[:8]}), 60 numbers"
     )
-    fewer = replace(fits[2.0], parts=(replace(part, data=part.data.where(np.arange(30) < 29)),))
+    points = np.arange(30) < 29
+    shorter = replace(part, data=part.data.where(points), response=part.response[points])
+    fewer = replace(fits[2.0], parts=(shorter,))
     assert other_samples([fits[1.0], fits[2.0]], ("a", "b")) == ""
     assert other_samples([fits[1.0], fewer], ("a", "b")).startswith(
         "a was fitted to 60 numbers of 'made' and b to 58 ("

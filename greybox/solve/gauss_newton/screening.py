@@ -20,7 +20,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Course, Segments
 from greybox.compiled.transient_part import TransientPart
-from greybox.files.arrays import Array, ArrayTriple, BoolArray, of_diagonal
+from greybox.files.arrays import Array, ArrayTriple, BoolArray, evenly_spread, of_diagonal
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
 
@@ -80,8 +80,7 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     parts = nlp.parts_of(RecordPart)
     # Some 32 segments, evenly over at most eight records, are enough for a dozen parameters, and an
     # evaluation takes less than a millisecond a start.
-    numbers = np.unique(np.linspace(0, len(parts) - 1, 8).round().astype(int))
-    chosen = [parts[k] for k in numbers]
+    chosen = [parts[k] for k in evenly_spread(len(parts), 8)]
     most = -(-32 // len(chosen))
     # About twice as many outputs as states: half of them are left to predict. Without these first
     # steps, searches for an aircraft in wide boxes take twice the time (`screened_starts.py`).
@@ -125,8 +124,7 @@ class ShortSegments:
         There is a copy of the record for each of the `points`, with its own parameters.
         """
         self._part = part
-        count = part.data.segments
-        self.chosen = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+        self.chosen = evenly_spread(part.data.segments, most)
         self.length = min(length, part.data.segment_length)
         self._weight = part.initial_weight()
         copies = np.repeat(np.arange(points), len(self.chosen))
