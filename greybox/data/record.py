@@ -117,7 +117,7 @@ class Record(Printed):
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
-        if not isinstance(self.signals, Mapping):
+        if not hasattr(self.signals, "items"):
             raise TypeError(f"signals is {self.signals!r:.60}: give {{name: values}}.")
         if self.time is None:
             rows = next(map(np.size, self.signals.values()), 0)

@@ -100,10 +100,16 @@ class TransientSpectrum:
             for name, values in arrays.items():
                 require_size(name, values, "omega", omega.size)
             vars(self)[kind] = arrays
-        vars(self)["input_changes"] = {
-            printable(name): np.reshape(finite_array("input_changes", np.ravel(rows)), (2, -1))
-            for name, rows in self.input_changes.items()
-        }
+        changes = {}
+        for name, rows in self.input_changes.items():
+            if np.ndim(rows) != 2 or len(rows) != 2:
+                raise ValueError(
+                    f"input_changes of {name} has shape {np.shape(rows)}: give two rows, the times "
+                    "before the end and the changes."
+                )
+            numbers = finite_array("input_changes", np.ravel(rows))
+            changes[printable(name)] = numbers.reshape(2, -1)
+        vars(self)["input_changes"] = changes
 
     def __len__(self) -> int:
         return self.omega.size

@@ -13,6 +13,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.misfit import FALSE_ALARMS, Cause
@@ -45,6 +46,8 @@ OF_RESPONSES = 0.01
 TINY = 1e-300
 NOTHING = 1e-200  # in place of a modeled response of zero: the square of its effects is zero
 STEP = 1e-6  # of the numbers of a term, for derivatives
+# Samples of an output in a stretch: of fewer, straight lines and an autoregression leave nothing.
+FEWEST = 8
 # Share of an output by which a simulation by larger steps may miss it: so little do terms differ.
 FOLLOWED = 0.1
 
@@ -116,9 +119,8 @@ def regression_of_record(
     part, weight, data = record.part, record.weight, record.part.data
     slopes = sensitivity(part, record.trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    # Straight lines and an autoregression leave nothing of fewer samples of an output in a stretch.
-    fewest = 8 * len(data.stretches)
-    is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= fewest)
+    counts = np.sum(record.present, axis=1, keepdims=True)
+    is_tested = is_new * (counts >= FEWEST * len(data.stretches))
     present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
     def by_stretch(values: Array) -> Arrays:
@@ -260,17 +262,31 @@ def shortened(
         nodes = states[:, :: shorter.data.segment_length].T
         return shorter.trajectory(trajectory.z, nodes)
 
-    coarse = part.with_data(part.data.thinned(-(-part.samples // samples)))
+    coarse = part.with_data(_thinned(part.data, -(-part.samples // samples)))
     simulated = coarse.simulated_outputs(along(coarse))
     exact = chosen(coarse, part.simulated_outputs(trajectory))
     missed, moved = np.std(simulated - exact, axis=1), np.std(exact, axis=1)
-    # The gains of a predictor belong to its step.
-    if not part.gains and np.all(missed < FOLLOWED * moved):
+    # The gains of a predictor belong to its step, and short stretches would have too few samples.
+    is_long = sum(map(len, coarse.data.stretches)) >= FEWEST * len(coarse.data.stretches)
+    if is_long and not part.gains and np.all(missed < FOLLOWED * moved):
         # With the residuals that the whole part has there.
         coarse = coarse.with_outputs(coarse.data.unpadded(coarse.data.measured + simulated - exact))
         return coarse, along(coarse)
     excerpt = part.excerpt(samples)
     return excerpt, along(excerpt)
+
+
+def _thinned(data: SampledData, factor: int) -> SampledData:
+    """Return every sample of this number, or of the next with which all outputs keep their share.
+
+    An output at a rate of its own, such as one at every tenth row from the fifth on, may have no
+    sample in every second row.
+    """
+    thinned = data.thinned(factor)
+    counts, chosen = (np.isfinite(each.measured).sum(axis=1) for each in (data, thinned))
+    # Half of its share, unless even that is too few samples for the test.
+    is_shared = factor * (2 * chosen + FEWEST) >= counts
+    return thinned if np.all(is_shared) else _thinned(data, factor + 1)
 
 
 def regression_of_response(

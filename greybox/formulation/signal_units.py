@@ -56,6 +56,9 @@ def _require_same_unit(
     """Raise ValueError with the cure if a signal has another unit than in the model."""
     declared = model.units.get(name, "").strip()
     unit = unit.strip()
+    # Numbers in one unit, known or not, need no conversion.
+    if unit == declared:
+        return
     modeled, measured = known_unit(declared), known_unit(unit)
     if modeled is None or measured is None:
         # A unit of the user's own, such as counts, is equal to no other.

@@ -28,7 +28,9 @@ def pairs(columns: NamedArrays, axes: GivenAxes | None = None) -> AxesArray:
     -------
     numpy.ndarray of Axes, shape (k²,)
     """
-    require_drawable(columns, Mapping, "the columns of gb.draws or gb.bootstrap")
+    # A table of pandas is no Mapping.
+    if not hasattr(columns, "items"):
+        require_drawable(columns, Mapping, "the columns of gb.draws or gb.bootstrap")
     names = [name for name, column in columns.items() if np.ptp(column) > 0]
     if not names:
         raise ValueError("no column varies: give at least one parameter that was estimated.")

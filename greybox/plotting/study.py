@@ -1,6 +1,7 @@
 """Figures of a study or of fits: a parameter over operating points or members, and maps."""
 
 import math
+from collections.abc import Collection
 from itertools import groupby
 from pathlib import Path
 
@@ -125,7 +126,7 @@ def estimates_figure(study: Study | Fits, quantity: str) -> Figure:
     """Return a quantity of all members, the first or lowest one at the top."""
     if not isinstance(study, Study):
         # A study that is stored nowhere, a member a fit.
-        require_drawable(study, (list, tuple), f"{STUDY}, or a list of fits")
+        require_drawable(study, Collection, f"{STUDY}, or a list of fits")
         for fit in study:
             require_drawable(fit, Fit, "a Fit")
         names = distinct_labels([fit.name for fit in study], ())

@@ -41,6 +41,10 @@ def test_frames_of_ones_own(pd):
     assert not gb.Record.from_pandas(pd.DataFrame({"x": [1, 2]}), has_time=False).has_time
 
 
+def test_a_frame_of_columns_is_a_mapping_of_signals(pd):
+    assert gb.Record(TIME, pd.DataFrame(SIGNALS)).checksum == gb.Record(TIME, SIGNALS).checksum
+
+
 @pytest.mark.parametrize("name", ["time", "t", "timestamp", "Time (s)", "time_ms", "Time [ms]"])
 def test_a_column_of_times_is_the_time(pd, name):
     """Not the number of the row, which would be taken for seconds."""

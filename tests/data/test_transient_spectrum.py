@@ -100,6 +100,8 @@ def test_what_an_input_does_at_the_end_acts_later(delay, held):
             "y is 1e+80+0j at index 3: squares of such numbers",
         ),
         ({"input_changes": {"u": [[0.1], [np.nan]]}}, "input_changes is nan at index 1"),
+        ({"input_changes": {"u": 0.5}}, "input_changes of u has shape (): give two rows"),
+        ({"input_changes": {"u": np.zeros((3, 2))}}, "input_changes of u has shape (3, 2)"),
     ],
 )
 def test_what_is_no_spectrum_is_refused(changes, words):

@@ -182,7 +182,9 @@ def test_a_misspelled_unit_comes_with_the_nearest_one(unit, meant):
         to_si(unit)
 
 
-@pytest.mark.parametrize("unit", "LSB counts pwm PWM px mol mol/l counts/s cd dB norm USD".split())
+@pytest.mark.parametrize(
+    "unit", "LSB counts pwm PWM px mol mol/l counts/s cd dB norm USD units".split()
+)
 def test_a_unit_of_the_users_own_is_no_misspelled_one(unit):
     assert not misspelled(unit)
 

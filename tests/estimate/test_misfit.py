@@ -1521,3 +1521,45 @@ def test_dry_friction_is_named_also_where_steps_lie_between_the_chosen_samples()
     misfit = gb.fit(problem, starts=[{}], progress=False, profiles=False).misfit
     assert not misfit.explains
     assert "sign(v) in the equation of v" in [cause.text for cause in misfit.likely[:2]]
+
+
+class LateTachometer(Tachometer):
+    def output(self, x, u, p):
+        return (x.q - 0.1 * x.v, x.v)
+
+
+@pytest.mark.parametrize(("plant", "explains"), [(Tachometer, True), (LateTachometer, False)])
+def test_an_output_of_odd_rows_is_tested_in_a_long_record(plant, explains):
+    """Every second row would have none of its samples."""
+    random, time = np.random.default_rng(0), 0.01 * np.arange(6000)
+    force = np.repeat(random.normal(size=41), 150)[: time.size]
+    flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
+    exact = gb.simulate(plant(), {"m": 1.0, "d": 1.0}, flight)
+    signals = {name: exact[name] + 0.02 * random.normal(size=time.size) for name in ("q", "v")}
+    signals["q"][np.arange(time.size) % 10 != 5] = np.nan
+    problem = gb.Problem(Tachometer(), flight.with_signals(**signals))
+    misfit = gb.fit(problem, starts=[{}], progress=False, profiles=False).misfit
+    assert misfit.explains == explains
+
+
+class Speed(Drive):
+    states = outputs = ("v",)
+
+    def derivative(self, x, u, p):
+        return ((u.F - p.d * x.v) / p.m,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def test_a_long_record_of_short_stretches_is_tested():
+    """Of every second sample, seven would remain in each of them: too few for a test."""
+    random, time = np.random.default_rng(0), 0.01 * np.arange(4200)
+    force = np.repeat(random.normal(size=28), 150)
+    flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
+    v = gb.simulate(Speed(), {"m": 1.0, "d": 1.0}, flight)["v"]
+    noise = 0.1 * np.sin(9 * time) + 0.02 * random.normal(size=time.size)
+    force = np.where(np.arange(time.size) % 15 == 14, np.nan, force)
+    problem = gb.Problem(Speed(), flight.with_signals(F=force, v=v + noise))
+    fit = gb.fit(problem, starts=[{}], progress=False, profiles=False)
+    assert any("the residuals of v in 'Speed' stay correlated" in text for text in fit.warnings)

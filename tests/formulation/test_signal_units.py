@@ -87,6 +87,13 @@ def test_the_same_unit_in_other_words_and_unknown_ones_pass(units):
     gb.Problem(Rate(), record(**units))
 
 
+def test_a_unit_of_the_users_own_is_equal_to_itself():
+    class Own(Rate):
+        units = {"q": "grads/s"}
+
+    gb.Problem(Own(), record(q="grads/s"))
+
+
 def test_a_unit_of_a_signal_that_is_not_there_is_a_sentence():
     class Wrong(Rate):
         units = {"theta": "rad"}

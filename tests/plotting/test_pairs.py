@@ -23,6 +23,12 @@ def test_each_pair_has_its_points_and_correlation_and_the_diagonal_histograms():
     assert steps.max() == np.histogram(a, "auto")[0].max()
 
 
+def test_a_table_of_pandas_has_columns_too():
+    pd = pytest.importorskip("pandas")
+    columns = {"a": np.arange(9.0), "b": np.arange(9.0) ** 2}
+    assert len(gb.plotting.pairs(pd.DataFrame(columns))) == 4
+
+
 def test_constants_alone_cannot_be_drawn():
     with pytest.raises(ValueError, match="give at least one"):
         gb.plotting.pairs({"fixed": np.ones(3)})

@@ -69,6 +69,9 @@ def test_estimates_have_a_row_each_and_costs_are_sorted(small_study):
         }
     alike = estimates_figure(small_study.select(model="Lag", seed=0), "K")
     assert alike.panels[0].ticks[-1] == "hover"  # what members share is not repeated
+    fits = {name: small_study[f"{name}, Lag"].fit for name in SPEEDS}
+    # The values of a dictionary are no sequence, but have a length.
+    assert len(estimates_figure(fits.values(), "K").panels[0].ticks) == len(fits)
     costs = estimates_figure(small_study, "cost")
     rows = sorted((y, x) for s in costs.panels[0].series for x, y in zip(s.x, s.y, strict=True))
     assert [x for _, x in rows] == sorted((x for _, x in rows), reverse=True)
