@@ -112,8 +112,16 @@ class ResidualCovariance:
         return float(0.5 * np.sum(squares + self.counts * np.log(2 * math.pi * variance)))
 
     def weight(self, products: Array) -> Array:
-        """Return W (k, k) with WᵀW the inverse of the covariance."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance(products)))
+        """Return W (k, k) with WᵀW the inverse of the covariance.
+
+        It is the symmetric root of the inverse correlations, over the deviations: standard errors
+        would follow the order of the outputs by a triangular root, and their units by another one.
+        """
+        root = np.linalg.cholesky(self.covariance(products))
+        deviations = np.linalg.norm(root, axis=-1, keepdims=True)
+        directions, sizes, _ = np.linalg.svd(root / deviations)
+        whitening = directions / sizes[..., None, :] @ directions.swapaxes(-1, -2)
+        return whitening / deviations.swapaxes(-1, -2)
 
     def along(self, measured: Array) -> "ResidualCovariance":
         """Return the covariance for other measured values (k, samples) of the same outputs."""

@@ -50,11 +50,12 @@ def uneven_errors(
     # side.
     nearby = np.maximum(4 - np.abs(lines[:, None] - lines), 0)
     nearby = nearby / nearby.sum(axis=0) / 2
-    root_of_covariance = np.linalg.cholesky(covariance)
+    # The Hermitian root, since a triangular one depends on the order of the outputs.
+    values, directions = np.linalg.eigh(covariance)
+    root_of_covariance = np.einsum("lia,la,lja->lij", directions, values**0.5, directions.conj())
     inverse = np.linalg.inv(root_of_covariance)
-    turned_back = root_of_covariance.conj().swapaxes(1, 2)
     basis = np.concatenate([taken, rows], axis=-1)
-    loud, quiet = _turned(turned_back, basis), _turned(inverse, basis)
+    loud, quiet = _turned(root_of_covariance, basis), _turned(inverse, basis)
     # What the fit leaves of errors of this covariance, beside white ones of other data.
     products = "iclp,iclq->pq"
     absorbed = np.einsum(products, loud, loud) - np.einsum(products, basis, basis)

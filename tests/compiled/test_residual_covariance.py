@@ -254,3 +254,15 @@ def test_outputs_are_dependent_where_single_precision_does_not_part_them(apart, 
 @pytest.mark.parametrize(("noise", "count"), [(SIGMA, 0), ("full", 6), ("diagonal", 3)])
 def test_a_covariance_of_three_outputs_has_six_numbers_or_three(noise, count):
     assert made(noise)[0].unknowns == count
+
+
+def test_a_weight_follows_order_and_units_of_the_outputs():
+    """Standard errors weigh outputs one by one, so that another root would give other ones."""
+    covariance, products = made("full")
+    weight = covariance.weight(products)
+    inverse = np.linalg.inv(covariance.covariance(products))
+    assert_allclose(weight.T @ weight, inverse, rtol=1e-9)
+    order, units = [2, 0, 1], np.array([1e3, 1.0, 1e-2])
+    other = RESIDUALS[order] * units[:, None]
+    covariance, products = made("full", other)
+    assert_allclose(covariance.weight(products), weight[np.ix_(order, order)] / units, rtol=1e-7)

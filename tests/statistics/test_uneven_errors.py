@@ -78,3 +78,19 @@ def test_certain_scores():
     )
     assert covariance == pytest.approx(1, rel=1e-5)
     assert dof > 1e9
+
+
+def test_the_order_of_the_outputs_does_not_matter():
+    random = np.random.default_rng(2)
+    basis = np.linalg.qr(random.normal(size=(3 * 2 * LINES, 3)))[0].reshape(3, 2, LINES, 3)
+    errors = random.normal(size=(3, 2, LINES))
+    shape = random.normal(size=(LINES, 3)) + 1j * random.normal(size=(LINES, 3))
+    covariance = np.eye(3) + 30 * shape[:, :, None] * shape[:, None].conj()
+
+    def judged(order):
+        e, b, c = errors[order], basis[order], covariance[:, order][:, :, order]
+        return uneven_errors(e, b[..., :2], np.eye(2), b[..., 2:], np.zeros((2, 2)), c)
+
+    (wanted, dof), (scores, other) = judged([0, 1, 2]), judged([1, 2, 0])
+    np.testing.assert_allclose(scores, wanted, rtol=1e-9)
+    assert other == pytest.approx(dof)
