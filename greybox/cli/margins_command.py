@@ -83,10 +83,11 @@ def run(options: argparse.Namespace) -> Answer:
             f"{tables[0]} is a measured loop: fits, --log, --report and --plot do not go with it."
         )
     settings = attributes(options, "tracking", "at", "level", "boundary")
+    first = next(iter(fits.values()))
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
     is_single = len(fits) == 1 and not tables
-    log = flight_log(*fits.values(), options.results[0], options) if is_single else None
+    log = flight_log(first, options.results[0], options) if is_single else None
     if log:
         flown = shipped_module("models", "firmware").loop_of_log(
             log,
