@@ -152,8 +152,8 @@ def gains_figure(safe: SafeGains) -> Figure:
     names, rows = [*safe.values], [*safe.values.values()]
     chosen = safe.best or safe.today
     allowed, confidence = safe.allowed, safe.confidence
-    for name, row in zip(names[2:], rows[2:], strict=True):
-        nearest = np.abs(row - chosen[name]).argmin()
+    for name in names[2:]:
+        nearest = np.abs(safe.values[name] - chosen[name]).argmin()
         allowed, confidence = allowed[..., nearest], confidence[..., nearest]
 
     if len(names) == 1:

@@ -151,7 +151,9 @@ class Bootstrap(Printed):
         # the other, those of lags and of the tilt model at most 2.1 times
         # (`benchmarks/bootstrap_coverage.py`).
         names = []
-        for q, (low, high) in zip(self.quantities, self.interval().values(), strict=True):
+        intervals = self.interval()
+        for q in self.quantities:
+            low, high = intervals[q.name]
             shorter, longer = sorted((q.value - low, high - q.value))
             if longer > 2.5 * max(shorter, 0.0):
                 names.append(q.name)

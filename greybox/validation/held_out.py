@@ -97,14 +97,14 @@ def where_all_are_finite(
     Each result is a prediction, the windows in which it diverged (w,), and the reason.
     """
     # Left out for all models: otherwise the one that diverges would be judged by easier windows.
-    predictions = [prediction for prediction, _, _ in results]
-    diverged = np.any([lost for _, lost, _ in results], axis=0)
+    predictions, lost, texts = zip(*results, strict=True)
+    diverged = np.any(lost, axis=0)
     if not diverged.any():
-        return predictions, []
+        return list(predictions), []
 
     reasons = [
         reason if reason.startswith(label) else f"{label}: {reason}"
-        for label, (_, _, reason) in zip(labels, results, strict=True)
+        for label, reason in zip(labels, texts, strict=True)
         if reason
     ]
     first = predictions[0]

@@ -156,13 +156,12 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
     if not group.instance or group.time is None:
         yield group.name, group
         return
-    labels = group.texts.get(group.instance)
     # Telemetry distinguishes senders by a text, DataFlash by a number.
-    values = np.array(labels) if labels is not None else group.columns[group.instance]
+    values = np.array({**group.columns, **group.texts}[group.instance])
     columns = {name: column for name, column in group.columns.items() if name != group.instance}
 
     for value in np.unique(values).tolist():
-        label = str(value) if labels is not None else f"{value:g}"
+        label = value if isinstance(value, str) else f"{value:g}"
         part = replace(group, columns=columns).rows(np.flatnonzero(values == value))
         yield f"{group.name}[{label}]", part
 
