@@ -234,14 +234,13 @@ def sampled_data(
     shortest = 1 if static else 3
     stretches = gapless(record, inputs, outputs, lead=lead, complete=complete, shortest=shortest)
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any())
-    if not usable and static:
-        what = "sample" if record.has_time else "row"
-        raise ValueError(
-            f"{_called(record)} has no {what} with all inputs and an output "
-            f"({names}; {listed(outputs)})."
-        )
-
     if not usable:
+        if static:
+            what = "sample" if record.has_time else "row"
+            raise ValueError(
+                f"{_called(record)} has no {what} with all inputs and an output "
+                f"({names}; {listed(outputs)})."
+            )
         delay = float(np.max(lead, initial=0.0))
         reason = f" after the longest delay in the bounds, {delay:.3g} s" if delay else ""
         raise ValueError(

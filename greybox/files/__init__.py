@@ -4,7 +4,7 @@ Begin with `text_table`.
 
 | file | contents |
 | --- | --- |
-| `arrays` | types of numpy arrays for annotations, whether arrays are finite, divisors |
+| `arrays` | types of numpy arrays for annotations; whether they are finite, parts, lengths |
 | `text_table` | tables and numbers as people read them, also in notebooks |
 | `delimited_text` | tables of numbers in files: separator, decimal mark, units, comments, facts |
 | `grouping` | items in groups that are alike |

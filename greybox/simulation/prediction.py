@@ -319,9 +319,11 @@ def cut(
         parts.append(stretch.rows[rows[usable]])
 
     rows = np.concatenate(parts)
-    if not len(rows) and not record.has_time:
-        raise ValueError(f"{record.name or 'the record'} has no row with all inputs and an output.")
     if not len(rows):
+        if not record.has_time:
+            raise ValueError(
+                f"{record.name or 'the record'} has no row with all inputs and an output."
+            )
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
             f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} "
