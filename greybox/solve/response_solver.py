@@ -79,8 +79,8 @@ class ResponseSolver(LocalSolver):
         lower, upper = nlp.bounds
         self._bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": np.inf}
         self.limits = {
-            "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
-            "tolerance": float(self._options.get("tol", TOLERANCE)),
+            "max_iterations": int(options.get("max_iter", ITERATIONS)),
+            "tolerance": float(options.get("tol", TOLERANCE)),
         }
         explicit = nlp.programs[-1].explicit
         if batched and explicit and ResponseSolver.serves(nlp):

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.part import CorrelatedPoints, Trajectory
+from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import Accuracy, known_covariances
+from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
 from greybox.files.arrays import Array, Arrays, ComplexArray, frozen
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
@@ -135,24 +135,18 @@ def record_draws(accuracy: Accuracy, seed: int) -> Draws:
     ValueError
         If the data are fitted exactly.
     """
-    spectra = [errors.colored and errors.colored.spectrum for errors in accuracy.parts]
     nlp = accuracy.nlp
-    columns = zip(
-        nlp.parts_of(RecordPart), accuracy.trajectories, spectra, accuracy.parts, strict=True
-    )
-    records = [
-        _drawn_record(part, trajectory, spectrum, errors.numbers)
-        for part, trajectory, spectrum, errors in columns
-    ]
-    about = "residuals drawn" + (" with their correlation in time" if any(spectra) else "")
+    rows = nlp.rows_of(RecordPart, accuracy.trajectories, accuracy.parts)
+    records = [_drawn_record(*row) for row in rows]
+    about = "residuals drawn"
+    if any(record.spectrum for record in records):
+        about += " with their correlation in time"
     constants = nlp.constant_values
     return Draws(seed, tuple(records), constants, np.zeros((len(constants), 0)), about)
 
 
-def _drawn_record(
-    part: RecordPart, trajectory: Trajectory, spectrum: ErrorSpectrum | None, dof: float
-) -> DrawnRecord:
-    """Return the errors of a part whose residuals have these degrees of freedom if white."""
+def _drawn_record(part: RecordPart, trajectory: Trajectory, errors: PartAccuracy) -> DrawnRecord:
+    """Return the errors of a part along its best trajectory."""
     fitted = tuple(part.data.unpadded(part.simulated_outputs(trajectory)))
     measured = tuple(stretch.outputs for stretch in part.data.stretches)
     differences = [y - model for y, model in zip(measured, fitted, strict=True)]
@@ -162,8 +156,10 @@ def _drawn_record(
 
     # White residuals are too small by the fitted parameters and initial states. The spectrum of
     # colored residuals is already corrected for the fit.
+    spectrum = errors.colored and errors.colored.spectrum
     if spectrum is None:
-        return DrawnRecord(measured, fitted, math.sqrt(part.numbers / dof) * residuals, None)
+        deviation = math.sqrt(part.numbers / errors.numbers)
+        return DrawnRecord(measured, fitted, deviation * residuals, None)
     white = _centered([spectrum.whitened(values) for values in differences])
     return DrawnRecord(measured, fitted, white, spectrum.of_draws(white))
 
@@ -268,7 +264,7 @@ def response_draws(accuracy: Accuracy, seed: int) -> Draws:
     nlp, free = accuracy.nlp, len(accuracy.x)
     values = nlp.all_values(accuracy.x)
     parts = [
-        _drawn_part(part, values, errors.numbers, errors.neighbors)
+        _drawn_part(part, values, errors)
         for part, errors in nlp.rows_of(ResponsePart, accuracy.parts)
     ]
     about = "normal errors of the fitted size"
@@ -283,10 +279,8 @@ def response_draws(accuracy: Accuracy, seed: int) -> Draws:
     return Draws(seed, tuple(parts), nlp.constant_values, root, about)
 
 
-def _drawn_part(
-    part: ResponsePart, values: Array, dof: float, neighbors: CorrelatedPoints | None
-) -> DrawnResponse:
-    """Return the errors of a part whose residuals have these degrees of freedom."""
+def _drawn_part(part: ResponsePart, values: Array, errors: PartAccuracy) -> DrawnResponse:
+    """Return the errors of a part at all values (k,)."""
     if not part.is_open:
         raise ValueError(
             f"{type(part.criterion).__name__} accepts only numbers, but the bootstrap gives it "
@@ -302,7 +296,7 @@ def _drawn_part(
         # infinite.
         size = size * np.sqrt(np.maximum(part.data.independent_share, 0.1))
 
-    variance = float(np.sum(np.abs((part.data.response - response) / size) ** 2)) / dof
+    variance = float(np.sum(np.abs((part.data.response - response) / size) ** 2)) / errors.numbers
     if not variance > np.finfo(float).eps:
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
     if has_variances:  # given variances are believed, unless the residuals are larger
@@ -314,7 +308,7 @@ def _drawn_part(
         math.sqrt(variance),
         dof=part.data.dof if has_variances else None,
         common=part.data.common_errors,
-        neighbors=neighbors and neighbors.errors,
+        neighbors=errors.neighbors and errors.neighbors.errors,
     )
 
 

@@ -362,3 +362,25 @@ def test_a_model_without_states_is_fitted_to_a_manoeuvre(criterion):
     fit = gb.fit(gb.Problem(Gain(), spectrum, criterion), progress=False)
     assert fit.estimate["K"] == pytest.approx(2.5, abs=4 * fit.standard_error["K"])
     assert fit.misfit.explains
+
+
+class Settling(gb.StateSpace):
+    """A lag whose rate is a root, which has no value below one."""
+
+    states, inputs, outputs = ("y",), ("u",), ("q",)
+    a = gb.Parameter(0.5, bounds=(0, 30))
+    b = gb.Parameter(5.0, bounds=(0, 30))
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u - gb.sqrt(p.a - 1) * x.y,)
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+
+def test_a_model_that_is_finite_at_no_start_is_named(spectrum):
+    problem = gb.Problem(Settling(), spectrum)
+    failed = gb.fit(problem, starts=[{"a": 0.5}, {"a": 0.7}], progress=False)
+    assert not failed.converged
+    assert "no run reached a finite cost" in " ".join(failed.warnings)
+    assert [run.reason for run in failed.runs] == ["no finite response"] * 2

@@ -79,7 +79,7 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
         trajectory = part.trajectory(z)
         return None if trajectory.finite else _of_record(part, trajectory)
     if not isinstance(part, ResponsePart):
-        return None
+        return None if part.trajectory(z).finite else Trouble("no finite response")
 
     re, im = np.asarray(part.scaled_response(z)).reshape(2, -1)
     lost = ~(np.isfinite(re) & np.isfinite(im))

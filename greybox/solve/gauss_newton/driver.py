@@ -143,7 +143,7 @@ class GaussNewton(LocalSolver):
             time.perf_counter() - began,
             status.startswith(CONVERGED) and math.isfinite(cost),
             cost,
-            self._parts.signature(iterate),
+            self._parts.signature(iterate) if iterate.finite else None,
             tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
         )
 
