@@ -26,7 +26,9 @@ FIGURES = [
 
 
 @pytest.mark.parametrize("wrong", [["a fit"], "fit.h5", None, 3, np.ones(3)], ids=repr)
-@pytest.mark.parametrize(("draw", "more", "kind"), FIGURES, ids=lambda value: str(value)[:25])
+@pytest.mark.parametrize(
+    ("draw", "more", "kind"), FIGURES, ids=[draw.__name__ for draw, *_ in FIGURES]
+)
 def test_a_wrong_argument_is_named_with_what_can_be_drawn(draw, more, kind, wrong):
     with pytest.raises(TypeError, match=rf"cannot draw .*: give .*{kind}"):
         draw(wrong, *more)
