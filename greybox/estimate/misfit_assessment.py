@@ -50,7 +50,7 @@ from greybox.statistics.score_test import (
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
 # Evaluations of a fit with autoregressive errors, at most: most take 3 to 8, each of which is two
-# simulations of all records, or of excerpts.
+# simulations of all records, which are shortened if they are long.
 EVALUATIONS = 15
 # Largest probability at which such a fit does not explain records either. Slow gusts look like a
 # term more often than noise: of 38 right models in gusts, 8 were between this and `FALSE_ALARMS`,
@@ -264,7 +264,7 @@ def _with_autoregressive_errors(
 def _disturbed(
     nlp: CompiledProblem, trajectories: Sequence[Trajectory], names: Labels
 ) -> list[DisturbedRecord]:
-    """Return the records, or excerpts of them, by the names of all parts."""
+    """Return the records, shortened if they are long, by the names of all parts."""
     records = [
         (part, trajectory, name)
         for part, trajectory, name in nlp.rows_of(RecordPart, trajectories, names)

@@ -9,7 +9,7 @@ checked for consistency (SECURITY.md).
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -62,13 +62,13 @@ def save(fit: Fit, path: str | Path) -> None:
     write_sealed(path, to_bytes(fit))
 
 
-def load(path: str | Path, models: ModelSource | Sequence[ModelSource] = ()) -> Fit:
+def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> Fit:
     """Read a `Fit` that `save` wrote. The file may come from anyone, see SECURITY.md.
 
     Parameters
     ----------
     path : str or Path
-    models : sequence, or one of its entries
+    models : iterable, or one of its entries
         Your own models, with which the fit can evaluate its response (`Fit.response`,
         `gb.predict`): classes, models, modules, or paths of Python files. The models of greybox
         are known; no other model is imported, whatever the file names.
@@ -105,7 +105,8 @@ def from_bytes(data: bytes, models: Any, place: str = "the stored fit") -> Fit:
     ValueError
         If it is damaged, or was written by another version.
     """
-    entries = models if isinstance(models, (list, tuple)) else [models]
+    is_one = isinstance(models, str) or not isinstance(models, Iterable)
+    entries: Iterable[Any] = [models] if is_one else models
     given = tuple(model for entry in entries for model in _models(entry))
     try:
         layout, checksum, values = json.loads(data)

@@ -339,7 +339,7 @@ def response(**array):
         (stated(layout=3), "has layout 3 .* fit again"),
         (stated(layout="x"), "damaged"),
         (stated(checksum="x"), "its data do not match their checksum"),
-        (rewritten("[8, 1]"), "not a greybox fit or is damaged"),
+        (rewritten("[9, 1]"), "not a greybox fit or is damaged"),
         (rewritten("{"), "damaged"),
         (values(versions="{"), "damaged"),
         (forget("runs"), "damaged"),
@@ -471,7 +471,7 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
         loaded.response([1.0, 2.0])
 
     expected = fit.response([1.0, 2.0]).response
-    for given in ([module.Mine], [model], [module], [str(file)], module.Mine, str(file)):
+    for given in ({module.Mine}, [model], [module], [str(file)], module.Mine, str(file)):
         again = gb.load(tmp_path / "a.h5", models=given)
         assert_array_equal(again.response([1.0, 2.0]).response, expected)
     with pytest.raises(TypeError, match="models has 5: give model classes"):
