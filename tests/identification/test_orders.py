@@ -1,6 +1,8 @@
 """Of rational transfer functions of rising order the one that made the data is chosen, and not a larger one."""
 
 import math
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from declared_models import measured
 
 import greybox as gb
 from greybox.identification import select_orders
-from greybox.identification.orders import Orders, best_response, linear_fits
+from greybox.identification.orders import Orders, best_response, linear_fits, orders_of
 from greybox.models.filters import LowPass
 from greybox.models.polynomial import Polynomial
 
@@ -87,6 +89,34 @@ def test_two_responses_are_fitted_together_and_a_filter_is_taken_out(data):
     found = select_orders(responses, through=[known], linear=linear)
     assert found.chosen.label == "n = 2, m = 0, 1 integrator, delay"
     assert abs(found.fit.estimate["a1"] - 5.0) < 3 * found.fit.standard_error["a1"]
+
+
+def test_a_filter_is_taken_out_of_responses_with_variances():
+    """Dividing by its gain leaves the weights: relative errors are those of the measured response."""
+    known = LowPass(4.0)
+    plant = measured(Plant(), OMEGA, noise=0.02, seed=3)
+    gain = gb.frequency_response(known, None, OMEGA).response
+    relative = np.geomspace(0.01, 0.3, OMEGA.size)
+    variance = (relative * np.abs(plant.response)) ** 2
+    alone = replace(plant, variance=variance)
+    behind = replace(plant, response=plant.response * gain, variance=variance * np.abs(gain) ** 2)
+    grid = [Orders(2, 0, 1), Orders(2, 0, 0)]
+    expected, found = linear_fits([alone], structures=grid), linear_fits([behind], [known], grid)
+    for orders in grid:
+        assert found[orders].bic == pytest.approx(expected[orders].bic)
+        assert found[orders].start == pytest.approx(expected[orders].start, rel=1e-5)
+
+
+def test_structures_by_default_have_up_to_four_poles_two_zeros_and_two_integrators():
+    """Every strictly proper one of them, once."""
+    structures = [(o.n, o.m, o.integrators) for o in orders_of()]
+    expected = {
+        (poles + integrators, zeros, integrators)
+        for poles, zeros, integrators in product(range(5), range(3), range(3))
+        if zeros < poles + integrators
+    }
+    assert len(structures) == len(expected)
+    assert set(structures) == expected
 
 
 def test_residuals_many_times_the_noise_are_no_model():

@@ -124,3 +124,17 @@ def test_estimates_of_fits_have_a_row_each_and_a_color_a_structure(small_study):
     assert [drawn[row] for row in range(len(fits), 0, -1)] == expected
     with pytest.raises(ValueError, match="give at least one fit"):
         gb.plotting.estimates([], "K")
+
+
+@pytest.mark.parametrize("copies", [1, 13])
+def test_names_of_members_neither_overlap_nor_lie_far_apart(small_study, copies):
+    fits = [small_study[f"{name}, Lag"].fit for name in SPEEDS] * copies
+    figure = gb.plotting.estimates(fits, "K").figure
+    figure.draw_without_rendering()
+    names = figure.axes[0].get_yticklabels()
+    boxes = [name.get_window_extent() for name in names]
+    middles = [np.mean(box.intervaly) for box in boxes]
+    lines = np.abs(np.diff(middles)) / max(box.height for box in boxes)
+    assert len(names) == len(fits)
+    assert lines.min() > 1
+    assert lines.max() < 10

@@ -329,3 +329,20 @@ def test_variances_do_not_favor_points_that_feedback_made_strong():
     assert np.mean(np.abs(error) ** 2 * weight) == pytest.approx(1, abs=0.35)
     # By the own strength of the points, the mean is off by -6.4 standard errors.
     assert abs(weight @ error.real) < 2.5 * np.sqrt(weight.sum() / 2)
+
+
+def test_variances_hold_where_the_input_has_peaks():
+    """A gain from instrument to input with peaks of 16: neighbors expect less, by more than chance."""
+    rng, count = np.random.default_rng(0), 3000
+    omega, peaks = np.arange(1.0, count + 1), np.arange(200.0, count - 100, 100.0)
+    gain = 1 + 15 * np.exp(-0.5 * ((omega[:, None] - peaks) / 10) ** 2).sum(axis=1)
+    r = np.exp(2j * np.pi * rng.random(count))
+    v = (rng.standard_normal((count, 2)) @ [1, 1j]) / np.sqrt(2)
+    u = (gain * r - v) / 3
+    lines = local_polynomials.Lines(
+        omega, np.array([u, 2 * u + v, r]), np.zeros(count, dtype=int), 1.0, False
+    )
+    points = local_polynomials.points_at(lines, np.arange(50.0, count - 60, 25.0))
+    at_peak = np.isin(points.omega, peaks)
+    squared = np.abs(points.response[at_peak] - 2) ** 2 / points.variance[at_peak]
+    assert squared.mean() == pytest.approx(1, abs=0.35)

@@ -285,6 +285,15 @@ def test_the_grid_reaches_from_six_periods_of_the_record_to_four_tenths_of_the_s
     assert len(spectral_response(flown, omega=5.0)) == 1
 
 
+def test_white_noise_excites_all_that_the_record_resolves():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(10 * RATE)
+    flown = record(u=u, theta=u + 0.01 * rng.standard_normal(u.size))
+    by_excitation = spectral_response(flown, points=12)
+    everything = spectral_response(flown, band=(1e-3, 1e4), points=12)
+    np.testing.assert_allclose(by_excitation.omega, everything.omega)
+
+
 def test_the_response_near_the_true_one_is_that_of_the_plant_where_the_input_is_held():
     """A mode of 3 % damping: with the plant itself, nothing of its narrow peak remains."""
     from scipy.signal import cont2discrete

@@ -26,6 +26,12 @@ def test_the_true_structure_is_supported_by_all_data_sets(small_study):
     assert "of 3 data sets: Lag in 3 (100 %)" in str(comparison)
 
 
+def test_records_to_predict_are_for_fits_and_not_for_a_study(small_study):
+    record = gb.Record([0.0, 1.0], {"u": [0.0, 1.0]})
+    with pytest.raises(ValueError, match="held="):
+        gb.compare(small_study, records=[record])
+
+
 def test_models_of_ones_own_are_given_to_a_study_that_is_read(small_study):
     read = gb.study.read_study(small_study.folder, models=[Lag])
     fit = read["slow, Lag"].fit

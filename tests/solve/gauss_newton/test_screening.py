@@ -232,6 +232,20 @@ def test_what_the_segments_do_not_show_stays_where_it_is():
     assert_allclose(follow[:, 0, 1], 0)
 
 
+def test_states_that_segments_do_not_show_still_move_downhill():
+    """The second state has curvature below the rounding errors of the first one, or none."""
+    for little in (0.0, 5e-13):
+        curvature, slope = np.diag([1.0, little])[None, None], np.array([[[2.0, 1e-13]]])
+        cross = np.array([[[[0.5], [0.0]]]])
+        one = np.ones((1, 1))
+        points = Points(one, slope, np.ones(1), one, np.array([[[3.0]]]), curvature, cross, slope)
+        gradient, hessian, follow = points.reduced(np.zeros(1))
+        assert np.all(slope * follow[..., 0] < 0)
+        # The first state is eliminated: 1 - 0.5·2 and 3 - 0.5².
+        assert_allclose(gradient, [[0.0]], atol=1e-10)
+        assert_allclose(hessian, [[[2.75]]], rtol=1e-10)
+
+
 def test_points_closer_than_a_unit_of_cost_to_a_better_one_are_that_one():
     """Half the square of the distance in the Hessian of the better one, whose states follow."""
     points = model_points(r=2)
