@@ -240,6 +240,7 @@ def _lines(measured: BoolArray) -> Array:
     return np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1)
 
 
+@np.errstate(all="ignore")  # by larger steps, a simulation may diverge
 def shortened(
     part: RecordPart, trajectory: Trajectory, samples: int
 ) -> tuple[RecordPart, Trajectory]:
@@ -267,7 +268,7 @@ def shortened(
     exact = chosen(coarse, part.simulated_outputs(trajectory))
     missed, moved = np.std(simulated - exact, axis=1), np.std(exact, axis=1)
     # The gains of a predictor belong to its step, and short stretches would have too few samples.
-    is_long = sum(map(len, coarse.data.stretches)) >= FEWEST * len(coarse.data.stretches)
+    is_long = np.mean([*map(len, coarse.data.stretches)]) >= FEWEST
     if is_long and not part.gains and np.all(missed < FOLLOWED * moved):
         # With the residuals that the whole part has there.
         coarse = coarse.with_outputs(coarse.data.unpadded(coarse.data.measured + simulated - exact))

@@ -71,7 +71,7 @@ def frequency_response(
             system = linearize(model, values, at)
             i, k = system.inputs.index(input), system.outputs.index(output)
             pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
-            plant = solve_pencils(pencil, system.B[:, i]) @ system.C[k] + system.D[k, i]
+            plant = solve_pencils(pencil, system.B[None, :, i]) @ system.C[k] + system.D[k, i]
             result = exp(-system.delays[i] * s) * plant
         re, im = _parts(result, model.label, omega.size)
         response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
