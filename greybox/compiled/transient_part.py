@@ -38,6 +38,7 @@ from greybox.files.arrays import (
     Named,
     Strings,
     all_finite,
+    as_arrays,
     frozen,
     positive_or_one,
     real_and_imaginary,
@@ -49,7 +50,7 @@ from greybox.modeling.held_inputs import folded_back
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
+from greybox.modeling.symbolic_reading import as_column, dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.disturbed_errors import disturbed_errors
@@ -178,9 +179,8 @@ class TransientPart(Part):
 
     def along(self, q: Array) -> Along | None:
         """Return what follows from the parameters q of the model; None where it is not finite."""
-        matrix, delays, first, slopes, delay_slopes, first_slopes = (
-            value.full() for value in self._matrices(q)
-        )
+        matrices = as_arrays(self._matrices(q))
+        matrix, delays, first, slopes, delay_slopes, first_slopes = matrices
         n, k = len(self.states), len(self.outputs)
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
         late = [*map(self.data.delayed_input, self.inputs, delays.ravel().tolist())]
@@ -401,7 +401,7 @@ class TransientPart(Part):
 
 def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
     """Return the function from z to the declared parameters and their derivatives."""
-    q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
+    q = as_column(problem.local_values(expressions).values())
     return ca.Function("locate", [z], [q, dense_jacobian(q, z)])
 
 

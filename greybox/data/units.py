@@ -205,14 +205,18 @@ def to_si(unit: str) -> Conversion:
         # A remark can state the assumption about one unit, not about a part of a product.
         named = None if name in DOUBTFUL else _named(name)
         if named is None:
-            raise ValueError(misspelled(unit) or f"the unit {unit!r} is not known")
+            raise _unknown(unit)
         factor *= named.factor**power
         for si, exponent in _powers(named.si).items():
             powers[si] += exponent * power
     if not powers:
-        raise ValueError(misspelled(unit) or f"the unit {unit!r} is not known")
+        raise _unknown(unit)
 
     return Conversion(factor, 0.0, _written(powers))
+
+
+def _unknown(unit: str) -> ValueError:
+    return ValueError(misspelled(unit) or f"the unit {unit!r} is not known")
 
 
 @lru_cache(maxsize=1024)

@@ -14,6 +14,7 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
 from greybox.files.arrays import Array, Labels, Values
 from greybox.modeling.model import Model
+from greybox.modeling.parameter import lower_and_upper
 
 DRAWS = 512  # a quantile of 2.5 % is then known to 4 % of a standard error
 DRAWN = slice(1, 1 + DRAWS)  # the plants of a loop that are draws
@@ -69,7 +70,7 @@ def _plants(fit: Fit, names: Labels) -> Array:
     The others differ from the estimate in directions on which the data contain no information.
     """
     known = fit.known_directions(fit.names)
-    limits = np.array([fit.by_name[name].bounds for name in fit.names]).T
+    limits = lower_and_upper(fit.by_name[name] for name in fit.names)
     beside = np.clip(known.at + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
     plants = np.vstack([known.at, drawn_values(fit, DRAWS, names), beside])
     return plants[:, [fit.names.index(name) for name in names]]

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values, by_name
+from greybox.files.arrays import Array, Values, as_arrays, by_name
 from greybox.modeling.linearization import linearize
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -65,7 +65,7 @@ class GivenModel:
         formulas = (system.derivative(x, u, p), system.output(x, u, p))
         jacobians = [ca.jacobian(formula, z) for formula in formulas for z in (x, u)]
         at_point = [[point[name] for name in names] for names in (system.states, system.inputs)]
-        return system, [e.full() for e in ca.Function("linear", [x, u], jacobians)(*at_point)]
+        return system, as_arrays(ca.Function("linear", [x, u], jacobians)(*at_point))
 
     def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
         """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""

@@ -118,10 +118,7 @@ class Rational(FunctionOfS):
                 "delay."
             )
 
-        return Rational(
-            [1.0],
-            delay=-self.numerator[0] / self.denominator[0],
-        )
+        return Rational([1.0], delay=-self.numerator[0] / self.denominator[0])
 
     @property
     def poles(self) -> ComplexArray:

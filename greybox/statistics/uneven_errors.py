@@ -17,7 +17,7 @@ fits (six systems, seven inputs, two bands, output and equation error; white err
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, positive_or_one
+from greybox.files.arrays import Array, ComplexArray, unit_length
 
 
 def uneven_errors(
@@ -72,7 +72,7 @@ def uneven_errors(
     # The variance of each parameter, over that of white errors, is a quadratic form of residuals
     # whose covariance, over that of the errors, is about the identity less the products of the
     # basis. A parameter that a bound holds has none.
-    units = root / positive_or_one(np.linalg.norm(root, axis=1, keepdims=True))
+    units = unit_length(root, 1)
     slopes = rows @ units.T
     by_errors = "icl,jcl,lm,idmx,jdmx->ijclx"
     form = np.einsum(by_errors, factor, factor, nearby, slopes, slopes, optimize=True)
