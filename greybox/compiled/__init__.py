@@ -28,5 +28,4 @@ Begin with `compiled_problem`.
 | `colored_errors` | residuals that are correlated in time |
 | `transcription` | the methods by which the states of a record become unknowns |
 | `vectorized` | CasADi functions over many columns |
-| `alike_terms` | costs of terms that differ in constants |
 """

@@ -20,7 +20,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.data_input import INCLUDED, DataInput, columns_of
 from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
@@ -30,7 +29,7 @@ from greybox.compiled.shared_response import (
     response_symbols,
     shared_systems,
 )
-from greybox.compiled.vectorized import CHUNK, Columns
+from greybox.compiled.vectorized import CHUNK, Columns, second_order
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, Fields, Labels, Named, StringPair, frozen
 from greybox.files.rebuilt import Rebuilt
@@ -83,13 +82,13 @@ class CostProgram(Rebuilt):
         return {}
 
     @cached_property
-    def second_order(self) -> SecondOrder | SharedResponses:
+    def second_order(self) -> Columns | SharedResponses:
         """Return the shared or explicit cost with its gradient and Hessian, for many columns."""
         if self.shared is not None:
             return self.shared
         assert self.explicit is not None
         inputs = self.explicit.sx_in()
-        return SecondOrder(inputs, self.explicit(*inputs)[0])
+        return second_order(inputs, self.explicit(*inputs)[0])
 
 
 def fits_a_batch(program: ca.Function | None) -> bool:

@@ -23,7 +23,7 @@ The numbers of a search of p variables are a column: first the scalars at the ro
 the vectors of `Vectors`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, starmap
@@ -32,12 +32,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.alike_terms import FEWEST_COLUMNS
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
-from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, ArrayPair, ArrayTriple, BoolArray, IntArray
+from greybox.compiled.vectorized import FEWEST_IN_A_FEW_CALLS, Columns
+from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray
 from greybox.modeling.one_thread import Stored, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 
@@ -111,8 +110,8 @@ def _iteration(p: int) -> tuple[Columns, Columns]:
     # Searches go to the next level at a projected gradient of 1e-2: with 1e-3 they take a twentieth
     # more iterations.
     return (
-        Columns(advanced(p, 1e-2), fewest=FEWEST_COLUMNS),
-        Columns(bounded(p), fewest=FEWEST_COLUMNS),
+        Columns(advanced(p, 1e-2), fewest=FEWEST_IN_A_FEW_CALLS),
+        Columns(bounded(p), fewest=FEWEST_IN_A_FEW_CALLS),
     )
 
 
@@ -124,13 +123,13 @@ class BatchedNewton:
 
     def __init__(
         self,
-        function: Callable[..., ArrayTriple],
+        function: Callable[..., Sequence[Array]],
         lower: Array,
         upper: Array,
         data: Array = NO_DATA,
         roots: ca.Function | None = None,
     ) -> None:
-        """Take a function (z, smoothing, data), as `SecondOrder`, and the bounds (p,) of z.
+        """Take a function (z, smoothing, data), as `second_order`, and the bounds (p,) of z.
 
         It also takes the `roots` of z and data, if there are any: its derivatives may contain them.
         """
@@ -220,7 +219,9 @@ class BatchedNewton:
         advance, within_radius = _iterations.result(p, partial(_iteration, p))
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
         alike = np.full((1, len(levels)), tolerance)
-        numbers, hessian_of_free = advance(numbers, barrier, alike, cost[None], gradient, hessian)
+        numbers, hessian_of_free = advance(
+            numbers, barrier, alike, np.atleast_2d(cost), gradient, hessian
+        )
         searches.numbers = numbers
         searches.live &= np.isfinite(numbers[COST])
 
@@ -244,7 +245,7 @@ def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
     """
     live = searches.live
     width = len(searches.live)
-    narrower = 4 if width >= FEWEST_COLUMNS else 2
+    narrower = 4 if width >= FEWEST_IN_A_FEW_CALLS else 2
     if count > width // narrower:
         return searches
     return _Searches(

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.compiled.vectorized import CHUNK, Columns
+from greybox.compiled.vectorized import CHUNK, Columns, second_order
 
 UNARY = {
     "minus": lambda a: -a,
@@ -172,3 +172,23 @@ def test_entries_that_a_function_leaves_out_are_zeros(kind, m):
     assert_allclose(nothing, np.zeros((3, m)))
     (shared, *_) = Columns(f, shared=(0,))(columns[:, 0], others)
     assert_allclose(shared, np.tile(squares[:, :1], m))
+
+
+@pytest.mark.parametrize("m", [1, 8, 700])
+def test_derivatives_of_a_cost_with_data_are_those_by_hand(m):
+    z, smoothing, data = ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX.sym("data", 2)
+    cost = data[0] * z[0] ** 2 * z[1] + data[1] * z[1] ** 3 + smoothing
+    rng = np.random.default_rng(m)
+    x, y = points = rng.uniform(0.1, 1, (2, m))
+    a, b = numbers = rng.uniform(1, 2, (2, m))
+    smooth = rng.uniform(size=(1, m))
+    value, gradient, hessian = second_order([z, smoothing, data], cost)(points, smooth, numbers)
+    assert_allclose(value, a * x**2 * y + b * y**3 + smooth, rtol=1e-12)
+    assert_allclose(gradient, [2 * a * x * y, a * x**2 + 3 * b * y**2], rtol=1e-12)
+    assert_allclose(hessian, [2 * a * y, 2 * a * x, 2 * a * x, 6 * b * y], rtol=1e-12)
+
+
+def test_a_constant_cost_has_zero_derivatives():
+    z, nothing = ca.SX.sym("z", 2), ca.SX(0, 1)
+    answer = second_order([z, nothing, nothing], ca.SX(3))(np.ones((2, 1)), *[np.zeros((0, 1))] * 2)
+    assert [value.tolist() for value in answer] == [[[3]], [[0], [0]], [[0]] * 4]

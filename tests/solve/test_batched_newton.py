@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from greybox.compiled.alike_terms import SecondOrder
+from greybox.compiled.vectorized import second_order
 from greybox.solve.batched_newton import SMOOTHINGS, BatchedNewton
 from greybox.solve.interruption import limited
 
@@ -18,7 +18,7 @@ FAR = np.full(2, 9.0)
 def newton(cost, lower=-FAR, upper=FAR, given=0):
     """Of a cost (z, smoothing, given) of two variables."""
     inputs = [ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX.sym("given", given)]
-    return BatchedNewton(SecondOrder(inputs, cost(*inputs[: 3 if given else 2])), lower, upper)
+    return BatchedNewton(second_order(inputs, cost(*inputs[: 3 if given else 2])), lower, upper)
 
 
 def bowl(z, smoothing):

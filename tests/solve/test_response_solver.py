@@ -9,8 +9,8 @@ from numpy.testing import assert_array_equal
 from scipy.optimize import least_squares, lsq_linear
 
 import greybox as gb
-from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.vectorized import second_order
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
 from greybox.solve.batched_newton import RADIUS, BatchedNewton, bounded, layout
@@ -162,7 +162,7 @@ def test_every_end_is_a_minimum_within_the_bounds():
 
     inputs = [z, *_] = ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX(0, 1)
     cost = (z[0] ** 2 - 1) ** 2 + 0.3 * z[0] + (z[1] + 2) ** 2
-    newton = BatchedNewton(SecondOrder(inputs, cost), np.array([-3.0, -1.0]), np.array([3.0, 3.0]))
+    newton = BatchedNewton(second_order(inputs, cost), np.array([-3.0, -1.0]), np.array([3.0, 3.0]))
     ends = newton.minimize(
         np.random.default_rng(0).uniform(-1, 3, (2, 200)), max_iterations=100, tolerance=1e-9
     )
@@ -181,7 +181,7 @@ def test_searches_keep_to_bounds_of_their_own():
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(5, 3)), rng.normal(size=5)
     inputs = [z, *_] = ca.SX.sym("z", 3), ca.SX.sym("smoothing"), ca.SX(0, 1)
-    cost = SecondOrder(inputs, ca.sumsqr(ca.DM(a) @ z - b) / 2)
+    cost = second_order(inputs, ca.sumsqr(ca.DM(a) @ z - b) / 2)
     low = rng.uniform(-1, 0, (3, 11))
     high = low + rng.uniform(0, 0.5, low.shape)
     low[0, :3] = high[0, :3]  # held
@@ -224,7 +224,7 @@ def test_a_start_that_is_not_finite_does_not_disturb_the_others():
 
     inputs = [z, *_] = ca.SX.sym("z"), ca.SX.sym("smoothing"), ca.SX(0, 1)
     newton = BatchedNewton(
-        SecondOrder(inputs, ca.sqrt(z) + 1 / z), np.array([-2.0]), np.array([9.0])
+        second_order(inputs, ca.sqrt(z) + 1 / z), np.array([-2.0]), np.array([9.0])
     )
     ends = newton.minimize(np.array([[-1.0, 1.0, 8.0, -0.5]]), max_iterations=100, tolerance=1e-9)
     assert_array_equal(ends.at_minimum, [False, True, True, False])
