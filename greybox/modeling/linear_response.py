@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, StringPair, Values, all_finite, evenly_spread
+from greybox.files.arrays import Array, StringPair, Values, all_finite
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -139,8 +139,8 @@ def response_formulas(
         [None if system[r, c].is_zero() else system[r, c] for c in range(n + len(i))]
         for r in range(n + len(k))
     ]
-    at_point = Trimmed(trim.root, ca.Function("system", [p, w], [system]))
-    order = _elimination_order(model, at_point, omega, len(k))
+    at_point = Trimmed(trim.root, ca.Function("matrix", [p, w], [A]))
+    order = _elimination_order(model, at_point, omega)
     solved = cache(lambda line: eliminated(entries, line, order))
     delays = input_delays(model, parameter_names(model, p))
 
@@ -170,23 +170,17 @@ def _beside(undelayed: Callable[[Any], Any], s: Complex, hold: float, delay: Any
     return ramp * rate + (step * at_once if ca.SX(delay).is_zero() else 0)
 
 
-def _elimination_order(
-    model: StateSpace, system: Trimmed, omega: Array, outputs: int
-) -> tuple[int, ...]:
+def _elimination_order(model: StateSpace, matrix: Trimmed, omega: Array) -> tuple[int, ...]:
     """Choose the order of elimination from matrices at the start values and at random starts."""
-    # A pivot that vanishes for all parameters does so at any few values, and at any frequencies.
+    # A pivot that vanishes for all parameters does so at any few values.
     random = np.random.default_rng(0)
     points = [start_values(model.parameters)]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
-    closed: Any = system.closed()
+    closed: Any = matrix.closed()
     samples = [np.asarray(ca.DM(closed(point))) for point in points]
     # A draw may have no operating point.
-    samples = [sample for sample in samples if all_finite(sample)]
-    if not samples:
-        return tuple(range(len(model.states)))
-    # Fifty frequencies limit the time of the search.
-    few = evenly_spread(omega.size, 50)
-    return elimination_order(np.array(samples), omega[few], outputs)
+    regular = [A for A in samples if all_finite(A)]
+    return elimination_order(np.reshape(regular, (len(regular), *samples[0].shape)), omega)
 
 
 def _parts(result: Any, owner: str, count: int) -> tuple[Any, Any]:

@@ -57,7 +57,7 @@ def test_a_sub_block_that_resonates_at_a_data_frequency_is_eliminated_in_another
     A = np.array([[0.0, 1, 0], [-16, 0, -3], [0, 1 / 0.3, -1 / 0.3]])
     b, c = np.array([0.0, 2, 0]), np.array([1.0, 0, 0])
     system = bordered(A, b, c, 0.0)
-    order = elimination_order(system[None], OMEGA)
+    order = elimination_order(A[None], OMEGA)
     [[found]] = eliminated(entries(system), 1j * OMEGA, order)
     expected = [response(A, b, c, 0.0, s) for s in 1j * OMEGA]
     assert found == pytest.approx(np.array(expected), rel=1e-12)
@@ -120,16 +120,13 @@ def test_a_singular_matrix_spoils_no_other_one():
     assert found[2] == pytest.approx([-1.5j, -2j])
 
 
-def test_the_first_order_that_is_accurate_is_taken():
-    """The natural one, of matrices without small pivots; the next one where its second pivot vanishes."""
+def test_the_first_order_without_a_vanishing_pivot_is_taken():
+    """The natural one of random matrices; the reverse where the second pivot vanishes."""
     for seed in range(5):
-        random = np.random.default_rng(seed)
-        systems = random.normal(size=(2, 5, 5))
+        systems = np.random.default_rng(seed).normal(size=(2, 4, 4))
         assert elimination_order(systems, OMEGA) == (0, 1, 2, 3)
     # Of the first two alone, 4 rad/s is an eigenvalue.
     A = np.array([[0.0, 4, 0], [-4, 0, -3], [0, 2, -3]])
-    b, c = np.array([0.0, 2, 0]), np.array([1.0, 0, 0])
-    assert elimination_order(bordered(A, b, c, 0.0)[None], OMEGA)[:2] != (0, 1)
-    assert elimination_order(bordered(A[:1, :1], b[:1] + 1, c[:1], 0.0)[None], OMEGA) == (0,)
-    # A model without an effect of its input has no response that an order could spoil.
-    assert elimination_order(bordered(A, 0 * b, c, 0.0)[None], OMEGA) == (0, 1, 2)
+    assert elimination_order(A[None], OMEGA) == (2, 1, 0)
+    assert elimination_order(A[None, :1, :1], OMEGA) == (0,)
+    assert elimination_order(np.zeros((0, 3, 3)), OMEGA) == (0, 1, 2)
