@@ -234,7 +234,7 @@ class Cell:
             ca.SX.sym("data", 2 * points),
             ca.SX.sym("smoothing"),
         )
-        values = self.nlp.responses.function(x)
+        _, values = self.nlp.responses.function(x, self.nlp.data)
         cost, begin = 0, 0
         for part in problem.parts:
             n = len(part.data)

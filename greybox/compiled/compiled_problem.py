@@ -125,11 +125,9 @@ class CompiledProblem(Portable):
         The cost of a zero response, by frequency response, as the first program weighs it.
     data : (g,) array
         The constants and the data of all frequency responses, an input of their functions.
-    response_cost : Columns
-        (responses, data) -> the cost without smoothing of every frequency response, unweighted,
-        stacked.
     responses : Columns
-        (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
+        (all values, data) -> the cost without smoothing of every frequency response, unweighted,
+        and real and imaginary parts of all frequency responses, stacked: (2 N,).
 
     From `programs` on, the attributes are empty where no data are frequency responses.
     """
@@ -148,7 +146,6 @@ class CompiledProblem(Portable):
     programs: tuple[CostProgram, ...] = ()
     zero_costs: Array = field(default_factory=lambda: np.zeros(0))
     data: Array = field(default_factory=lambda: np.zeros(0))
-    response_cost: Columns = NOTHING
     responses: Columns = NOTHING
 
     def parts_of(self, kind: type[PartKind]) -> list[PartKind]:
@@ -201,15 +198,17 @@ class CompiledProblem(Portable):
 
     def cost(self, values: Array) -> float:
         """Return the cost without smoothing of the frequency responses at all values (k,)."""
-        return self._costs(*self.responses(values[:, None])).item()
+        return self._judged(values[:, None])[0].item()
 
     def costs(self, x: Array) -> Array:
         """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
         return self.judged(x)[0]
 
-    def _costs(self, responses: Array) -> Array:
+    def _judged(self, values: Array) -> ArrayPair:
+        """Return costs (r,) and responses (2 N, r) at all values (k, r)."""
+        costs, responses = self.responses(values, self.data)
         weights = [part.weight for part in self.parts if not part.has_states]
-        return np.array(weights) @ self.response_cost(responses, self.data)[0]
+        return np.array(weights) @ costs, responses
 
     def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
         """Return the data (g,) for other constants (c,) and other measured responses."""
@@ -219,10 +218,10 @@ class CompiledProblem(Portable):
     def judged(self, x: Array) -> ArrayPair:
         """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
         sizes = [part.magnitude for part in self.parts_of(ResponsePart)]
-        [responses] = self.responses(self.all_values(x).T)
+        costs, responses = self._judged(self.all_values(x).T)
         # Over the measured magnitudes, so that responses of unlike units can be compared.
         relative = responses / np.hstack([(), *sizes, *sizes])[:, None]
-        return self._costs(responses), relative.T
+        return costs, relative.T
 
 
 def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:

@@ -267,17 +267,12 @@ class ResponseCompiler:
                 zip(costs[-1], self.responses, scaled, strict=True)
             )
         ]
-        stacked, responses = response_symbols(kind, self.parts)
-        costs = self.costs(responses, self.measured, 0.0, _own_criterion)
+        costs = self.costs(self.responses, self.measured, 0.0, _own_criterion)
+        judged = ca.Function("judged", [x, data], [ca.vertcat(*costs), self.stacked])
         return functions, {
             "programs": programs,
             # CasADi evaluates any number of columns, so that one has the same digits as many.
-            "response_cost": Columns(
-                ca.Function("cost", [stacked, data], [ca.vertcat(*costs)]),
-                shared=(1,),
-                fewest=CHUNK + 1,
-            ),
-            "responses": Columns(ca.Function("responses", [x], [self.stacked]), fewest=CHUNK + 1),
+            "responses": Columns(judged, shared=(1,), fewest=CHUNK + 1),
         }
 
     def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:

@@ -254,7 +254,7 @@ def _of_responses(
     nlp = compile_problem(stated)
     x = np.array([values[name] for name in nlp.free])
     # A response of zero at all frequencies would count every parameter as lost.
-    [seen] = nlp.responses(nlp.all_values(x)[:, None])
+    _, seen = nlp.responses(nlp.all_values(x)[:, None], nlp.data)
     if not (all_finite(seen) and np.any(seen)):
         return None
     jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]

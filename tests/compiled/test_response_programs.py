@@ -81,8 +81,7 @@ def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives
     x = nlp.scaling.to_parameters(z)
     assert_allclose(whole(z)[1:], [1.6 - 0.7**2, 0.7 * 1.6**2 + 0.2], rtol=1e-9)
     assert whole(z)[0] == sum(
-        nlp.parts[k].weight * nlp.response_cost(nlp.responses(x[:, None])[0], nlp.data)[0][k, 0]
-        for k in (0, 1)
+        nlp.parts[k].weight * nlp.responses(x[:, None], nlp.data)[0][k, 0] for k in (0, 1)
     )
 
     slopes = numeric_jacobian(whole, z)
