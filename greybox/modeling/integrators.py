@@ -239,7 +239,6 @@ class ImplicitIntegrator(Integrator):
         is_coarse = ca.norm_1(error) > (1e-5 if self.substeps is None else ca.inf)
         # Outside the domain of a formula, the residual is NaN and shorter steps do not help.
         is_short = 1 - ca.logic_or(residual > 1e-6, is_coarse)
-        taken = solved(change, values)[0]
         by_given, by_change, *equations = differentiated(change, values)
         slopes = by_given - by_change @ ca.solve(equations[1], equations[0])
 
@@ -247,8 +246,8 @@ class ImplicitIntegrator(Integrator):
         first = ca.vertcat(v[:-1], span / 2)
         second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
 
-        def halved(results: list[Any]) -> ca.Function:
-            whole_step = ca.Function("taken", [v, change], results)
+        def halved(*results: Any) -> ca.Function:
+            whole_step = ca.Function("taken", [v, change], [*results])
             step = ca.Function("step", [v], whole_step.call([v, solution]))
             # Half a step with a jump is halved again, so that only steps near the jump are short.
             # With 6 halvings until Newton's method converges, a fit of Robertson's kinetics is
@@ -264,13 +263,13 @@ class ImplicitIntegrator(Integrator):
                 step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
             return step
 
-        # A simulation needs no slopes, whose equations take most of the time of many states.
-        end = halved([taken])(v)
         # Derivatives by CasADi would solve every step repeatedly and take four times as long.
-        slopes = halved([taken, slopes])(v)[1]
+        taken = solved(change, values)[0]
+        slopes = halved(taken, slopes)(v)[1]
         jacobian = ca.Function("jac_step", [v, ca.MX.sym("out", n)], [slopes])
         options = {"custom_jacobian": jacobian, "jac_penalty": 0}
-        return ca.Function("step", [v], [end], options)(ca.vertcat(x, u, slope, p, h))
+        # A simulation needs no slopes, whose equations take most of the time of many states.
+        return ca.Function("step", [v], [halved(taken)(v)], options)(ca.vertcat(x, u, slope, p, h))
 
 
 @dataclass(frozen=True)
