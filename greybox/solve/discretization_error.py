@@ -143,6 +143,7 @@ def _cheap_growth(nlp: CompiledProblem, error: DiscretizationError) -> int:
     if nlp.method.scheme.implicit or error.largest <= INVISIBLE_SHIFT:
         return 1
     growth = substep_growth(error.largest, INVISIBLE_SHIFT, error.order)
+    growth = min(growth, MOST_SUBSTEPS // nlp.substeps)
     operations = sum(
         part.samples * part.substeps * part.step.substep.n_instructions()
         for part in nlp.parts_of(RecordPart)
