@@ -171,6 +171,11 @@ class CompiledProblem(Portable):
         return sum(part.numbers for part in self.parts)
 
     @property
+    def substeps(self) -> int:
+        """Largest number of integration steps from sample to sample; zero without states."""
+        return max(part.substeps for part in self.parts)
+
+    @property
     def names(self) -> Strings:
         """Free parameters, then constants: the order of all values."""
         return (*self.free, *self.constants)

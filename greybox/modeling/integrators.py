@@ -187,14 +187,15 @@ class ImplicitIntegrator(Integrator):
         stages = ca.repmat(start, 1, self.stages) + ca.repmat(unit, 1, self.stages) * change
         equations = self.equations(system, start, stages, *rest)
         equations = ca.vec(equations / ca.repmat(unit, 1, self.stages))
-        # A step that is short enough takes three or four iterations. They are plain, as usual with
-        # stiff models: a search along the residuals would follow the fastest state alone.
+        # A step that is short enough takes three or four iterations; RADAU5 gives up after seven.
+        # They are plain, as usual with stiff models: a search along the residuals would follow the
+        # fastest state alone.
         options = {
             "error_on_fail": False,
             "show_eval_warnings": False,
             "line_search": False,
             "abstol": 1e-13,
-            "max_iter": 30,
+            "max_iter": 10,
         }
         unknown = ca.vec(change)
         arguments = ca.vertcat(given, unit)
@@ -205,13 +206,14 @@ class ImplicitIntegrator(Integrator):
         end = self.end(start, stages)
         results = [
             end,
-            *(ca.jacobian(f, by) for f in (end, equations) for by in (given, unknown)),
             # CasADi's largest absolute value leaves out NaN.
             ca.norm_1(equations),
             FILTER * self.defect(start, stages, rate),
             ca.SX.eye(n) - FILTER * ca.jacobian(rate, start),
         ]
         solved = ca.Function("solved", [unknown, arguments], results)
+        slopes = [ca.jacobian(f, by) for f in (end, equations) for by in (given, unknown)]
+        differentiated = ca.Function("differentiated", [unknown, arguments], slopes)
 
         v, change = ca.MX.sym("v", given.numel()), ca.MX.sym("change", unknown.numel())
         start, at, ramp, parameters, span = ca.vertsplit(v, places)
@@ -224,7 +226,7 @@ class ImplicitIntegrator(Integrator):
         unit = ca.fmax(ca.fabs(start), 1e-8 * largest + (largest < 1e-200))
         values = ca.vertcat(v, unit)
         solution = newton(ca.MX.zeros(unknown.numel()), values)
-        end, *_, residual, missed, matrix = solved(solution, values)
+        end, residual, missed, matrix = solved(solution, values)
         # Twice filtered, as at the first step of RADAU5: modes much faster than a step do not count
         # (Hairer and Wanner, IV.8).
         error = ca.solve(matrix, ca.solve(matrix, missed)) / ca.fmax(ca.fabs(end), unit)
@@ -237,29 +239,37 @@ class ImplicitIntegrator(Integrator):
         is_coarse = ca.norm_1(error) > (1e-5 if self.substeps is None else ca.inf)
         # Outside the domain of a formula, the residual is NaN and shorter steps do not help.
         is_short = 1 - ca.logic_or(residual > 1e-6, is_coarse)
-        end, by_given, by_change, *equations, _, _, _ = solved(change, values)
+        by_given, by_change, *equations = differentiated(change, values)
         slopes = by_given - by_change @ ca.solve(equations[1], equations[0])
-        whole_step = ca.Function("taken", [v, change], [end, slopes])
 
         # Halves of a step: the second begins with the inputs in the middle.
         first = ca.vertcat(v[:-1], span / 2)
         second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
-        step = ca.Function("step", [v], whole_step.call([v, solution]))
-        # Half a step with a jump is halved again, so that only steps near the jump are short.
-        # With 6 halvings until Newton's method converges, a fit of Robertson's kinetics is lost;
-        # with 21 it takes five times as long.
-        for _ in range(11):
-            middle, by_first = step(first)
-            end, by_second = step(ca.vertcat(middle, second))
-            by_both = ca.vertcat(by_first @ ca.jacobian(first, v), ca.jacobian(second, v))
-            halves = ca.Function("halves", [v, change], [end, by_second @ by_both])
-            chosen = ca.Function.if_else("chosen", whole_step, halves)
-            step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
-        end, slopes = step(v)
+
+        def halved(*results: Any) -> ca.Function:
+            whole_step = ca.Function("taken", [v, change], [*results])
+            step = ca.Function("step", [v], whole_step.call([v, solution]))
+            # Half a step with a jump is halved again, so that only steps near the jump are short.
+            # With 6 halvings until Newton's method converges, a fit of Robertson's kinetics is
+            # lost; with 21 it takes five times as long.
+            for _ in range(11):
+                middle, *by_first = step.call([first])
+                result = step.call([ca.vertcat(middle, second)])
+                if by_first:
+                    by_both = [by_first[0] @ ca.jacobian(first, v), ca.jacobian(second, v)]
+                    result[1] @= ca.vertcat(*by_both)
+                halves = ca.Function("halves", [v, change], result)
+                chosen = ca.Function.if_else("chosen", whole_step, halves)
+                step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
+            return step
+
         # Derivatives by CasADi would solve every step repeatedly and take four times as long.
+        taken = solved(change, values)[0]
+        slopes = halved(taken, slopes)(v)[1]
         jacobian = ca.Function("jac_step", [v, ca.MX.sym("out", n)], [slopes])
         options = {"custom_jacobian": jacobian, "jac_penalty": 0}
-        return ca.Function("step", [v], [end], options)(ca.vertcat(x, u, slope, p, h))
+        # A simulation needs no slopes, whose equations take most of the time of many states.
+        return ca.Function("step", [v], [halved(taken)(v)], options)(ca.vertcat(x, u, slope, p, h))
 
 
 @dataclass(frozen=True)

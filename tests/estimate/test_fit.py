@@ -313,8 +313,7 @@ def test_what_ctrl_c_and_time_limits_left_out_is_said():
     ],
 )
 def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, largest, by):
-    parts = [SimpleNamespace(substeps=2), SimpleNamespace(substeps=3)]
-    nlp = SimpleNamespace(parts=parts, free=("a", "b", "c"), method=gb.MultipleShooting())
+    nlp = SimpleNamespace(substeps=3, free=("a", "b", "c"), method=gb.MultipleShooting())
     error = SimpleNamespace(
         matters=matters, shift=np.array([0.1, -0.9, 0.3]), largest=largest, growth=2
     )
@@ -326,7 +325,7 @@ def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, la
             f"{said} error {by.removeprefix('by ') if np.isinf(largest) else by}"
         )
         assert str(nlp.method.finer(6)) in found[0]
-    static = SimpleNamespace(parts=[SimpleNamespace(substeps=0)])
+    static = SimpleNamespace(substeps=0)
     assert [*discretization_warnings(SimpleNamespace(nlp=static), error)] == []
 
 

@@ -38,7 +38,7 @@ def discretization_warnings(
 ) -> Iterator[str]:
     """Warn where twice the number of steps would move the estimate noticeably."""
     nlp = accuracy.nlp
-    count = max(part.substeps for part in nlp.parts)
+    count = nlp.substeps
     if not count:
         return
 
