@@ -56,8 +56,9 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
     )
     named = [model for model in given if class_of(model).__qualname__ == class_name]
     # The same file has the module ``__main__`` when it is run.
-    same = min(named, key=lambda model: class_of(model).__module__ != module_name, default=None)
-    model = same or included_model(module_name, class_name)
+    model = min(
+        named, key=lambda model: class_of(model).__module__ != module_name, default=None
+    ) or included_model(module_name, class_name)
     if model is None:
         raise UnknownModelError(f"{missing} among those that greybox includes or that were given")
 
