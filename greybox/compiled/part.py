@@ -145,19 +145,14 @@ class ColoredErrors:
     spectrum : ErrorSpectrum or None
         Of a record, spectrum of the errors, enlarged for what the fit took from them; None where
         all residuals are zero.
-    process_noise : function
-        Returns -2 log of the evidence for other errors, less that for process noise: white, or
-        gusts. Of a record only.
-    slow_errors : function
-        Returns 2 log of the evidence for slow errors of every output, not white ones, and the
-        number of frequencies that show the parameters: (2, outputs). Of a record only.
+    effect : ColoredInformation or None
+        Of a record, with the evidence for process noise and for slow errors.
     """
 
     meat: Array
     dof: float
     spectrum: ErrorSpectrum | None = None
-    process_noise: Callable[[], float] = float
-    slow_errors: Callable[[], Array] = lambda: NO_NODES
+    effect: Any = None
 
 
 @frozen

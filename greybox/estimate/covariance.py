@@ -1,7 +1,7 @@
 """The accuracy of an estimate: its covariance, and the combinations that the data leave open."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
+from greybox.compiled.record_part import RecordPart
 from greybox.estimate.identifiability import (
     Combination,
     KnownDirections,
@@ -251,10 +252,10 @@ def _with_covariance(
     nlp = accuracy.nlp
     p, k = len(nlp.free), len(nlp.names)
     stacked = np.vstack([share.root[:, :p] for share in shares])
-    first = _root_of_inverse(stacked, basis)
+    first = _root_of_inverse(shares, basis)
     pairs = zip(accuracy.informations, shares, strict=True)
     parts = tuple(_corrected(part, share, first) for part, share in pairs)
-    root = _root_of_inverse(np.vstack([part.share.root[:, :p] for part in parts]), basis)
+    root = _root_of_inverse([part.share for part in parts], basis)
     inverse = root @ root.T
 
     # How the estimate follows the constants, from the optimality condition: -B⁻¹ Bᵪ.
@@ -277,6 +278,7 @@ def _with_covariance(
     )
     terms.append((turned @ shared @ turned.T, bins))
     terms += [(slope @ np.nan_to_num(covariance) @ slope.T, dof) for covariance, dof in earlier]
+    terms += _by_process_noise(accuracy, first, basis)
     covariance = np.sum([term for term, _ in terms], axis=0)
     accuracy = replace(accuracy, shares=tuple(terms))
 
@@ -439,10 +441,47 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     return PartAccuracy(share, meat, dof, independent, numbers, bread, neighbors=neighbors)
 
 
-def _root_of_inverse(jacobian: Array, basis: Array) -> Array:
-    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), for a root (n, p) of B."""
+def _root_of_inverse(shares: Iterable[_Share], basis: Array) -> Array:
+    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), for the roots (n, k) of B."""
     # B itself has the squares of the singular values: it loses the digits that a root keeps.
+    jacobian = np.vstack([share.root[:, : len(basis)] for share in shares])
     return basis @ np.linalg.inv(triangle_of(jacobian @ basis))
+
+
+def _by_process_noise(
+    accuracy: Accuracy, root: Array, basis: Array
+) -> Iterator[tuple[Array, float]]:
+    """Yield what the uncertain sizes of process noise add to the covariance, with their degrees.
+
+    If n numbers show a size, its variance is estimated like that of n residuals: too small by the
+    share of the p parameters, and with n degrees of freedom. Both concern what larger noise adds to
+    the covariance. Without them, intervals of 95 % of four plants in gusts that 19 to 29 numbers
+    show covered 90 to 95 %. `root` (p, r) is one of B⁻¹.
+    """
+    nlp, x = accuracy.nlp, accuracy.x
+    driven = [
+        part.problem.outside(f"w_{state}")
+        for part in nlp.parts_of(RecordPart)
+        for state in part.model.driven
+    ]
+    p = len(x)
+    # A bound may hold some.
+    for k in np.flatnonzero(np.isin(nlp.free, driven) & root.any(axis=1)):
+        # Twice these are the information on its logarithm.
+        numbers = float(x[k] ** 2 / (root[k] @ root[k])) / 2
+        larger = x.copy()
+        larger[k] *= 1.01
+        z = nlp.scaling.to_solver(larger)
+        moved = [
+            part.trajectory(z, along.nodes, simulated=along.simulated)
+            for part, along in zip(nlp.parts, accuracy.trajectories, strict=True)
+        ]
+        shares = [_share(part, p) for part in informations(nlp, larger, moved)]
+        other = _root_of_inverse(shares, basis)
+        growth = (other @ other.T - root @ root.T) / 0.0201  # of the variance: 1.01² - 1
+        # Few numbers are no reason for a variance of more than twice the size.
+        share = p / (numbers + p)
+        yield np.pad(share * growth, (0, len(nlp.constants))), numbers * share**2
 
 
 def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> ArrayPair:

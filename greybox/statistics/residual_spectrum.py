@@ -98,7 +98,7 @@ class ColoredInformation:
     correlation_times: Array
     corrected: bool
     spectrum: ErrorSpectrum | None
-    process_noise: Callable[[], float] = lambda: 0.0
+    process_noise: Callable[[], float] = float
     slow_errors: Callable[[], Array] = lambda: np.zeros((2, 0))
 
 
