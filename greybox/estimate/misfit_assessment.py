@@ -16,7 +16,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
-from greybox.estimate.misfit import EXACT, FALSE_ALARMS, LARGE, Cause, Misfit, Shape
+from greybox.estimate.misfit import EXACT, FALSE_ALARMS, LARGE, NOTICED, Cause, Misfit, Shape
 from greybox.estimate.misfit_regression import (
     STEP,
     TINY,
@@ -195,21 +195,26 @@ def assessed_misfit(
     # Gains of a predictor allow for gusts already, and an autoregression also takes up the growing
     # motions that an unstable model lacks.
     is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
-    if misfit.explains or solver is None or responses or manoeuvres or is_excluded:
+    is_slow = misfit.left > NOTICED and LARGE * (1 - misfit.drift) < 1
+    is_plain = misfit.explains and not is_slow
+    if is_plain or solver is None or responses or manoeuvres or is_excluded:
         return misfit
     # Gusts bias the values that a simulation fits, and through a controller they reach the inputs.
-    # At biased values, residuals follow the inputs although no term is missing.
+    # At biased values, residuals follow the inputs although no term is missing. A missing term
+    # biases them, too, perhaps until residuals follow hardly anything but their past.
     x, group = _with_autoregressive_errors(nlp, x, disturbed)
     [(_, columns)] = answers
     # Values at a bound are no better ones. Terms that residuals follow there for certain, also as
     # they act here, need no other test.
     is_held = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
     is_certain = misfit.tried * min(group.chances(columns), default=1.0) < IN_GUSTS**2
-    if is_certain or is_held.any():
+    if (is_certain and not misfit.explains) or is_held.any():
         return misfit
     other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates)
-    if other is None or other.p_value < IN_GUSTS:
+    if other is None or misfit.explains != (other.p_value < IN_GUSTS):
         return misfit
+    if misfit.explains:
+        return replace(other, left=misfit.left)
     return replace(misfit, elsewhere=tuple(zip(nlp.free, x.tolist(), strict=True)))
 
 

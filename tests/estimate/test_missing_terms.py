@@ -103,6 +103,37 @@ def test_what_acts_on_a_part_of_the_record_is_named(acting, sensor, text):
     assert re.match(text, misfit.likely[0].text)
 
 
+class Tank(gb.StateSpace):
+    """A tank with an outlet: h' = b u - c sqrt(h)."""
+
+    states, inputs, outputs = ("h",), ("u",), ("h",)
+    b = gb.Parameter(0.3, bounds=(0, 6))
+    c = gb.Parameter(0.25, bounds=(0, 5))
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u - p.c * gb.sqrt(gb.maximum(x.h, 0.01)),)
+
+    def output(self, x, u, p):
+        return (x.h,)
+
+
+def test_a_load_that_biases_the_values_until_residuals_look_like_drift_is_named():
+    random, time = np.random.default_rng(2), 0.25 * np.arange(480)
+    waves = [np.sin(w * time + random.uniform(0, 6)) for w in (0.03, 0.1, 0.3, 0.7)]
+    u, h = 1.2 + 0.25 * sum(waves), [2.0]
+    for inflow in 0.3 * u + 0.08 * (time > 66):
+        level = h[-1]
+        for _ in range(5):  # Euler steps of 50 ms
+            level += 0.05 * (inflow - 0.25 * np.sqrt(max(level, 0.01)))
+        h.append(level)
+    h = np.array(h[:-1])
+    measured = h + 0.05 * np.std(h) * random.normal(size=480)
+    record = gb.Record(time, {"u": u, "h": measured}, hold={"u": np.inf})
+    misfit = gb.fit(gb.Problem(Tank(), record), starts=1, progress=False, profiles=False).misfit
+    assert not misfit.explains
+    assert re.match(r"a constant 0\.\d+ in the equation of h from 6[4-8] s", misfit.likely[0].text)
+
+
 def test_a_mode_of_the_input_is_named_whatever_its_phase():
     random = np.random.default_rng(2)
     u = np.repeat(random.choice([-1.0, 1.0], 60), 10)
