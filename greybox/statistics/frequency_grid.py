@@ -102,13 +102,14 @@ class FrequencyGrid:
         banded = np.zeros((k, k, len(self.starts)), dtype=complex)
         # Output by output: all products together would fill the memory of long records.
         for i in range(k):
+            rows = slice(i + 1)
             values = sum(
-                np.einsum("pf,jpf->jf", a[i], b[: i + 1])
-                + np.einsum("jpf,pf->jf", a[: i + 1], b[i]).conj()
+                np.einsum("pf,jpf->jf", a[i], b[rows])
+                + np.einsum("jpf,pf->jf", a[rows], b[i]).conj()
                 for a, b in factors
             )
-            banded[i, : i + 1] = self.banded(values)
-            banded[: i + 1, i] = banded[i, : i + 1].conj()
+            banded[i, rows] = self.banded(values)
+            banded[rows, i] = banded[i, rows].conj()
             lags[:, i] = np.fft.irfft(values[i], self.size)[: order + 1]
 
         return lags, banded
