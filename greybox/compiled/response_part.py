@@ -155,7 +155,7 @@ class ResponsePart(Part):
         return self.stored(
             function.name(),
             values,
-            lambda: complex_array(*np.asarray(ca.DM(function(values))).reshape(2, -1)),
+            lambda: complex_array(*function(values).full().reshape(2, -1)),
         )
 
     def stored(self, name: str, values: Array, compute: Callable[[], Any]) -> Any:

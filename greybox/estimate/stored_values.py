@@ -73,16 +73,22 @@ def read(value: Any, kind: Any) -> Any:
     return _scalar(value, kind)
 
 
+def _require_type(value: Any, kind: type, problem: str) -> None:
+    # The text of a whole record takes ten times as long as all else: only an error needs it.
+    if not isinstance(value, kind):
+        raise ValueError(f"{value!r:.40} {problem}")
+
+
 def _container(value: Any, kind: Any) -> Any:
     """Return a dataclass, a tuple or a mapping."""
     kinds = get_args(kind)
     if get_origin(kind) is tuple:
-        require(isinstance(value, list), f"{value!r:.40} is not a list")
+        _require_type(value, list, "is not a list")
         if kinds[-1] is Ellipsis:
             kinds = kinds[:1] * len(value)
         return tuple(read(item, k) for item, k in zip(value, kinds, strict=True))
 
-    require(isinstance(value, dict), f"{value!r:.40} has no names")
+    _require_type(value, dict, "has no names")
     if dataclasses.is_dataclass(kind):
         fields = fields_of(kind).items()  # type: ignore[arg-type]
         return kind(**{name: read(value[name], k) for name, k in fields})  # type: ignore[operator]
@@ -108,7 +114,7 @@ def _alike(kinds: tuple[Any, ...], value: Any) -> Any:
 def _array(value: Any, item: Any) -> Any:
     """Return an array of the annotated items."""
     if item is np.object_:
-        require(isinstance(value, list), f"{value!r:.40} is not a list")
+        _require_type(value, list, "is not a list")
         return np.array([_scalar(text, str) for text in value], dtype=object)
 
     values = np.array(value["numbers"]).reshape(value["shape"])
@@ -120,7 +126,7 @@ def _array(value: Any, item: Any) -> Any:
 
 def _scalar(value: Any, kind: Any) -> Any:
     if kind is str:
-        require(isinstance(value, str), f"{value!r:.40} is not text")
+        _require_type(value, str, "is not text")
         require(len(value) <= LONGEST, f"a text has more than {LONGEST} characters")
         return printable(value, LINES)
     if get_origin(kind) is Literal:

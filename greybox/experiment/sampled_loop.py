@@ -30,6 +30,7 @@ from greybox.files.arrays import (
     Labels,
     Strings,
     Values,
+    as_arrays,
     frozen,
 )
 from greybox.modeling.held_inputs import held_response
@@ -381,4 +382,4 @@ def linear_controller(
     blocks = [ca.jacobian(f, z) for f in (ca.SX(ca.vertcat(*following)), total) for z in (x, v)]
     initial = [value for c in controllers for value in c.initial]
     numbers = ca.Function("controller", [x, v], blocks)(initial, np.zeros(v.numel()))
-    return LinearController(commands, *(np.asarray(ca.DM(block)) for block in numbers))
+    return LinearController(commands, *as_arrays(numbers))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, StringPair, Values, all_finite
+from greybox.files.arrays import Array, StringPair, Values, all_finite, as_arrays
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -177,7 +177,7 @@ def _elimination_order(model: StateSpace, matrix: Trimmed, omega: Array) -> tupl
     points = [start_values(model.parameters)]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
     closed: Any = matrix.closed()
-    samples = [np.asarray(ca.DM(closed(point))) for point in points]
+    samples = as_arrays(map(closed, points))
     # A draw may have no operating point.
     regular = [A for A in samples if all_finite(A)]
     return elimination_order(np.reshape(regular, (len(regular), *samples[0].shape)), omega)

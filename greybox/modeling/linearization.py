@@ -3,7 +3,16 @@
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Strings, Values, all_finite, by_name, frozen
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    Strings,
+    Values,
+    all_finite,
+    as_arrays,
+    by_name,
+    frozen,
+)
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace, input_delays
@@ -88,9 +97,8 @@ def linearize(
             "and the values."
         )
 
-    blocks = [np.asarray(b) for b in jacobians(model)(vector, x, u)]
     return LinearSystem(
-        *blocks,
+        *as_arrays(jacobians(model)(vector, x, u)),
         states=model.state_names,
         inputs=model.input_names,
         outputs=model.output_names,

@@ -101,14 +101,16 @@ class FrequencyGrid:
         lags = np.zeros((order + 1, k))
         banded = np.zeros((k, k, len(self.starts)), dtype=complex)
         # Output by output: all products together would fill the memory of long records.
-        for i, j in zip(*np.tril_indices(k), strict=True):
-            values = np.zeros(len(self.weight), dtype=complex)
-            for a, b in factors:
-                values += (a[i] * b[j] + (a[j] * b[i]).conj()).sum(axis=0)
-            banded[i, j] = self.banded(values)
-            banded[j, i] = banded[i, j].conj()
-            if i == j:
-                lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
+        for i in range(k):
+            rows = slice(i + 1)
+            values = sum(
+                np.einsum("pf,jpf->jf", a[i], b[rows])
+                + np.einsum("jpf,pf->jf", a[rows], b[i]).conj()
+                for a, b in factors
+            )
+            banded[i, rows] = self.banded(values)
+            banded[rows, i] = banded[i, rows].conj()
+            lags[:, i] = np.fft.irfft(values[i], self.size)[: order + 1]
 
         return lags, banded
 

@@ -57,6 +57,8 @@ SHARES = np.array([0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.55, 0.75, 0.9, 1.0
 # Correlations of gusts from one sample to the next: time constants of 4, 16, 64 and 256 samples.
 # Between these and white noise the likelihood has no other maximum.
 GUSTS = (0.78, 0.94, 0.984, 0.996)
+# Difference of -2 log evidence that is very strong: Kass and Raftery (1995), JASA 90.
+VERY_STRONG = 10.0
 
 TINY = 1e-300
 
@@ -85,7 +87,7 @@ class ColoredInformation:
         Spectrum of the errors; None where all residuals are zero.
     process_noise : function
         Returns -2 log of the evidence for other errors, less that for process noise: white, or
-        gusts. It takes time, and is rarely needed.
+        gusts if the evidence for white one is not very strong. It takes time, and is rarely needed.
     slow_errors : function
         Returns the evidence for slow errors of every output, and the lines that show the
         parameters: (2, k), see `ResidualSpectra.slow_errors`.
@@ -169,8 +171,12 @@ def colored_information(
         correlation_times=times,
         corrected=corrected,
         spectrum=ErrorSpectrum(spectra.grid.omega, density, deviation),
-        # Gusts leave no residuals that look white.
-        process_noise=lambda: mixture.score + (spectra.gain_of_gusts() if times.max() > 1 else 0.0),
+        # Gusts leave no residuals that look white. With eight outputs, their test takes two fifths
+        # of a fit: white process noise that is certain does not need it.
+        process_noise=lambda: (
+            mixture.score
+            + (spectra.gain_of_gusts() if times.max() > 1 and mixture.score < VERY_STRONG else 0.0)
+        ),
         slow_errors=lambda: spectra.slow_errors(corrected=corrected) @ embedded,
     )
 

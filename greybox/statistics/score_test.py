@@ -61,9 +61,10 @@ def score_tests(residuals: Array, basis: Array, terms: Array) -> Array:
         What unit terms would add to the model's outputs.
     """
     residuals = outside(residuals, basis)
-    before, terms = np.linalg.norm(terms, axis=0), outside(terms, basis)
-    length = np.linalg.norm(terms, axis=0)
-    length[length <= REMAINS * before] = np.inf
+    # Squares suffice: the terms beside the basis are not needed.
+    before = np.sum(terms**2, axis=0)
+    squares_left = before - np.sum((basis.T @ terms) ** 2, axis=0)
+    length = np.sqrt(np.where(squares_left > REMAINS**2 * before, squares_left, np.inf))
 
     count = len(residuals)
     remaining = count - basis.shape[1]
@@ -149,13 +150,13 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         # A part that is fitted exactly would leave a negative remainder by rounding.
         products += (ROUNDING * products + TINY) * np.eye(values.shape[1])
         first = basis.shape[1]
-        triangles = np.linalg.cholesky(products[:, :first, :first])
-        half = np.linalg.solve(triangles, products[:, :first, first:])
-        rest = products[:, first:, first:] - half.swapaxes(1, 2) @ half
+        triangles = np.linalg.cholesky(products)
+        # The product of its last rows is what the first columns leave of the others.
+        rest = triangles[:, first:, first:] @ triangles[:, first:, first:].swapaxes(1, 2)
         left = of_diagonal(rest)
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
         logarithms = (
-            2 * np.log(of_diagonal(triangles)),
+            2 * np.log(of_diagonal(triangles)[:, :first]),
             np.log(np.vstack([slow, SIZES[:, places]])),
         )
         scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)

@@ -42,40 +42,34 @@ def shared_covariance(
     size : int
         r.
     """
-    logarithms, rows = [], []
+    rows = []
     for omega, errors, slopes, variance in responses:
         if np.unique(omega).size >= FEWEST:
             order = np.argsort(omega, kind="stable")
             # The errors get a mean square of one, then the variance of the response.
             norm = np.linalg.norm(errors) * np.linalg.norm(slopes) / errors.size**0.5
             scale = np.sqrt(variance) / (norm or 1.0)
-            logarithms.append(np.log(omega[order]))
-            rows.append(
-                (
-                    scale * errors.reshape(2, -1)[:, order],
-                    slopes.reshape(2, omega.size, size)[:, order],
-                )
-            )
-    if len(rows) < 2:
+            pairs = scale * errors.reshape(2, -1), slopes.reshape(2, omega.size, size)
+            rows.append((np.log(omega[order]), *(values[:, order] for values in pairs)))
+    k = len(rows)
+    if k < 2:
         return np.zeros((size, size)), 1.0
-    spacing = np.median([np.ptp(row) / (row.size - 1) for row in logarithms])
-    lowest = min(row[0] for row in logarithms)
-    bins = [np.rint((row - lowest) / spacing).astype(int) for row in logarithms]
-    count, random = 1 + max(row[-1] for row in bins), np.random.default_rng(0)
+    spacing = np.median([np.ptp(row) / (row.size - 1) for row, *_ in rows])
+    lowest = min(row[0] for row, *_ in rows)
+    bins = [np.rint((row - lowest) / spacing) for row, *_ in rows]
+    places = np.arange(1 + max(row[-1] for row in bins))
 
-    def added(shifts: Array) -> Array:
-        sums = np.zeros((len(rows), count, size))
-        for row, at, (errors, slopes), shift in zip(sums, bins, rows, shifts, strict=True):
-            shifted = np.roll(errors, int(shift * len(at)), axis=1)
-            np.add.at(row, at, np.einsum("cn,cnr->nr", shifted, slopes))
-        total = sums.sum(axis=0)
-        return total.T @ total - np.einsum("pbr,pbs->rs", sums, sums)
-
+    random = np.random.default_rng(0)
     # Two responses that are shifted alike would show what they share.
-    shifts = (
-        (random.permutation(len(rows)) + random.uniform(0.25, 0.75, len(rows))) / len(rows)
-        for _ in range(SHIFTS)
-    )
-    by_chance = max(np.linalg.eigvalsh(added(each))[-1] for each in shifts)
-    values, vectors = np.linalg.eigh(added(np.zeros(len(rows))))
-    return (vectors * values * (values > by_chance)) @ vectors.T, float(count)
+    apart = [(random.permutation(k) + random.uniform(0.25, 0.75, k)) / k for _ in range(SHIFTS)]
+    shifts = np.array([np.zeros(k), *apart]).T
+    total = alone = np.zeros(())
+    for at, (_, errors, slopes), shift in zip(bins, rows, shifts, strict=True):
+        moved = errors[:, np.arange(at.size) - (shift[:, None] * at.size).astype(int)]
+        sums = (at == places[:, None]) @ np.einsum("csn,cnr->snr", moved, slopes)
+        total, alone = total + sums, alone + sums.swapaxes(1, 2) @ sums
+
+    products = total.swapaxes(1, 2) @ total - alone
+    by_chance = np.linalg.eigvalsh(products[1:]).max()
+    values, vectors = np.linalg.eigh(products[0])
+    return (vectors * values * (values > by_chance)) @ vectors.T, float(places.size)

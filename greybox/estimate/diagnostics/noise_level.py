@@ -33,6 +33,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import by_name
 from greybox.files.text_table import counted, percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
+from greybox.statistics.residual_spectrum import VERY_STRONG
 
 # Squared residuals over given variances below which these are doubted, or include other errors.
 LEAST_RATIO = 0.4
@@ -281,8 +282,7 @@ def gusts(accuracy: Accuracy, *, noisy: bool, explained: bool) -> Iterator[str]:
         steady, evidence = trajectory.detail.filter, errors.colored.effect.process_noise
         if part.gains and (steady is None or steady.gain.any()):
             continue
-        # A difference of 10 in -2 log evidence is very strong: Kass and Raftery (1995), JASA 90.
-        if noisy and part.problem.model.state_names and evidence() > 10.0:
+        if noisy and part.problem.model.state_names and evidence() > VERY_STRONG:
             cure = "start process noise above zero" if part.gains else f"use {gust_criterion(part)}"
             like = (
                 "not like noise of sensors:"
