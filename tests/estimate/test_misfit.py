@@ -563,6 +563,8 @@ def test_terms_of_the_user_need_the_equations_of_a_record():
     fit = gb.fit(gb.Problem(Lag(), data), starts=1)
     with pytest.raises(ValueError, match="has no record"):
         gb.misfit(fit, candidates={"drag": lambda x, u, p: abs(x.v) * x.v})
+    with pytest.raises(TypeError, match=r"candidates is .*: give \{name: function"):
+        gb.misfit(fit, candidates=[lambda x, u, p: x.v])
 
 
 def test_a_gain_of_the_wrong_sign_is_named_once():
