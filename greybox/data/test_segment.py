@@ -128,5 +128,9 @@ def segment_table(segments: Sequence[Segment]) -> str:
 
 def checked_segments(segments: Iterable[Segment]) -> tuple[Segment, ...]:
     """Return the segments; TypeError for anything else, such as the parts of an `Excitation`."""
-    cure = "those of gb.logs.find_segments, or gb.data.Segment(start, end)"
-    return checked_items("a segment", segments, Segment, cure)
+    return checked_items(
+        "a segment",
+        segments,
+        Segment,
+        "those of gb.logs.find_segments, or gb.data.Segment(start, end)",
+    )

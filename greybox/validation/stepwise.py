@@ -159,10 +159,10 @@ def stepwise(
     require_problem(problem)
     if isinstance(candidates, Misfit):
         problem, candidates = _with_causes(problem, candidates)
-    names = as_names(candidates)
-    if not names:
+    is_mapping = isinstance(candidates, Mapping)
+    absent = dict(candidates) if is_mapping else dict.fromkeys(as_names(candidates), 0.0)
+    if not absent:
         raise ValueError("there are no candidates: name at least one parameter.")
-    absent = dict(candidates) if isinstance(candidates, Mapping) else dict.fromkeys(names, 0.0)
     require_known(absent, problem.parameters, "parameter", repr(problem.name))
     fits = _Fits(problem, absent, starts, {})
     current: Terms = frozenset()
