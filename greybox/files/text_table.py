@@ -139,7 +139,7 @@ def require_kind(what: str, value: object, kinds: Any, cure: str) -> None:
 
 
 def checked_items(what: str, items: Any, kinds: Any, cure: str) -> tuple[Any, ...]:
-    """Return one item or several as a tuple; TypeError as `require_kind` for another kind."""
+    """Return one item or several as a tuple, each checked by `require_kind`."""
     is_single = isinstance(items, str) or not isinstance(items, Iterable)
     listed = (items,) if is_single else tuple(items)
     for item in listed:
