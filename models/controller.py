@@ -136,6 +136,11 @@ class LinearLaw(gb.Controller):
         # The rate makes the system discrete before the base class checks it.
         if not (is_finite_number(rate) and rate > 0):
             raise ValueError(f"LinearLaw cannot run {rate!r} times per second: give a rate in Hz.")
+        if isinstance(system, control.FrequencyResponseData):
+            raise TypeError(
+                "LinearLaw needs a transfer function or a state space, not measured points: fit a "
+                "model to them."
+            )
         # A model is converted, which refuses delays.
         if not hasattr(system, "isdtime"):
             system = gb.interop.to_control(system, kind="state-space")
@@ -148,6 +153,13 @@ class LinearLaw(gb.Controller):
             raise ValueError(
                 f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one "
                 "of its pairs, system[0, 0]."
+            )
+        if isinstance(system, control.TransferFunction) and (
+            len(system.num[0][0]) > len(system.den[0][0])
+        ):
+            raise ValueError(
+                "the system has more zeros than poles: add the lag of its derivative, such as "
+                "s / (0.01 * s + 1) in place of s."
             )
         if not system.isdtime(strict=True):
             system = control.sample_system(system, 1 / rate, method="bilinear")

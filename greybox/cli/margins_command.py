@@ -9,7 +9,7 @@ from greybox.data.response_file import read_response
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, selected
 from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module
 from greybox.study.study import read_study
@@ -150,7 +150,7 @@ def stated_controllers(options: argparse.Namespace) -> list[Controller]:
     # In a cascade, every controller takes the gains and signals that it has.
     return [
         kind(
-            {name: value for name, value in options.set.items() if name in kind.parameters},
+            selected(options.set, kind.parameters),
             rate=options.rate,
             signals={
                 own: outside

@@ -6,6 +6,7 @@ from dataclasses import fields
 from typing import Any
 
 from greybox.cli.options import UsageError
+from greybox.files.arrays import selected
 from greybox.identification.measurement import Settings
 
 # Which tests, which samples, which estimate.
@@ -52,7 +53,7 @@ def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
 
     # Options and settings have the same names, so that a new setting needs only its option.
     names = {field.name for field in fields(Settings)}
-    values = {name: value for name, value in vars(options).items() if name in names}
+    values = selected(vars(options), names)
     return values | {
         "band": stated_band(options.band),
         "instrument": "".join(options.instrument),

@@ -30,6 +30,7 @@ from greybox.files.arrays import (
     by_name,
     frozen,
 )
+from greybox.files.text_table import require_kind
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -89,6 +90,14 @@ def _size(parameter: Parameter) -> float:
 
 
 AnyProblem = Problem | Sum[Problem]
+
+
+def require_problem(problem: Any) -> None:
+    """Raise TypeError for anything but a problem or a sum of them."""
+    cure = "a Problem(model, data) or a sum of them"
+    require_kind("problem", problem, Problem | Sum, cure)
+
+
 PartKind = TypeVar("PartKind", bound=Part)
 # The attributes of a problem without frequency responses.
 NOTHING = Columns(ca.Function("nothing", [], []))

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.response_columns import EXTRAS
-from greybox.files.arrays import Array, ComplexArray, by_name, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, by_name, real_and_imaginary, selected
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -39,7 +39,7 @@ INCLUDED = {type(criterion) for criterion in CRITERIA}
 
 def columns_of(data: FrequencyResponse) -> dict[str, Array]:
     """Return the columns, besides the response, on which a cost may depend."""
-    return {name: column for name, column in data.columns.items() if name in EXTRAS}
+    return selected(data.columns, EXTRAS)
 
 
 def data_numbers(data: FrequencyResponse, response: ComplexArray) -> Array:

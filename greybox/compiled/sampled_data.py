@@ -246,7 +246,7 @@ def sampled_data(
         raise ValueError(
             f"{_called(record)} has no usable stretch, {shortest} samples in a row with all inputs"
             f"{reason}: give a longer record, or inputs at every sample, as gb.prepare makes them"
-            f"{', or a smaller upper bound' if delay else ''}."
+            f"{', or a smaller upper bound' if delay else ''}. {' '.join(record.findings)}".strip()
         )
 
     # A system at rest with a constant input shows only its noise, which any parameters explain.

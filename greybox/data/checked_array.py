@@ -7,12 +7,13 @@ Checksums of the arrays, by which equal data are recognized.
 """
 
 import hashlib
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, Interval
 
 
 def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
@@ -82,6 +83,16 @@ def require_size(name: str, values: NDArray, first: str, size: int) -> None:
     if values.size != size:
         raise ValueError(
             f"{first} has {size} values but {name} has {values.size}: they must match."
+        )
+
+
+def require_band(band: Interval) -> None:
+    """Raise ValueError for anything but a lower and a higher frequency, rad/s."""
+    low, high = band
+    if not 0 <= low < high < math.inf:
+        raise ValueError(
+            f"band={low:g} {high:g} must be two frequencies of at least 0 rad/s, the lower one "
+            "first."
         )
 
 

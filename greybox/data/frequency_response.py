@@ -270,7 +270,8 @@ class FrequencyResponse(Printed):
         if not is_inside.any():
             raise ValueError(
                 f"the response has no point from {low:.4g} to {high:.4g} rad/s; it runs from "
-                f"{self.omega.min():.4g} to {self.omega.max():.4g} rad/s."
+                f"{self.omega.min():.4g} to {self.omega.max():.4g} rad/s: give two frequencies in "
+                "this range, the lower one first."
             )
         return self.where(is_inside)
 

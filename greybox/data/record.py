@@ -30,6 +30,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
     frozen,
+    selected,
 )
 from greybox.files.text_table import (
     Printed,
@@ -89,8 +90,8 @@ class Record(Printed):
     Raises
     ------
     ValueError
-        For empty records, different lengths, times that do not increase, units of unknown signals,
-        or a hold below 0.
+        For empty records, different lengths, times that do not increase, units or holds of unknown
+        signals, or a hold below 0.
 
     Examples
     --------
@@ -117,8 +118,9 @@ class Record(Printed):
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
-        if not hasattr(self.signals, "items"):
-            raise TypeError(f"signals is {self.signals!r:.60}: give {{name: values}}.")
+        for what, given in (("signals", self.signals), ("hold", self.hold)):
+            if not hasattr(given, "items"):
+                raise TypeError(f"{what} is {given!r:.60}: give {{name: values}}.")
         if self.time is None:
             rows = next(map(np.size, self.signals.values()), 0)
             vars(self).update(time=np.arange(rows, dtype=float), has_time=False)
@@ -134,7 +136,9 @@ class Record(Printed):
                 "samples and remove duplicates."
             )
 
-        measured = {all_printable(name): _read_only(x, name) for name, x in self.signals.items()}
+        measured = {
+            all_printable(str(name)): _read_only(x, name) for name, x in self.signals.items()
+        }
         signals = {name: within_range(values) for name, values in measured.items()}
         lost = [
             f"{name} has values beyond 1e75, which count as missing: check its sensor."
@@ -143,17 +147,15 @@ class Record(Printed):
         ]
         for name, values in signals.items():
             require_size(name, values, "time" if self.has_time else next(iter(signals)), time.size)
-        unknown = [name for name in map(all_printable, self.units) if name not in signals]
-        if unknown:
-            raise ValueError(
-                f"units names {unknown[0]!r}, which is not a signal; the record has "
-                f"{alternatives(unknown[0], signals)}"
-            )
-        # The attributes of a data frame still name columns that were dropped.
+        for what, described in (("units", self.units), ("hold", self.hold)):
+            unknown = [name for name in map(all_printable, described) if name not in signals]
+            if unknown:
+                raise ValueError(
+                    f"{what} names {unknown[0]!r}, which is not a signal; the record has "
+                    f"{alternatives(unknown[0], signals)}"
+                )
         hold = {
-            printed: checked_hold(name, seconds)
-            for name, seconds in self.hold.items()
-            if (printed := all_printable(name)) in signals
+            all_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
         }
         # A given checksum is that of the file: excerpts of one log are recognized by it.
         checksum = self.checksum or checksum_of(time, *chain.from_iterable(signals.items()))
@@ -242,7 +244,7 @@ class Record(Printed):
         if not rows.size:
             raise ValueError(
                 f"the record has no sample from {start:g} to {end:g} s; it runs from "
-                f"{self.time[0]:g} to {self.time[-1]:g} s."
+                f"{self.time[0]:g} to {self.time[-1]:g} s: give two times in it, the earlier first."
             )
         return self.rows(rows)
 
@@ -291,14 +293,11 @@ class Record(Printed):
         if others.pop("has_time", True):
             moments, column, findings = times_of(frame, time)
         columns = columns_of(frame, without=column)
-        described = {
-            name: frame.attrs[name]
-            for name in ("units", "hold", "name", "source")
-            if name in frame.attrs
-        }
+        described = selected(frame.attrs, ("units", "hold", "name", "source"))
         described["findings"] = findings
-        if "units" in described:  # those of columns that were dropped later stay in `attrs`
-            described["units"] = {n: u for n, u in described["units"].items() if n in columns}
+        # Those of columns that were dropped later stay in `attrs`.
+        for what in {"units", "hold"} & described.keys():
+            described[what] = selected(described[what], columns)
         # What the caller states overrides the attributes of the frame.
         options = described | others | ({} if units is None else {"units": units})
 

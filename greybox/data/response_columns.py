@@ -21,6 +21,7 @@ from greybox.files.arrays import (
     Labels,
     NamedArrays,
     NamedStrings,
+    selected,
 )
 from greybox.files.delimited_text import heading
 from greybox.files.text_table import alternatives
@@ -158,7 +159,7 @@ def extras(values: NamedArrays) -> Fields:
     ValueError
         If one part of a common error is missing.
     """
-    optional = {name: values[name] for name in EXTRAS if name in values}
+    optional = selected(values, EXTRAS)
     # In the order of their numbers, whatever the order of the columns.
     numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
     errors = []

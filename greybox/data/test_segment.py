@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from greybox.files.arrays import Interval, Strings
-from greybox.files.text_table import number, one_line, text_table
+from greybox.files.text_table import checked_items, number, one_line, text_table
 
 KINDS = ("sine", "sweep", "multisine", "noise", "step", "manoeuvre")
 
@@ -128,11 +128,9 @@ def segment_table(segments: Sequence[Segment]) -> str:
 
 def checked_segments(segments: Iterable[Segment]) -> tuple[Segment, ...]:
     """Return the segments; TypeError for anything else, such as the parts of an `Excitation`."""
-    checked = tuple(segments)
-    for segment in checked:
-        if not isinstance(segment, Segment):
-            raise TypeError(
-                f"a segment is {segment!r:.60}: give those of gb.logs.find_segments, or "
-                "gb.data.Segment(start, end)."
-            )
-    return checked
+    return checked_items(
+        "a segment",
+        segments,
+        Segment,
+        "those of gb.logs.find_segments, or gb.data.Segment(start, end)",
+    )

@@ -20,6 +20,7 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
+    require_kind,
     some,
     text_table,
 )
@@ -138,6 +139,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     >>> draws.to_pandas().shape
     (100, 8)
     """
+    require_kind("fit", fit, Fit, "what gb.fit returns")
     require_whole("count", count, 1)
     if fit.known_directions(fit.names).unseen.size:
         unknown = [q.name for q in fit.quantities if math.isnan(q.standard_error)]

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, compile_problem
+from greybox.compiled.compiled_problem import AnyProblem, compile_problem, require_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import (
     Accuracy,
@@ -35,11 +35,9 @@ from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Named, by_name
 from greybox.files.progress import DELAY, bar
-from greybox.files.text_table import counted
+from greybox.files.text_table import counted, require_kind
 from greybox.formulation.prior_part import stated_priors
-from greybox.formulation.problem import Problem
 from greybox.formulation.starts import AnyStarts, Listed, as_starts
-from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
@@ -180,14 +178,10 @@ class SolverChoice:
 
     def __post_init__(self) -> None:
         """Check all of them."""
-        if not isinstance(self.options, Mapping):
-            raise TypeError(
-                f"solver_options is {self.options!r:.60}: give IPOPT's options as {{name: value}}."
-            )
-        if self.method is not None and not isinstance(self.method, Transcription):
-            raise TypeError(
-                f"method is {self.method!r:.60}: give an instance such as MultipleShooting()."
-            )
+        cure = "IPOPT's options as {name: value}"
+        require_kind("solver_options", self.options, Mapping, cure)
+        cure = "an instance such as MultipleShooting()"
+        require_kind("method", self.method, Transcription | None, cure)
 
         if self.search not in SEARCHES:
             raise ValueError(
@@ -242,11 +236,7 @@ def fit_with_storage(
     progress: bool | ProgressReport = True,
 ) -> Fit:
     """Fit as `fit` does, and store every run at once; stored runs are not repeated."""
-    if not isinstance(problem, Problem | Sum):
-        raise TypeError(
-            f"problem is {problem!r:.80}: give a Problem(model, data) or a sum of them."
-        )
-
+    require_problem(problem)
     require_executor(executor)
     began = time.perf_counter()
     solver = by.solver(problem)

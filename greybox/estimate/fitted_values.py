@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.discretization import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import response_and_slope
-from greybox.files.arrays import Array, Fields, Values, all_finite, by_name
+from greybox.files.arrays import Array, Fields, Values, all_finite, by_name, selected
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model, equation
@@ -124,9 +124,14 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
     used = [*part.system.inputs, *part.outputs]
 
     # Only signals that the fit used: a log may have hundreds, and a saved fit contains its data.
-    units = {name: data.units[name] for name in used if name in data.units}
     stored = replace(
-        data, signals={n: data[n] for n in used}, units=units, metadata={}, filters={}, findings=()
+        data,
+        signals={name: data[name] for name in used},
+        units=selected(data.units, used),
+        hold=selected(data.hold, used),
+        metadata={},
+        filters={},
+        findings=(),
     )
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)
@@ -151,7 +156,8 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         simulated=replace(
             stored,
             signals=_simulated(part, trajectory),
-            units={name: unit for name, unit in units.items() if name in part.outputs},
+            units=selected(stored.units, part.outputs),
+            hold=selected(stored.hold, part.outputs),
             name=part.problem.model.label,
             source="",
             checksum="",

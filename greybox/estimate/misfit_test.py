@@ -8,6 +8,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.result import Fit
+from greybox.files.text_table import require_kind
 from greybox.modeling.added_terms import Formula
 from greybox.solve.multistart import solver_for
 
@@ -48,6 +49,7 @@ def misfit(
     True
     """
     fit.require_estimate()
+    require_kind("candidates", candidates, Mapping, "{name: function of x, u and p}")
     if candidates and not fit.records:
         raise ValueError(
             f"candidates are terms in the equations of a record, and {fit.name!r} has no record: "

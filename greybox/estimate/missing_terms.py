@@ -57,7 +57,7 @@ TEXTS = {
     "negative lag": (
         "a lead of {a} by {size} s, one more zero",
         "a state {a}_lag with the derivative (u.{a} - x.{a}_lag) / p.T_lag, and "
-        "u.{a} + p.c * (u.{a} - x.{a}_lag) in place of u.{a}",
+        "u.{a} + p.new * (u.{a} - x.{a}_lag) in place of u.{a}",
     ),
     "flexible": (
         "a lightly damped mode of {a} near {level} rad/s",
@@ -88,7 +88,7 @@ TEXTS = {
     "side": (
         "a gain of {a} that is larger beyond {level}",
         "a gain of {a} that is smaller beyond {level}, as with a saturation of one side",
-        "u.{a} + p.c * gb.maximum(u.{a} - p.limit, 0) in place of u.{a}, or gb.minimum below it",
+        "u.{a} + p.new * gb.maximum(u.{a} - p.limit, 0) in place of u.{a}, or gb.minimum below it",
     ),
     "between": (
         "{a} runs in curves between its samples, not in straight lines",
@@ -120,7 +120,7 @@ TEXTS = {
     "constant": (
         "a constant {size} in the equation of {b}",
         "a constant -{size} in the equation of {b}",
-        "the derivative of {b} gets + p.c",
+        "the derivative of {b} gets + p.new",
     ),
     "load": (
         "a constant {size} in the equation of {b} from {level} s on, such as a load",
@@ -144,11 +144,11 @@ TEXTS = {
     ),
     "equation": (
         "{a} in the equation of {b}",
-        "the derivative of {b} gets + p.c * {code}",
+        "the derivative of {b} gets + p.new * {code}",
     ),
     "limit": (
         "a stop or an overflow of {a} near {level} in the equation of {b}",
-        "the derivative of {b} gets + p.c * gb.maximum(x.{a} - p.limit, 0), or gb.minimum",
+        "the derivative of {b} gets + p.new * gb.maximum(x.{a} - p.limit, 0), or gb.minimum",
     ),
     "repeated": (
         "an effect on {b} of unknown form, which repeats with the inputs",
@@ -183,7 +183,7 @@ TEXTS = {
     ),
     "feedback": (
         "{a} fed back to {b}",
-        "a StateSpace whose input {b} gets + p.c * {a}",
+        "a StateSpace whose input {b} gets + p.new * {a}",
     ),
     "change": (
         "{a} changes along the record",
@@ -239,7 +239,7 @@ TEXTS = {
     ),
     "mode": (
         "a lightly damped mode near {level} rad/s",
-        "response: * (1 + p.c * s**2 / (s**2 + 2 * p.zeta * p.omega * s + p.omega**2))",
+        "response: * (1 + p.new * s**2 / (s**2 + 2 * p.zeta * p.omega * s + p.omega**2))",
     ),
     "step": (
         "a gain that differs above {level} rad/s",

@@ -5,7 +5,7 @@ The numbers of a fit as plain values, for JSON.
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -324,6 +324,19 @@ def _is_of_later_record(name: str, records: int) -> bool:
     return records > MANY and number_of_record is not None and int(number_of_record[1]) > 3
 
 
+def data_names(parts: Iterable[Any], models: Iterable[str]) -> list[str]:
+    """Return the names of the data of parts; without one, those of the problems, or checksums.
+
+    A problem without a name is named by its model, and two models may be fitted to the same data.
+    """
+    return list(
+        dict.fromkeys(
+            part.data.name or (part.data.checksum[:8] if part.name in models else part.name)
+            for part in parts
+        )
+    )
+
+
 def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     """Return the numbers of a `Fit`; None for one that is unknown or not finite."""
     parameters = [q for q in result.quantities if q.kind != "derived"]
@@ -333,10 +346,11 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     named = ("criterion", "rule", "delay", "seed", "agreeing", "cost", "costs", "status")
     named += ("estimate", "best_effort", "standard_error", "derived", "dof")
     named += ("warnings", "notes", "checksum", "seconds", "versions")
+    models = list(dict.fromkeys(part.label for part in result.parts))
     answer = {
         "problem": result.name,
-        "model": list(dict.fromkeys(part.label for part in result.parts)),
-        "data": list(dict.fromkeys(part.data.name or part.name for part in result.parts)),
+        "model": models,
+        "data": data_names(result.parts, models),
         **{name: getattr(result, name) for name in named},
         "starts": len(runs),
         "screened": np.count_nonzero(runs.stage == SCREENED),

@@ -32,7 +32,7 @@ from greybox.files.arrays import (
     frozen,
     positive_or_one,
 )
-from greybox.files.text_table import Printed, as_names, counted, listed
+from greybox.files.text_table import Printed, as_names, counted, listed, require_kind
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError
@@ -153,8 +153,7 @@ def structural_identifiability(
     >>> gb.structural_identifiability(YawRate()).identifiable
     ('a1_tilde', 'a2', 'a3_tilde', 'a4')
     """
-    if not isinstance(model, Model):
-        raise TypeError(f"model is {model!r:.60}: give an instance such as Tilt(), not the class.")
+    require_kind("model", model, Model, "an instance such as Tilt(), not the class")
     chosen = as_names(model.output_names if outputs is None else outputs)
     require_known(chosen, model.output_names, "output", model.label)
     options = {"fixed": fixed or {}, "free": free, "tied": tied or {}}

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings, Values, by_name
+from greybox.files.text_table import require_kind
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -198,8 +199,8 @@ def connected(
     driven_by_plant = {*system.outputs, *system.states}
     driven: set[str] = set()
     for k, c in enumerate(controllers):
-        if not isinstance(c, Controller):
-            raise TypeError(f"{c!r} is not a Controller: give e.g. AttitudeController().")
+        cure = "an instance, as AttitudeController() or LinearLaw(control.tf(...), rate=400)"
+        require_kind("the controller", c, Controller, cure)
         label = type(c).__name__
         first = controllers[0]
         if c.rate != first.rate:

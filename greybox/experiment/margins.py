@@ -326,6 +326,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     if controller is None:
         raise TypeError("a plant has margins only in a loop: give its controller.")
     require_level(level)
+    corners = sorted(number_pair(corner, "a corner of the boundary") for corner in boundary)
     loop = drawn_loops(plant, controller, values, at=at, part=part)
     fit, model = (plant, plant.model_of(part)) if isinstance(plant, Fit) else (None, plant)
     controllers = [controller] if isinstance(controller, Controller) else controller
@@ -372,9 +373,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
             setpoint=setpoint,
             response=response,
             integrals=integrals,
-            boundary=np.array(
-                sorted(number_pair(corner, "a corner of the boundary") for corner in boundary)
-            ).T,
+            boundary=np.array(corners).T,
         )
     fitted = fit.parts[part] if fit else None
     band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None

@@ -33,6 +33,7 @@ from greybox.files.arrays import (
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Names, require_known
+from greybox.modeling.parameter import number_pair
 from greybox.spectral import spectral_response
 
 POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
@@ -261,7 +262,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
 def _divided(name: str, ends: Interval | None, today: float, count: int) -> Array:
     if ends is None and not today > 0:
         raise ValueError(f"{name} is {today:g}, which suggests no range: give its range.")
-    low, high = ends or (today / TRIED, today * TRIED)
+    low, high = number_pair(ends or (today / TRIED, today * TRIED), f"the range of {name}")
     if not -math.inf < low < high < math.inf:
         raise ValueError(f"the range of {name} must be increasing: got {low:g} to {high:g}.")
     return (np.geomspace if low > 0 else np.linspace)(low, high, count)

@@ -12,6 +12,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.response_part import ResponsePart
+from greybox.data.checked_array import require_band
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller
 from greybox.experiment.excitation import NOTHING, Excitation, sine_schedule
@@ -255,8 +256,7 @@ def _require_valid(
     wanted: Values,
     positive: Values,
 ) -> None:
-    if not 0 < band[0] < band[1]:
-        raise ValueError(f"band={band!r} must be two frequencies in rad/s, the lower one first.")
+    require_band(band)
     if not wanted:
         raise ValueError("wanted is empty: give a standard error for at least one parameter.")
     for name, value in positive.items():

@@ -1,6 +1,6 @@
 """Types of arrays and of named numbers; tests, parts and divisors of arrays."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, dataclass_transform
 
@@ -41,6 +41,11 @@ def frozen(kind: type[Kind]) -> type[Kind]:
 def by_name(names: Iterable[Any], values: Iterable[Any]) -> dict[Any, Any]:
     """Return values by their names, one for each."""
     return dict(zip(names, values, strict=True))
+
+
+def selected(values: Mapping[str, Any], names: Container[str]) -> dict[str, Any]:
+    """Return the values whose names are among these, in their own order."""
+    return {name: value for name, value in values.items() if name in names}
 
 
 def all_finite(*arrays: Any) -> bool:

@@ -132,6 +132,21 @@ def nearest(name: str, known: Iterable[str], likeness: float = 0.6) -> str | Non
     return spelled[matches[0]] if matches else None
 
 
+def require_kind(what: str, value: object, kinds: Any, cure: str) -> None:
+    """Raise TypeError for a value that is not of these kinds; the message says to give `cure`."""
+    if not isinstance(value, kinds):
+        raise TypeError(f"{what} is {value!r:.80}: give {cure}.")
+
+
+def checked_items(what: str, items: Any, kinds: Any, cure: str) -> tuple[Any, ...]:
+    """Return one item or several as a tuple, each checked by `require_kind`."""
+    is_single = isinstance(items, str) or not isinstance(items, Iterable)
+    listed = (items,) if is_single else tuple(items)
+    for item in listed:
+        require_kind(what, item, kinds, cure)
+    return listed
+
+
 def alternatives(name: object, names: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the known names, and the closest one."""
     # An output of a model may be a state, too.

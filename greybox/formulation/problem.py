@@ -17,8 +17,17 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import MULTIPLIED
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Fields, Interval, Labels, Named, NamedStrings, Values, frozen
-from greybox.files.text_table import as_names, one_line
+from greybox.files.arrays import (
+    Fields,
+    Interval,
+    Labels,
+    Named,
+    NamedStrings,
+    Values,
+    frozen,
+    selected,
+)
+from greybox.files.text_table import as_names, one_line, require_kind
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
@@ -194,7 +203,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """Fill in the defaults and check that everything fits together."""
         is_class = isinstance(self.model, type)
         cure = "an instance such as Tilt(), not the class" if is_class else "a model, then the data"
-        _require(self.model, Model, "model", cure)
+        require_kind("model", self.model, Model, cure)
         data = self.data
         if not isinstance(data, FrequencyResponse | Record | TransientSpectrum):
             raise TypeError(f"data is {_wrong_data(data)}.")
@@ -205,7 +214,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             usual, kind, place = RelativeError(), Criterion, "a frequency response"
         self._fill_in_defaults(usual)
         cure = f"a criterion such as {type(usual).__name__}(), for {place}"
-        _require(self.criterion, kind, "criterion", cure)
+        require_kind("criterion", self.criterion, kind, cure)
         if not is_finite_number(self.weight) or self.weight <= 0:
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
 
@@ -272,8 +281,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         }
         mappings = {what: getattr(self, what) for what in ("rename", "bounds", "start", "starts")}
         for what, names in mappings.items():
-            if not isinstance(names, Mapping):
-                raise TypeError(f"{what} is {names!r:.60}: give {{name of a parameter: ...}}.")
+            require_kind(what, names, Mapping, "{name of a parameter: ...}")
 
         # A misspelled name would otherwise be ignored silently.
         for what, names in {**kinds, **mappings}.items():
@@ -400,8 +408,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """Values of `fixed` by name: numbers and earlier fits."""
         if isinstance(self.fixed, Mapping):
             return self.fixed
-        if not isinstance(self.fixed, HeldEstimate):
-            raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
+        require_kind("fixed", self.fixed, HeldEstimate, "{name: value} or a Fit")
 
         outside = {name: self.outside(name) for name in self._as_declared}
         return shared_parameters(self.fixed, outside, "fixed")
@@ -425,7 +432,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """Priors of the parameters, by outside name."""
         # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
         outside = {name: self.outside(name) for name in self.declared}
-        of_model = {name: p for name, p in self._stated.items() if name in self.model.parameters}
+        of_model = selected(self._stated, self.model.parameters)
         return tuple(normal_priors(of_model, self.prior, outside))
 
     @property
@@ -563,11 +570,6 @@ def _wrong_data(given: Any) -> str:
         f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum; of objects "
         "of python-control, gb.interop.from_control(...) makes responses"
     )
-
-
-def _require(value: Any, kind: Any, what: str, cure: str) -> None:
-    if not isinstance(value, kind):
-        raise TypeError(f"{what} is {value!r:.80}: give {cure}.")
 
 
 def _call(function: ParameterFormula, p: Names, what: str) -> Any:

@@ -20,7 +20,7 @@ from greybox.experiment.margins import Margins
 from greybox.files.arrays import Strings
 from greybox.files.grouping import grouped
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import counted, number
+from greybox.files.text_table import checked_items, counted, number, require_kind
 from greybox.html_report.comparison_section import comparison_section, overview, study_section
 from greybox.html_report.elements import Child, figure_grid, html, tag
 from greybox.html_report.fit_section import Entry, fit_section
@@ -79,16 +79,9 @@ def report(
     """
     if Path(path).suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"{path} is not the name of a page: give one that ends in .html.")
-    results = [fits] if isinstance(fits, Fit | Study) else list(fits)
-    for result in results:
-        if not isinstance(result, Fit | Study):
-            raise TypeError(
-                f"cannot report {result!r:.80}: give fits, such as gb.fit(problem) returns, or a "
-                "study."
-            )
-
-    if comparison is not None and not isinstance(comparison, Comparison):
-        raise TypeError(f"comparison is {comparison!r:.80}: give what gb.compare returns.")
+    cure = "fits, such as gb.fit(problem) returns, or a study"
+    results = checked_items("a result", fits, Fit | Study, cure)
+    require_kind("comparison", comparison, Comparison | None, "what gb.compare returns")
 
     # A file from a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):

@@ -16,7 +16,7 @@ from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Interval, Labels, Named, Strings, Values, frozen
-from greybox.files.text_table import one_line
+from greybox.files.text_table import one_line, require_kind
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
 from greybox.identification.orders import select_orders
@@ -163,8 +163,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     given = {"fixed": fixed, "free": free, "bounds": bounds, "start": start}
     of_parameters = {name: values for name, values in given.items() if values}
     for structure in structures:
-        if not isinstance(structure, Structure | Model):
-            raise TypeError(f"structures has {structure!r:.60}: give models, as DampedAngle().")
+        require_kind("a structure", structure, Structure | Model, "models, as DampedAngle()")
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
     if listed:
         names = dict.fromkeys(name for structure in listed for name in structure.model.parameters)

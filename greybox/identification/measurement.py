@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from greybox.data.checked_array import require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
@@ -112,11 +113,8 @@ class Settings:
             )
         if not 2 <= self.points <= 10_000:
             raise ValueError(f"points={self.points} must lie between 2 and 10000.")
-        if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
-            raise ValueError(
-                f"band={self.band[0]:g} {self.band[1]:g} must be two frequencies above 0, the "
-                "lower first."
-            )
+        if self.band is not None:
+            require_band(self.band)
         if self.instrument and self.open_loop:
             raise ValueError(
                 "open_loop=True asks for the direct estimate, instrument=... for the joint one: "

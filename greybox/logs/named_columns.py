@@ -34,6 +34,9 @@ def renamed(
             own_names[name] = own[place]
             # A word on the hold alone leaves the unit in the name valid.
             unit, hold = unit_and_hold(unit)
+            # dCL/deg is a derivative, dE/deg may be an elevator.
+            if not unit and own[place].startswith("d") and own[place].endswith("/deg"):
+                raise ValueError("is in degrees or per degree: add :deg or :1/deg")
             unit = f"{unit or unit_in_name(own[place])} {hold}".strip()
             labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:

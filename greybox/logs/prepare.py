@@ -11,7 +11,7 @@ from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, ArrayPair, Labels, Strings, frozen
-from greybox.files.text_table import as_names, counted
+from greybox.files.text_table import as_names, counted, require_kind
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 
@@ -116,11 +116,11 @@ def prepare(
     >>> record.units["theta"]  # degrees in the log
     'rad'
     """
+    require_kind("recording", recording, Recording | Record, "what gb.read returns, or a Record")
     if isinstance(recording, Record):
         records = {recording.name or "record": recording}
         recording = Recording(records, recording.source, recording.checksum, recording.metadata)
-    if not isinstance(signals, Mapping):
-        raise TypeError(f"signals is {signals!r:.60}: give {{'u': 'RATE.POut'}} and so on.")
+    require_kind("signals", signals, Mapping, "{'u': 'RATE.POut'} and so on")
     if not signals:
         raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
 

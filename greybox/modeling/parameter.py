@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, Interval
-from greybox.files.text_table import number, text_table
+from greybox.files.text_table import number, require_kind, text_table
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,8 @@ class Parameter:
 
     def _require_types(self) -> None:
         for name in ("unit", "about"):
-            if not isinstance(value := getattr(self, name), str):
-                raise TypeError(f"{name} is {value!r}: give a text.")
-        if not isinstance(self.fixed, bool | np.bool_):
-            raise TypeError(f"fixed is {self.fixed!r}: give True or False.")
+            require_kind(name, getattr(self, name), str, "a text")
+        require_kind("fixed", self.fixed, bool | np.bool_, "True or False")
 
     @property
     def box(self) -> Interval:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, frozen
-from greybox.files.text_table import counted, one_line
+from greybox.files.text_table import counted, one_line, require_kind
 from greybox.modeling.parameter import require_whole
 
 # Five times the number that a strong kink needs, see `Sine`.
@@ -42,8 +42,7 @@ class Sine:
 
     def __post_init__(self) -> None:
         """Check the values and make them read-only."""
-        if not isinstance(self.signal, str):
-            raise TypeError(f"the signal of a sine is {self.signal!r:.60}: give its name.")
+        require_kind("the signal of a sine", self.signal, str, "its name")
         amplitude = np.array(self.amplitude)
         is_number = amplitude.dtype.kind in "iuf" and amplitude.ndim < 2 and amplitude.size
         if not is_number or not np.all(np.isfinite(amplitude) & (amplitude > 0)):
@@ -103,8 +102,7 @@ def as_sine(given: Any) -> Sine:
     """
     if isinstance(given, Sine):
         return given
-    if not isinstance(given, Mapping):
-        raise TypeError(f"amplitude is {given!r:.60}: give {{signal: amplitude}} or a Sine.")
+    require_kind("amplitude", given, Mapping, "{signal: amplitude} or a Sine")
     if len(given) != 1:
         raise ValueError(
             f"amplitude names {', '.join(map(repr, given)) or 'nothing'}: give the one signal that "

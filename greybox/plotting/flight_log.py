@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.record import Record, Recording, median_step, runs_between_gaps
-from greybox.data.test_segment import Segment
+from greybox.data.test_segment import Segment, checked_segments
 from greybox.files.arrays import Array, Labels
 from greybox.files.grouping import grouped
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
@@ -56,6 +56,7 @@ def traces(
     require_drawable(record, Record, "a Record")
     # The last periods: transients have decayed, and the controller has reached the amplitude.
     if segment is not None:
+        (segment,) = checked_segments([segment])
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
         record = record.between(segment.end - span, segment.end)
 
@@ -104,6 +105,7 @@ def recording(
         If there is no signal, or for a wrong number of axes.
     """
     require_drawable(recording, Recording, "the Recording that gb.read returns")
+    segments = checked_segments(segments)
     signals = recording.signal_names
     names = [
         [name for name in pair if name in signals] for pair in ATTITUDE if pair[1] in signals

@@ -23,7 +23,7 @@ from greybox.files.arrays import (
     by_name,
     frozen,
 )
-from greybox.files.text_table import Printed, number, text_table
+from greybox.files.text_table import Printed, number, require_kind, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import (
     Inputs,
@@ -163,8 +163,7 @@ def equation_error(
         For an unknown name, a missing input, constant signals, or non-uniform sampling; if nothing
         is free or determined; or if no equation can be used.
     """
-    if not isinstance(record, Record):
-        raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
+    require_kind("record", record, Record, "a Record, as gb.prepare returns it")
     require_time(record, "equation_error")
     criterion = _NoOutputs(inputs=inputs)
     problem = Problem(model, record, criterion, fixed=fixed or {}, free=free)

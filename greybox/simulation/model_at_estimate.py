@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, IntArray, StringPair, Strings, Values, frozen
+from greybox.files.arrays import Array, IntArray, StringPair, Strings, Values, frozen, selected
 from greybox.formulation.time_criteria import (
     Inputs,
     OutputError,
@@ -166,7 +166,7 @@ def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
                 f"values gives {name!r} the value {value!r:.60}: give a finite number."
             )
     # Parameters first, then biases and gains: the criterion expects this order.
-    values = dict(model.values({n: v for n, v in given.items() if n in model.parameters}))
+    values = dict(model.values(selected(given, model.parameters)))
     values |= {name: float(given[name]) for name in added}
     criterion = criterion_of(inputs, biases, gains)
     return ModelAtEstimate(

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen
+from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen, selected
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
@@ -50,7 +50,7 @@ def with_own_values(
     if not own:
         return model, {}, ()
     biased = _with_biases(model, own)
-    parameters = {name: p for name, p in biased.declared.items() if name in own}
+    parameters = selected(biased.declared, own)
     record = windows.record
     for name in own:
         signal = name.removesuffix("_bias")

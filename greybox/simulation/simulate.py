@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
-from greybox.files.arrays import Array, BoolArray, Labels, Strings, Values, all_finite
-from greybox.files.text_table import as_names, counted, some
+from greybox.files.arrays import Array, BoolArray, Labels, Strings, Values, all_finite, selected
+from greybox.files.text_table import as_names, counted, require_kind, some
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, require_known
@@ -329,10 +329,7 @@ def _model_and_record(
     model: Any, values: Any, record: Any, inputs: Inputs | None, part: int | None
 ) -> tuple[ModelAtEstimate, Record]:
     """Return the model at its values, and the record, by default that of the fit."""
-    if record is not None and not isinstance(record, Record):
-        raise TypeError(
-            f"record is {record!r:.80}: give one Record; for several, call it for each."
-        )
+    require_kind("record", record, Record | None, "one Record; for several, call it for each")
     estimated = model_at(model, values, inputs=inputs, part=part, record=record)
     if record is None:
         if estimated.part is None:
@@ -349,10 +346,9 @@ def _initial_states(
     # On the record of the fit, its initial states were estimated with the parameters.
     if fitted_initial:
         fitted = model.part.initial
-        initial = {name: fitted[name] for name in model.system.states if name in fitted}
+        initial = selected(fitted, model.system.states)
     initial = {} if initial is None else initial
-    if not isinstance(initial, Mapping):
-        raise TypeError(f"initial is {initial!r:.60}: give {{state: value}}.")
+    require_kind("initial", initial, Mapping, "{state: value}")
     require_known(initial, model.system.states, "state", model.label)
     states = np.zeros((stretches, len(model.system.states)))
     for name, value in initial.items():

@@ -1,12 +1,12 @@
 """Frequency responses of sweeps and noise, by local polynomials over the excited band."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from greybox.data.checked_array import require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, SPACING, response_of_hold
 from greybox.data.record import Record
@@ -125,9 +125,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
 
 def _within(band: Interval, lowest: float, highest: float) -> Interval:
     """Return the part of a band that the records resolve."""
+    require_band(band)
     low, high = band
-    if not 0 < low < high < math.inf:
-        raise ValueError(f"the band must be increasing: got {low:g} to {high:g} rad/s.")
     if not max(low, lowest) < min(high, highest):
         raise ValueError(
             f"these records resolve {lowest:.4g} to {highest:.4g} rad/s, not the band from "

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.checked_array import require_band
 from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, Interval, Labels
+from greybox.files.arrays import Array, ComplexArray, Interval, Labels, selected
 from greybox.files.text_table import as_names
 from greybox.spectral.uniform_stretches import uniform_stretches
 
@@ -75,10 +76,10 @@ def transient_spectrum(
         duration,
         step,
         {
-            name: np.array([np.maximum(before_end - readings[name].late, 0), np.diff(values)[::-1]])
+            name: _changes(before_end - readings[name].late, values)
             for name, values in zip(inputs, stretch.values, strict=False)
         },
-        units={name: record.units[name] for name in names if name in record.units},
+        units=selected(record.units, names),
         name=record.name,
         source=record.source,
         stretch=stretch.origin,
@@ -89,14 +90,17 @@ def transient_spectrum(
     return replace(spectrum, inputs=delayed)
 
 
+def _changes(before_end: Array, values: Array) -> Array:
+    """Return times before the end and changes of a signal (n,) there, (2, k), without zeros."""
+    changes = np.diff(values)[::-1]
+    return np.array([np.maximum(before_end, 0), changes])[:, changes != 0]
+
+
 def lines_in_band(band: Interval, duration: float, step: float) -> Array:
     """Return the multiples of 2π / duration within the band, rad/s; refuse a band without any."""
-    low, high = map(float, band)
+    require_band(band)
+    low, high = band
     spacing = 2 * np.pi / duration
-    if not 0 <= low < high:
-        raise ValueError(
-            f"band ({low:g}, {high:g}) must be two frequencies in rad/s, the lower one first."
-        )
     if high > HIGHEST * 2 * np.pi / step * (1 + 1e-9):  # rounding of the step
         raise ValueError(
             f"the band ends at {high:g} rad/s, but the signals are sampled at {1 / step:g} Hz: end "

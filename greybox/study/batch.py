@@ -14,19 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem
+from greybox.compiled.compiled_problem import AnyProblem, require_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
-from greybox.estimate.printed import summary
+from greybox.estimate.printed import data_names, summary
 from greybox.estimate.storage import to_bytes
 from greybox.files.arrays import Fields, Named, frozen
 from greybox.files.error_place import error_place
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable
-from greybox.formulation.problem import Problem
 from greybox.formulation.starts import AnyStarts, as_starts
-from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in
 from greybox.solve.executors import (
@@ -86,10 +84,8 @@ class Member:
 
     def __post_init__(self) -> None:
         """Use the name of the problem by default."""
-        if not isinstance(self.problem, Problem | Sum | UnreadableError):
-            raise TypeError(
-                f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them."
-            )
+        if not isinstance(self.problem, UnreadableError):
+            require_problem(self.problem)
         self.by  # noqa: B018  (checks the options)
         self.start_count  # noqa: B018  (checks starts and seed)
         if not self.name:
@@ -337,9 +333,10 @@ def _fit_member(
 def _stated(problem: AnyProblem | UnreadableError) -> Fields:
     """Return the fields that distinguish a failed member, as the summary of a fit has them."""
     parts = problem.parts
+    models = list(dict.fromkeys(part.model.label for part in parts))
     return {
-        "model": list(dict.fromkeys(part.model.label for part in parts)),
-        "data": list(dict.fromkeys(part.data.name or part.name for part in parts)),
+        "model": models,
+        "data": data_names(parts, models),
         "criterion": "; ".join(dict.fromkeys(part.criterion.name for part in parts)),
     }
 

@@ -30,6 +30,7 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
+    require_kind,
     some,
     text_table,
 )
@@ -314,6 +315,7 @@ def bootstrap(
     True
     """
     began = time.perf_counter()
+    require_kind("fit", fit, Fit, "what gb.fit returns")
     fit.require_estimate()
     require_whole("replicates", replicates, 2)
     require_whole("seed", seed, 0)

@@ -11,7 +11,7 @@ from glob import escape, glob
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Fields, Named, by_name
+from greybox.files.arrays import Fields, Named, by_name, selected
 from greybox.modeling.model import require_known
 from greybox.study.batch import Member
 from greybox.study.data_file import UnreadableError, reading_once
@@ -70,7 +70,7 @@ def members_of(choices: Named, folder: Path) -> list[Member]:
     read = reading_once()
     members = []
     for values in combined(choices, folder):
-        own = {key: values[key] for key in OF_MEMBER if key in values}
+        own = selected(values, OF_MEMBER)
         try:
             problem, settings = stated_problem(values, read)
             if values["held"]:  # they are read and cut to the band like the data

@@ -16,7 +16,7 @@ from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Fields, Named
+from greybox.files.arrays import Fields, Named, selected
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -117,7 +117,7 @@ def _problem_of_model(options: Named, read: Callable[..., Any]) -> AnyProblem:
         raise ValueError("model=... needs data=..., a frequency response or a record.")
     model = options["model"]
     model = find_model(model) if isinstance(model, str) else model
-    choices = {name: options[name] for name in OF_FILES if name in options}
+    choices = selected(options, OF_FILES)
     given = [read(x, model, **choices) if isinstance(x, str | Path) else x for x in options["data"]]
     # A file may have the responses of several pairs.
     data = [item for x in given for item in (x if isinstance(x, tuple) else (x,))]

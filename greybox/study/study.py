@@ -69,25 +69,27 @@ class Study(Printed):
         Raises
         ------
         ValueError
-            For a factor that no member has.
+            For a factor or a value that no member has; no member need have a status.
         """
         members = self.members
         for name, values in factors.items():
-            self._require_factor(name)
             chosen = set(map(str, values if isinstance(values, list | tuple) else [values]))
+            present = self._values(name)
+            if present and name != "status":
+                require_known(chosen, present, f"member whose {name} is", "the study")
             members = tuple(m for m in members if m.factors.get(name) in chosen)
         return replace(self, members=members)
 
     def groups(self, by: str) -> dict[str, "Study"]:
         """Return the members by the value of a factor; those without one are left out."""
-        self._require_factor(by)
-        values = dict.fromkeys(m.factors[by] for m in self.members if by in m.factors)
-        return {value: self.select(**{by: value}) for value in values}
+        return {value: self.select(**{by: value}) for value in self._values(by)}
 
-    def _require_factor(self, name: str) -> None:
+    def _values(self, name: str) -> list[str]:
+        """Return the different values of a factor; ValueError if no member has it."""
         names = dict.fromkeys(key for member in self.members for key in member.factors)
         if self.members:
             require_known([name], names, "factor", "the study")
+        return [*dict.fromkeys(m.factors[name] for m in self.members if name in m.factors)]
 
     @property
     def table(self) -> list[Fields]:
@@ -154,7 +156,7 @@ class Study(Printed):
         """
         by = by or (self.structures,)
         for factor in by:
-            self._require_factor(factor)
+            self._values(factor)
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
         # takes longer than comparing it.
         best: dict[Strings, StudyMember] = {}

@@ -6,6 +6,7 @@ from typing import Any
 from greybox.data.record import Record
 from greybox.estimate.result import Fits
 from greybox.files.arrays import Labels
+from greybox.files.text_table import checked_items
 from greybox.simulation.prediction import require_lengths
 from greybox.validation.comparison import (
     HELD_OUT,
@@ -187,7 +188,4 @@ def _known(measure: str, rows: Sequence[Row]) -> list[float]:
 def _as_records(records: Any) -> list[Record]:
     if records is None:
         return []
-    listed = [records] if isinstance(records, Record) else list(records)
-    if not all(isinstance(record, Record) for record in listed):
-        raise TypeError(f"records is {records!r:.80}: give a Record or a list of them.")
-    return listed
+    return [*checked_items("records", records, Record, "a Record or a list of them")]

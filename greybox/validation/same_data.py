@@ -2,7 +2,7 @@
 
 from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Labels, Strings
-from greybox.files.text_table import number, numbered_where_alike
+from greybox.files.text_table import number, numbered_where_alike, require_kind
 
 LIKELIHOOD = "negative log-likelihood"
 
@@ -10,10 +10,7 @@ LIKELIHOOD = "negative log-likelihood"
 def check_fits(fits: Fits) -> None:
     """Raise TypeError or ValueError for other things, a single fit, or one without an estimate."""
     for fit in fits:
-        if not isinstance(fit, Fit):
-            raise TypeError(
-                f"cannot compare {fit!r:.80}: give fits, such as gb.fit(problem) returns."
-            )
+        require_kind("a fit to compare", fit, Fit, "fits, such as gb.fit(problem) returns")
         fit.require_estimate()
     if len(fits) < 2:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")

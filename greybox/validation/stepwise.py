@@ -14,13 +14,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from greybox.compiled.compiled_problem import AnyProblem
+from greybox.compiled.compiled_problem import AnyProblem, require_problem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Labels, Strings, Values, frozen
+from greybox.files.arrays import Labels, Strings, Values, frozen, selected
 from greybox.files.progress import bar
-from greybox.files.text_table import Printed, counted, listed, number, text_table
+from greybox.files.text_table import Printed, as_names, counted, listed, number, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.added_terms import AddedTerms
@@ -152,13 +152,17 @@ def stepwise(
 
     Raises
     ------
-    ValueError
-        For candidates that are not parameters of the problem, or a structure without any candidate
-        that has no fit.
+    TypeError, ValueError
+        For no problem, for no candidates or some that are not its parameters, or if the structure
+        without any candidate has no fit.
     """
+    require_problem(problem)
     if isinstance(candidates, Misfit):
         problem, candidates = _with_causes(problem, candidates)
-    absent = dict(candidates) if isinstance(candidates, Mapping) else dict.fromkeys(candidates, 0.0)
+    is_mapping = isinstance(candidates, Mapping)
+    absent = dict(candidates) if is_mapping else dict.fromkeys(as_names(candidates), 0.0)
+    if not absent:
+        raise ValueError("there are no candidates: name at least one parameter.")
     require_known(absent, problem.parameters, "parameter", repr(problem.name))
     fits = _Fits(problem, absent, starts, {})
     current: Terms = frozenset()
@@ -248,7 +252,7 @@ class _Fits:
         """Fit the problem with these terms from Sobol points and the estimate of a fit nearby."""
         problem = with_terms(self.problem, terms, self.absent)
         free = {name for name, p in problem.parameters.items() if not p.fixed}
-        start = {} if near is None else {n: v for n, v in near.estimate.items() if n in free}
+        start = {} if near is None else selected(near.estimate, free)
         starts = [start, Sobol(self.starts, 0)]
         return fit_problem(problem, starts, profiles=profiles, progress=False)
 

@@ -235,7 +235,7 @@ def test_a_band_is_cut(capsys, tmp_path):
     assert sorted(answer["omega"]) == pytest.approx([3, 3.5, 4, 5.34, 8], rel=1e-3)
     for words, reason in (
         (["2"], "not understood"),
-        (["5", "2"], "the lower first"),
+        (["5", "2"], "the lower one first"),
         (["30", "40"], "no sine lies in"),
     ):
         assert reason in run(capsys, "response", LOG, *PITCH, "--band", *words)[2]

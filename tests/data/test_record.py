@@ -1,7 +1,6 @@
 """One experiment on one time base: what is refused, its rate, gaps, parts and identity."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -125,7 +124,18 @@ def test_how_signals_run_between_samples_stays_with_them():
     cuts = (made.between(1, 3), made.rows(np.arange(3)), *made.pieces, made.with_signals(z=time))
     assert len(made.pieces) == 2
     assert all(cut.hold == {"u": math.inf, "y": 0.0} for cut in (made, *cuts))
-    assert replace(made, signals={"y": time}).hold == {"y": 0.0}
+    frame = made.to_pandas().drop(columns="u")
+    assert Record.from_pandas(frame).hold == {"y": 0.0}
+
+
+def test_wrong_names_in_a_record_are_not_dropped_silently():
+    with pytest.raises(
+        ValueError, match=r"^hold names 'U', which is not a signal; the record has u"
+    ):
+        Record([0.0, 1.0], {"u": [1.0, 2.0]}, hold={"U": math.inf})
+    with pytest.raises(TypeError, match=r"^hold is inf: give \{name"):
+        Record([0.0, 1.0], {"u": [1.0, 2.0]}, hold=math.inf)
+    assert [*Record([0.0, 1.0], {1: [1.0, 2.0]}).signals] == ["1"]
 
 
 @pytest.mark.parametrize("hold", [-0.1, math.nan, "held", True, None])
@@ -232,9 +242,11 @@ def test_what_a_record_says_of_itself():
 
 def test_a_cut_that_has_no_sample_says_what_there_is():
     with pytest.raises(
-        ValueError, match=r"^the record has no sample from 7 to 9 s; it runs from 2 to 6 s\.$"
+        ValueError, match=r"^the record has no sample from 7 to 9 s; it runs from 2 to 6 s: "
     ):
         Record([2.0, 4.0, 6.0], {}).between(7, 9)
+    with pytest.raises(ValueError, match=r"from 6 to 2 s; .* the earlier first"):
+        Record([2.0, 4.0, 6.0], {}).between(6, 2)
     assert len(Record([2.0, 4.0, 6.0], {}).between(2, 4)) == 2
 
 
@@ -279,7 +291,7 @@ def test_names_and_texts_from_files_are_written_out():
         {bad: bad},
         bad,
         bad,
-        hold={bad: 0.5, "other": 1.0},
+        hold={bad: 0.5},
         findings=(bad,),
     )
     assert [*known.signals] == [good]

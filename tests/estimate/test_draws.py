@@ -169,3 +169,8 @@ def test_gains_at_their_stability_limit_do_not_narrow_the_other_parameters():
     for name in ("K", "T"):
         low, high = np.quantile(drawn.columns[name], (0.16, 0.84))
         assert (high - low) / 2 == pytest.approx(exact.standard_error[name], rel=0.3)
+
+
+def test_what_is_no_fit_is_named():
+    with pytest.raises(TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit returns"):
+        gb.draws("lag.h5", 3)

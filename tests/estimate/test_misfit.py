@@ -563,6 +563,8 @@ def test_terms_of_the_user_need_the_equations_of_a_record():
     fit = gb.fit(gb.Problem(Lag(), data), starts=1)
     with pytest.raises(ValueError, match="has no record"):
         gb.misfit(fit, candidates={"drag": lambda x, u, p: abs(x.v) * x.v})
+    with pytest.raises(TypeError, match=r"candidates is .*: give \{name: function"):
+        gb.misfit(fit, candidates=[lambda x, u, p: x.v])
 
 
 def test_a_gain_of_the_wrong_sign_is_named_once():
@@ -1152,7 +1154,7 @@ def test_the_code_of_a_term_can_be_pasted_into_the_model(plant, sign):
             continue
 
         class Pasted(Spring):
-            c = gb.Parameter(0.0, bounds=(-100, 100))
+            new = gb.Parameter(0.0, bounds=(-100, 100))
 
             def derivative(self, x, u, p, place=found[1], term=found[2]):
                 added = eval(term, {"gb": gb, "x": x, "u": u, "p": p})
@@ -1163,7 +1165,7 @@ def test_the_code_of_a_term_can_be_pasted_into_the_model(plant, sign):
         again = gb.fit(gb.Problem(Pasted(), record), starts=1, progress=False)
         assert again.cost < 0.5 * fitted(plant).cost
         if cause.text[:4] in ("x**3", "sign"):
-            assert again.estimate["c"] == pytest.approx(sign, rel=0.1)
+            assert again.estimate["new"] == pytest.approx(sign, rel=0.1)
             return
     raise AssertionError("the term that is missing is not among the causes")
 

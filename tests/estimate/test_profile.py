@@ -472,3 +472,8 @@ def test_many_responses_are_profiled_by_the_search_of_their_fit(monkeypatch):
     fit = gb.fit(problem, starts=2, progress=False)
     low, high = gb.profile(fit, "Lv")["Lv"].interval
     assert_allclose((low, high), fit.interval()["Lv"], atol=0.05 * (high - low))
+
+
+def test_what_is_no_fit_is_named():
+    with pytest.raises(TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit returns"):
+        gb.profile("lag.h5")

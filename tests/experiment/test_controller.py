@@ -224,7 +224,7 @@ def plant(*states):
 @pytest.mark.parametrize(
     ("controllers", "error", "sentence"),
     [
-        ([RateDamper], TypeError, "is not a Controller: give e.g. AttitudeController"),
+        ([RateDamper], TypeError, "the controller is <class .*: give an instance, as AttitudeController"),
         (
             [RateDamper(), RateDamper(rate=100)],
             ValueError,

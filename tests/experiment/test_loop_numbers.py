@@ -182,6 +182,10 @@ def test_a_linear_law_needs_a_rate():
     for rate in (0, -5, np.nan, "400"):
         with pytest.raises(ValueError, match="times per second: give a rate"):
             LinearLaw(control.tf([1], [1]), rate=rate)
+    with pytest.raises(TypeError, match="not measured points"):
+        LinearLaw(control.frd([1, 1], [1, 2]), rate=100)
+    with pytest.raises(ValueError, match=r"more zeros than poles: add the lag"):
+        LinearLaw(control.tf([1, 0], [1]), rate=100)
 
 
 def test_steps_are_those_of_a_flight_with_a_fraction_of_a_sample_of_delay():

@@ -190,6 +190,7 @@ def test_a_record_tells_which_crossovers_it_has_excited():
     [
         ({"K_Q": (0, 1)}, "no gain 'K_Q'"),
         ({"K_P": (1, 0.1)}, "must be increasing: got 1 to 0.1"),
+        ({"K_P": 0.1}, "the range of K_P 0.1 must be a pair of numbers"),
         ({}, "0 gains were given"),
         (("K_P", "K_Q", "K_R"), "no gain 'K_Q'"),  # three may be tried
         (("K_P", "K_Q", "K_R", "K_S"), "4 gains were given"),

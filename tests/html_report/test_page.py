@@ -72,8 +72,10 @@ def test_several_results_have_details_that_are_open_up_to_three(fit, monkeypatch
 def test_what_cannot_be_reported_is_told(fit, tmp_path):
     with pytest.raises(ValueError, match="there is nothing to report: give at least one fit"):
         gb.report([], tmp_path / "x.html")
-    with pytest.raises(TypeError, match="cannot report 3: give fits, such as"):
+    with pytest.raises(TypeError, match="a result is 3: give fits, such as"):
         gb.report([fit, 3], tmp_path / "x.html")
+    with pytest.raises(TypeError, match=r"a result is <Record .*: give fits, such as"):
+        gb.report(gb.Record([0.0, 1.0], {"u": [1.0, 2.0]}), tmp_path / "x.html")
     with pytest.raises(TypeError, match=r"comparison is 3: give what gb\.compare returns"):
         gb.report(fit, tmp_path / "x.html", comparison=3)
     with pytest.raises(ValueError, match=r"x\.pdf is not the name of a page: .* ends in \.html"):

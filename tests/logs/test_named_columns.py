@@ -27,6 +27,17 @@ def test_a_table_without_a_header_goes_by_numbers(tmp_path, separator, comment):
         gb.read(path)
 
 
+def test_a_derivative_per_degree_is_not_taken_for_an_angle(tmp_path):
+    path = tmp_path / "tunnel.csv"
+    path.write_text("time,dCL/deg\n0,0.1\n1,0.2\n")
+    with pytest.raises(ValueError, match="dCL/deg: is in degrees or per degree: add :deg or"):
+        gb.read(path, columns={"CL_alpha": "dCL/deg"})
+    record = gb.read(path, columns={"CL_alpha": "dCL/deg:1/deg"})["tunnel"]
+    np.testing.assert_allclose(record["CL_alpha"], np.degrees([0.1, 0.2]))
+    record = gb.read(path, columns={"elevator": "dCL/deg:deg"})["tunnel"]
+    np.testing.assert_allclose(record["elevator"], np.radians([0.1, 0.2]))
+
+
 def test_names_may_be_replaced(tmp_path):
     path = tmp_path / "flight.csv"
     np.savetxt(path, TABLE, delimiter=",", header="tick,stick,angle", comments="")

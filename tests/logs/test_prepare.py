@@ -47,6 +47,11 @@ def test_signals_of_different_rates_meet_by_their_time_stamps():
     assert record.checksum == "sum"
 
 
+def test_what_is_no_recording_is_named():
+    with pytest.raises(TypeError, match=r"recording is 'flight\.BIN': give what gb\.read"):
+        gb.prepare("flight.BIN", {"u": "RATE.POut"})
+
+
 def test_the_default_rate_is_that_of_the_slowest():
     fast, slow = stamps(400, 5), stamps(25, 5)
     log = recording(A=(fast, {"x": fast}, {}), B=(slow, {"y": slow}, {}))

@@ -27,6 +27,17 @@ def test_one_test_is_drawn_with_setpoint_and_output_together():
     assert "20 rad/s" in control.get_title()
 
 
+@pytest.mark.parametrize("wrong", ["SINE", (10, 60), [Segment(10, 60, omega=20.0)]], ids=repr)
+def test_what_is_no_segment_is_named(wrong):
+    log = Recording({"table": RECORD}, "made.csv")
+    for draw in (
+        lambda: gb.plotting.traces(RECORD, wrong),
+        lambda: gb.plotting.recording(log, [wrong]),
+    ):
+        with pytest.raises(TypeError, match=r"a segment is .*: give those of"):
+            draw()
+
+
 def test_long_lines_are_thinned_without_losing_their_extremes():
     line = gb.plotting.traces(RECORD)[0].lines[0]
     assert len(line.get_xdata()) < 5000

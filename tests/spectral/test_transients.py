@@ -109,6 +109,14 @@ def test_bands_that_a_manoeuvre_cannot_serve(band, words):
         transient_spectrum(record(np.sin, np.cos), "u", "y", band)
 
 
+def test_changes_of_zero_are_not_stored():
+    def steps(t):
+        return np.select([t < 1, t < 3, t < 5], [0.0, 1.0, -1.0], 0.5)
+
+    spectrum = transient_spectrum(record(steps, np.sin, hold={"u": np.inf}), "u", "y", (0, 10))
+    np.testing.assert_array_equal(spectrum.input_changes["u"][1], [1.5, -2.0, 1.0])
+
+
 def test_a_record_with_a_gap_is_refused():
     """Integrals run over gaps to nowhere."""
     whole = record(np.sin, np.cos)

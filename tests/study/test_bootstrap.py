@@ -429,3 +429,8 @@ def test_intervals_are_quantiles_as_far_out_as_those_of_students_t():
             made.interval()["a"], np.array([-1, 1]) * student.ppf(0.975, dof), rtol=2e-3
         )
         assert tail(0.95, dof) == pytest.approx(norm.sf(student.ppf(0.975, dof)))
+
+
+def test_what_is_no_fit_is_named():
+    with pytest.raises(TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit returns"):
+        gb.bootstrap("lag.h5")

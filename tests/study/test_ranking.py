@@ -43,6 +43,17 @@ def test_models_of_ones_own_are_given_to_a_study_that_is_read(small_study):
         without.response([1.0])
 
 
+def test_data_without_a_name_are_the_same_for_all_structures(tmp_path):
+    unnamed = replace(data("slow"), name="")
+    members = [
+        gb.study.Member(gb.Problem(model, unnamed), 2, name=model.label)
+        for model in (Lag(), Gain())
+    ]
+    study = gb.batch(members, tmp_path, progress=False)
+    assert gb.compare(study).supported == "Lag"
+    assert [*study.groups("data")] == [unnamed.checksum[:8]]
+
+
 def test_another_factor_is_ranked(small_study):
     seeds = small_study.select(data="fast", model="Lag").ranking("seed")
     assert seeds.labels == ("0", "1")

@@ -44,6 +44,9 @@ def test_members_are_selected_and_grouped_by_factors(small_study):
     }
     with pytest.raises(ValueError, match=r"factor 'modell'.*did you mean 'model'"):
         small_study.select(modell="Lag")
+    with pytest.raises(ValueError, match=r"no member whose model is 'Lg'; it has .*'Lag'"):
+        small_study.select(model="Lg")
+    assert not small_study.select(status="unfinished").members
 
 
 def test_a_table_of_latex_has_rows_by_data_and_values_with_errors(small_study):

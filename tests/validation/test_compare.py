@@ -152,6 +152,11 @@ def test_other_data_are_refused_and_judged_by_records_alone(quadratic):
             "records is 'r.csv': give a Record or a list",
         ),
         (
+            lambda a, b, r: gb.compare(a, b, records=3),
+            TypeError,
+            "records is 3: give a Record or a list",
+        ),
+        (
             lambda a, b, r: gb.compare(a, b, records=[r, a]),
             TypeError,
             "give a Record or a list of them",

@@ -93,7 +93,7 @@ def test_what_cannot_be_compared_is_told(fits):
     one, two = fits[1.0], fits[2.0]
     check_fits([one, two])
     for given, error, said in (
-        ([one, 3], TypeError, "cannot compare 3: give fits, such as"),
+        ([one, 3], TypeError, "a fit to compare is 3: give fits, such as"),
         ([one], ValueError, "there is 1 fit to compare: give at least two"),
         ([], ValueError, "there is no fit to compare: give at least two"),
         (

@@ -130,6 +130,12 @@ def test_mistakes_are_told():
         gb.stepwise(problem({}), ["c7"])
     with pytest.raises(ValueError, match=r"fixed gives 'K' the value 100000 outside its bounds"):
         gb.stepwise(problem({}), {"K": 1e5})
+    with pytest.raises(ValueError, match="has no parameter 'c7'"):
+        gb.stepwise(problem({}), "c7")
+    with pytest.raises(ValueError, match="no candidates: name at least one parameter"):
+        gb.stepwise(problem({}), [])
+    with pytest.raises(TypeError, match=r"problem is 'a\.h5': give a Problem"):
+        gb.stepwise("a.h5", ["c1"])
 
 
 def test_candidates_are_free_or_at_the_values_where_they_are_absent():

@@ -10,7 +10,7 @@ import casadi as ca
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.files.arrays import Array, frozen
-from greybox.files.text_table import counted
+from greybox.files.text_table import counted, require_kind
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta
 from greybox.modeling.parameter import require_whole
 
@@ -141,8 +141,7 @@ class Shooting(Transcription):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if not isinstance(self.integrator, Integrator | None):
-            raise TypeError(f"integrator is {self.integrator!r:.60}: give RungeKutta() or Radau().")
+        require_kind("integrator", self.integrator, Integrator | None, "RungeKutta() or Radau()")
 
     @property
     def scheme(self) -> Integrator:

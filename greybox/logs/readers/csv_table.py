@@ -180,7 +180,7 @@ def _columns(
     findings = []
     if short:
         findings.append(
-            f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped, "
+            f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped; "
             f"the first is line {short[0]}."
         )
     if odd_cells:

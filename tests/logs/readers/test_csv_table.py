@@ -71,7 +71,7 @@ def test_numbers_survive(saved, values, separator):
 def test_rows_of_another_length_are_counted(saved):
     recording = saved("t [s],x\n0,1\n1\n\n2\n3,5\n")
     assert recording["flight"]["x"].tolist() == [1, 5]
-    finding = "2 of 4 lines have fewer cells than the header and were skipped, the first is line 3."
+    finding = "2 of 4 lines have fewer cells than the header and were skipped; the first is line 3."
     assert recording.findings == recording["flight"].findings == (finding,)
 
 
