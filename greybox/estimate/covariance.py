@@ -266,7 +266,7 @@ def _with_covariance(
 
     turned = np.eye(k, p) @ (root @ ((stacked @ root).T @ (stacked @ first)))
     earlier = known_covariances(nlp)
-    terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
+    terms: list[tuple[Array, float]] = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
     # Errors that responses share, such as those of wind, add up.
     shared, bins = shared_covariance(
         [

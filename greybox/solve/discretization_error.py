@@ -9,6 +9,7 @@ the implicit steps of its polynomials.
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -86,11 +87,12 @@ def discretization_error(
     for part, trajectory, finer, moved in zip(nlp.parts, trajectories, fine, refined, strict=True):
         weight = part.residual_weight(trajectory)
         H, g = quadratic_model(part, trajectory, weight)
-        # Where the finer steps diverge, the shift is infinite.
+        # Where the finer steps diverge, or their derivatives overflow, the shift is infinite.
         H_fine = H
         g_fine = np.full(p, math.inf)
-        if moved.finite:
-            H_fine, g_fine = quadratic_model(finer, moved, weight)
+        with suppress(np.linalg.LinAlgError), np.errstate(all="ignore"):
+            if moved.finite:
+                H_fine, g_fine = quadratic_model(finer, moved, weight)
         hessian += part.weight * H
         hessian_fine += part.weight * H_fine
         change += part.weight * (g_fine - g)

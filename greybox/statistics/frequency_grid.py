@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +104,7 @@ class FrequencyGrid:
         # Output by output: all products together would fill the memory of long records.
         for i in range(k):
             rows = slice(i + 1)
-            values = sum(
+            values: Any = sum(
                 np.einsum("pf,jpf->jf", a[i], b[rows])
                 + np.einsum("jpf,pf->jf", a[rows], b[i]).conj()
                 for a, b in factors

@@ -224,7 +224,11 @@ def plant(*states):
 @pytest.mark.parametrize(
     ("controllers", "error", "sentence"),
     [
-        ([RateDamper], TypeError, "the controller is <class .*: give an instance, as AttitudeController"),
+        (
+            [RateDamper],
+            TypeError,
+            "the controller is <class .*: give an instance, as AttitudeController",
+        ),
         (
             [RateDamper(), RateDamper(rate=100)],
             ValueError,

@@ -558,7 +558,11 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
             ValueError,
             "the delay of 'u' is -0.01 s: give a value of 0 or more",
         ),
-        ({"controller": AttitudeController}, TypeError, "the controller is <class .*: give an instance"),
+        (
+            {"controller": AttitudeController},
+            TypeError,
+            "the controller is <class .*: give an instance",
+        ),
         (
             {"controller": AttitudeController(signals={"q": "p"})},
             ValueError,

@@ -68,7 +68,7 @@ def test_structures_are_fitted_on_request():
 def test_what_no_structure_has_is_refused():
     with pytest.raises(ValueError, match="has no parameter 'K_psi'"):
         gb.identify(sitl_pitch.LOG, structures=[DampedAngle()], fixed={"K_psi": 1.0})
-    with pytest.raises(TypeError, match="structures has 'rate:DampedAngle': give models"):
+    with pytest.raises(TypeError, match="a structure is 'rate:DampedAngle': give models"):
         gb.identify(sitl_pitch.LOG, structures=["rate:DampedAngle"])
 
 

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -395,7 +396,8 @@ def test_what_cannot_be_repeated_is_said(change, options, error, sentence):
         "responses": (),
         "spectra": (),
     }
-    fit = SimpleNamespace(**known | {"parts": (SimpleNamespace(is_prior=False),)} | change)
+    fit = Mock(gb.Fit)
+    fit.configure_mock(**known | {"parts": (SimpleNamespace(is_prior=False),)} | change)
     fit.require_estimate = partial(gb.Fit.require_estimate, fit)
     with pytest.raises(error, match=sentence):
         gb.bootstrap(fit, **options)

@@ -29,8 +29,38 @@ def test_empty_tanks_take_few_iterations():
     assert found.runs[0].iterations < 100
 
 
+def test_derivatives_that_overflow_with_finer_steps_are_no_error():
+    fit = gb.fit(emptied(20), [{}], progress=False)
+    assert fit.converged
+    assert np.isfinite(fit.cost)
+
+
+class DeadZone(gb.StateSpace):
+    """A lag behind a dead zone."""
+
+    states, inputs, outputs = ("x",), ("u",), ("y",)
+    d = gb.Parameter(0.6, bounds=(0, 1.9))
+
+    def derivative(self, x, u, p):
+        return (gb.maximum(u.u - p.d, 0) - x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
 def test_a_minimum_at_a_kink_is_named():
-    found = gb.fit(emptied(0), [{}], progress=False)
-    assert found.converged
-    assert any("kink of 'GuardedTanks'" in warning for warning in found.warnings)
-    assert verdict(found).grade == "doubt"
+    """Steps of 1 and 2 in turn: at d = 1 the first one stops acting, and the cost has a kink."""
+    time = 0.5 * np.arange(240)
+    u = np.where(np.arange(240) % 40 < 20, 1.0, 2.0)
+    # No dead zone answers one step with -0.5 and the other with 1.2. Beside the kink, the cost of
+    # the steady values (1 - d + 0.5)² + (2 - d - 1.2)² falls towards it on either side.
+    y = simulated(lambda x, u: [np.where(u > 1.5, 1.2, -0.5) - x[0]], [0.35], time, [u])[0]
+    y = y + 0.5 * np.random.default_rng(0).normal(size=240)
+    problem = gb.Problem(DeadZone(), gb.Record(time, {"u": u, "y": y}), HELD)
+
+    for start in (0.3, 0.6, 1.5):
+        fit = gb.fit(problem, [{"d": start}], progress=False)
+        assert fit.converged
+        assert abs(fit.estimate["d"] - 1) < 1e-3
+        assert any("kink of 'DeadZone'" in warning for warning in fit.warnings)
+        assert verdict(fit).grade != "good"
