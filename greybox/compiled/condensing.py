@@ -212,6 +212,7 @@ def solve_continuity(
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def state_sizes(hessian: Array, transition: Array) -> Array:
     """Return the change (n,) of each state that changes the outputs by one, at once or later.
 
@@ -231,6 +232,6 @@ def state_sizes(hessian: Array, transition: Array) -> Array:
         # An unstable state counts no more than what the outputs show at once.
         share = min(curvature.max() / max(later.max(), 1e-300), 1.0)
         curvature = np.maximum(curvature, share * later)
-    # Square roots and products of these stay within double range.
+    # Square roots and products of these stay within double range; what has overflowed counts as 1.
     usable = (curvature > 1e-200) & (curvature < 1e200)
     return 1 / np.sqrt(np.where(usable, curvature, 1.0))
