@@ -201,7 +201,7 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
         z = error / np.sqrt(np.diag(root @ found.meat @ root.T))
         scaled.append(z)
         holds.append(np.abs(z) < student.ppf(0.975, found.dof))
-        evidence, lines = found.effect.slow_errors()
+        evidence, lines = found.slow_errors()
         rough.append(np.any((evidence > EVIDENCE) & (lines < FEWEST_LINES)))
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 

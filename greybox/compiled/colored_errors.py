@@ -92,8 +92,11 @@ def colored_errors(
     return ColoredErrors(
         meat=larger * effect.meat,
         dof=dof,
-        spectrum=effect.spectrum and effect.spectrum.mixed(np.sqrt(larger) * mixing),
-        effect=effect,
+        spectrum=None
+        if effect.spectrum is None
+        else effect.spectrum.mixed(np.sqrt(larger) * mixing),
+        process_noise=effect.process_noise,
+        slow_errors=effect.slow_errors,
     )
 
 

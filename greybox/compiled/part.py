@@ -145,14 +145,19 @@ class ColoredErrors:
     spectrum : ErrorSpectrum or None
         Of a record, spectrum of the errors, enlarged for what the fit took from them; None where
         all residuals are zero.
-    effect : ColoredInformation or None
-        Of a record, with the evidence for process noise and for slow errors.
+    process_noise : function
+        Returns -2 log of the evidence for other errors, less that for process noise: white, or
+        gusts. Of a record only.
+    slow_errors : function
+        Returns 2 log of the evidence for slow errors of every output, not white ones, and the
+        number of frequencies that show the parameters: (2, outputs). Of a record only.
     """
 
     meat: Array
     dof: float
     spectrum: ErrorSpectrum | None = None
-    effect: Any = None
+    process_noise: Callable[[], float] = float
+    slow_errors: Callable[[], Array] = lambda: NO_NODES
 
 
 @frozen

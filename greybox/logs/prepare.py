@@ -203,6 +203,12 @@ class _Source:
         # Nearer to the source's rate, a filter would affect only the highest 5 %.
         return rate < 0.95 / self.step
 
+    def hold_at(self, rate: float) -> float | None:
+        """Return how long values last in a record at this rate, s, or None."""
+        if not self.is_held:
+            return self.hold
+        return self.step if self.is_filtered(rate) else HELD
+
 
 def _source(recording: Recording, signal: str, start: float, end: float) -> _Source:
     record, field = recording.locate(signal)
@@ -305,10 +311,7 @@ def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
 def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
     """Return how long values last, s, in a signal that is computed from these sources, or None."""
     # A signal that is computed from held and continuous ones is neither.
-    holds = {
-        (source.step if source.is_filtered(rate) else HELD) if source.is_held else source.hold
-        for source in sources
-    }
+    holds = {source.hold_at(rate) for source in sources}
     return holds.pop() if len(holds) == 1 else None
 
 

@@ -215,10 +215,7 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
         return None
 
     omega = _refined_frequency(t, x, math.pi / half_period)
-    # How strongly the phase bends away from that of one frequency, rad/s².
-    c = _factors(t, x, omega, 8)
-    curvature = abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
-    bend = curvature * ((end - start) / 2) ** 2
+    bend = _phase_curvature(t, x, omega) * ((end - start) / 2) ** 2
     c = _factors(t, x, omega, 4)
     amplitude = math.hypot(c[2], c[3])
     deviation = np.abs(values - _waves(time - middle, omega, 4) @ c)
@@ -250,6 +247,12 @@ def _refined_frequency(t: Array, x: Array, omega: float) -> float:
         step = (c[2] * c[4] + c[3] * c[5]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
         omega += float(np.clip(step, -0.1 * omega, 0.1 * omega))
     return omega
+
+
+def _phase_curvature(t: Array, x: Array, omega: float) -> float:
+    """Return how strongly the phase bends away from that of one frequency, rad/s²."""
+    c = _factors(t, x, omega, 8)
+    return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
 
 
 def _sweep(

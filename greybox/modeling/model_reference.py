@@ -54,11 +54,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         f"the model {printable(class_name)} of the module {module_name!r} is needed and was not "
         "found"
     )
-    named = [model for model in given if class_of(model).__qualname__ == class_name]
-    # The same file has the module ``__main__`` when it is run.
-    model = min(
-        named, key=lambda model: class_of(model).__module__ != module_name, default=None
-    ) or included_model(module_name, class_name)
+    model = _given(module_name, class_name, given) or included_model(module_name, class_name)
     if model is None:
         raise UnknownModelError(f"{missing} among those that greybox includes or that were given")
 
@@ -73,6 +69,15 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         raise LookupError(
             f"{missing} as it was: {error}; give the model itself, gb.load(path, models=[...])"
         ) from None
+
+
+def _given(
+    module_name: str, class_name: str, given: Sequence[Model | type[Model]]
+) -> Model | type[Model] | None:
+    """Return the given model of this class, if possible of the same module."""
+    named = [model for model in given if class_of(model).__qualname__ == class_name]
+    # The same file has the module ``__main__`` when it is run.
+    return min(named, key=lambda model: class_of(model).__module__ != module_name, default=None)
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:

@@ -187,13 +187,7 @@ def nested_test_at(
     removed = count_unknowns(large) - count_unknowns(small)
     ratio = _likelihood_ratio(small, large, labels)
     scale = 1.0
-    # Rows without a time, or lines of a manoeuvre, have independent errors.
-    if all(
-        not isinstance(part, FittedResponse)
-        and not getattr(part.data, "has_time", False)
-        and not isinstance(part.settings.get("noise"), Mapping)
-        for part in large.parts
-    ):
+    if all(_estimates_variance(part) for part in large.parts):
         # The variance is estimated: the ratio is n log(1 + x) of the relative decrease x of the
         # squares, for which F is x (n - p) / r.
         numbers = sum(part.compared_numbers for part in large.parts)
@@ -241,6 +235,13 @@ def f_tail(statistic: float, r: int, dof: float, *, on_bound: bool = False) -> f
     # ratio has one degree of freedom less (Self and Liang).
     fewer = float(fdtrc(r - 1, dof, statistic * r / (r - 1))) if r > 1 else float(statistic <= 0)
     return 0.5 * (p_value + fewer)
+
+
+def _estimates_variance(part: FittedPart) -> bool:
+    """Return whether the data of a part are rows or lines of a variance that the fit estimates."""
+    if isinstance(part, FittedResponse) or getattr(part.data, "has_time", False):
+        return False
+    return not isinstance(part.settings.get("noise"), Mapping)
 
 
 def _likelihood_ratio(small: Fit, large: Fit, labels: StringPair) -> float:

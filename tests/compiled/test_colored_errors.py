@@ -38,7 +38,7 @@ def test_a_record_of_a_few_correlation_times_leaves_as_few_degrees_of_freedom():
     drift = np.cumsum(np.random.default_rng(1).normal(size=n))
     e = (drift - drift.mean())[None]
     found = by_parameters(colored_errors, [J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1)
-    evidence, lines = found.effect.slow_errors()[:, 0]
+    evidence, lines = found.slow_errors()[:, 0]
     assert evidence > 100
     assert lines < 2  # the only parameter is a constant
     assert found.dof <= 3
@@ -61,7 +61,7 @@ def test_slow_errors_are_evident_beside_a_parameter_that_is_slow():
     e = lfilter([1], [1, -0.8], np.random.default_rng(2).normal(size=n))[None]
     J = np.ones((1, 1, n))
     found = by_parameters(colored_errors, [J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1)
-    evidence, lines = found.effect.slow_errors()[:, 0]
+    evidence, lines = found.slow_errors()[:, 0]
     assert evidence > 100
     assert lines < 2  # the only parameter is a constant
 
@@ -142,7 +142,7 @@ def test_outputs_that_are_almost_dependent_have_the_errors_of_their_combinations
     )
     assert_allclose(mixed.meat, apart.meat, rtol=1e-6)
     assert mixed.dof == pytest.approx(apart.dof, rel=1e-6)
-    assert mixed.effect.process_noise() == pytest.approx(apart.effect.process_noise(), rel=1e-6)
+    assert mixed.process_noise() == pytest.approx(apart.process_noise(), rel=1e-6)
     assert_allclose(mixed.spectrum.deviation[1], mixed.spectrum.deviation[0], rtol=1e-9)
 
 

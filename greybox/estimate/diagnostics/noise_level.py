@@ -279,7 +279,7 @@ def gusts(accuracy: Accuracy, *, noisy: bool, explained: bool) -> Iterator[str]:
     for part, trajectory, errors in rows:
         if part.is_static or errors.colored is None:
             continue
-        steady, evidence = trajectory.detail.filter, errors.colored.effect.process_noise
+        steady, evidence = trajectory.detail.filter, errors.colored.process_noise
         if part.gains and (steady is None or steady.gain.any()):
             continue
         if noisy and part.problem.model.state_names and evidence() > VERY_STRONG:

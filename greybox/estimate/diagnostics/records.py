@@ -174,9 +174,7 @@ def _slow(answer: Fit, accuracy: Accuracy) -> Findings:
     for part, errors in accuracy.nlp.rows_of(RecordPart, accuracy.parts):
         if not (colored := errors.colored):
             continue
-        for output, evidence, lines in zip(
-            part.outputs, *colored.effect.slow_errors(), strict=False
-        ):
+        for output, evidence, lines in zip(part.outputs, *colored.slow_errors(), strict=False):
             if evidence > EVIDENCE + 2 * math.log(outputs) and 0 < lines < FEWEST_LINES:
                 yield (
                     output,

@@ -11,7 +11,7 @@ import numpy as np
 from greybox.data.record import Recording
 from greybox.data.time_column import TIMES, seconds
 from greybox.data.units import with_units_in_header
-from greybox.files.arrays import Array, NamedStrings
+from greybox.files.arrays import Array, Labels, NamedStrings
 from greybox.files.delimited_text import (
     MISSING,
     DelimitedText,
@@ -132,6 +132,11 @@ def _headings(text: DelimitedText) -> list[Heading]:
     return headings
 
 
+def _nanoseconds(cells: Labels) -> Array:
+    """Return dates (n,) in the format of ISO 8601, UTC, in ns since 1970; ValueError for others."""
+    return np.array([cell.removesuffix("Z") for cell in cells], "datetime64[ns]").astype(float)
+
+
 def _columns(
     headings: Sequence[Heading], text: DelimitedText
 ) -> tuple[dict[str, Array], list[str]]:
@@ -165,10 +170,7 @@ def _columns(
         # Some damaged cells do not make a column one of text.
         if len(odd) > sum(map(bool, cells)) / 2:
             with suppress(ValueError):
-                # Dates in the format of ISO 8601, UTC, become ns since 1970.
-                columns[name] = np.array(
-                    [cell.removesuffix("Z") for cell in cells], "datetime64[ns]"
-                ).astype(float)
+                columns[name] = _nanoseconds(cells)
                 continue
             not_numeric.append(name)
             continue
