@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.part import Part, Portable
-from greybox.compiled.record_part import compile_records
+from greybox.compiled.record_part import RecordPart, compile_records
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.response_programs import CostProgram, ResponseCompiler
 from greybox.compiled.transcription.method import Transcription
@@ -183,6 +183,15 @@ class CompiledProblem(Portable):
     def substeps(self) -> int:
         """Largest number of integration steps from sample to sample; zero without states."""
         return max(part.substeps for part in self.parts)
+
+    @property
+    def noise_sizes(self) -> set[str]:
+        """Names of the sizes of process noise."""
+        return {
+            part.problem.outside(f"w_{state}")
+            for part in self.parts_of(RecordPart)
+            for state in part.model.driven
+        }
 
     @property
     def names(self) -> Strings:

@@ -9,7 +9,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
-from greybox.compiled.record_part import RecordPart
 from greybox.estimate.identifiability import (
     Combination,
     KnownDirections,
@@ -251,11 +250,11 @@ def _with_covariance(
     """Return the accuracy with a covariance within a basis (p, r) of the determined directions."""
     nlp = accuracy.nlp
     p, k = len(nlp.free), len(nlp.names)
-    stacked = np.vstack([share.root[:, :p] for share in shares])
-    first = _root_of_inverse(shares, basis)
+    stacked = _stacked(shares, p)
+    first = _root_of_inverse(stacked, basis)
     pairs = zip(accuracy.informations, shares, strict=True)
     parts = tuple(_corrected(part, share, first) for part, share in pairs)
-    root = _root_of_inverse([part.share for part in parts], basis)
+    root = _root_of_inverse(_stacked([part.share for part in parts], p), basis)
     inverse = root @ root.T
 
     # How the estimate follows the constants, from the optimality condition: -B⁻¹ Bᵪ.
@@ -441,10 +440,14 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     return PartAccuracy(share, meat, dof, independent, numbers, bread, neighbors=neighbors)
 
 
-def _root_of_inverse(shares: Iterable[_Share], basis: Array) -> Array:
-    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), for the roots (n, k) of B."""
+def _stacked(shares: Iterable[_Share], p: int) -> Array:
+    """Return the root (n, p) of the information of all parts on the parameters."""
+    return np.vstack([share.root[:, :p] for share in shares])
+
+
+def _root_of_inverse(jacobian: Array, basis: Array) -> Array:
+    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), for a root (n, p) of B."""
     # B itself has the squares of the singular values: it loses the digits that a root keeps.
-    jacobian = np.vstack([share.root[:, : len(basis)] for share in shares])
     return basis @ np.linalg.inv(triangle_of(jacobian @ basis))
 
 
@@ -459,14 +462,9 @@ def _by_process_noise(
     show covered 90 to 95 %. `root` (p, r) is one of B⁻¹.
     """
     nlp, x = accuracy.nlp, accuracy.x
-    driven = [
-        part.problem.outside(f"w_{state}")
-        for part in nlp.parts_of(RecordPart)
-        for state in part.model.driven
-    ]
     p = len(x)
     # A bound may hold some.
-    for k in np.flatnonzero(np.isin(nlp.free, driven) & root.any(axis=1)):
+    for k in np.flatnonzero(np.isin(nlp.free, [*nlp.noise_sizes]) & root.any(axis=1)):
         # Twice these are the information on its logarithm.
         numbers = float(x[k] ** 2 / (root[k] @ root[k])) / 2
         larger = x.copy()
@@ -477,7 +475,7 @@ def _by_process_noise(
             for part, along in zip(nlp.parts, accuracy.trajectories, strict=True)
         ]
         shares = [_share(part, p) for part in informations(nlp, larger, moved)]
-        other = _root_of_inverse(shares, basis)
+        other = _root_of_inverse(_stacked(shares, p), basis)
         growth = (other @ other.T - root @ root.T) / 0.0201  # of the variance: 1.01² - 1
         # Few numbers are no reason for a variance of more than twice the size.
         share = p / (numbers + p)
@@ -529,7 +527,7 @@ def _at_bound(
     # The tolerances of the solvers leave this relative distance.
     held = np.isfinite(bound) & (distance <= 1e-7 * np.maximum(np.abs(x), np.abs(bound)))
 
-    curvature = np.sum(np.vstack([share.root[:, : len(x)] for share in shares]) ** 2, axis=0)
+    curvature = np.sum(_stacked(shares, len(x)) ** 2, axis=0)
     spread = np.sum([np.diag(share.meat) for share in shares], axis=0)
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     deviation = np.sqrt(np.where(is_seen, spread, 0.0))

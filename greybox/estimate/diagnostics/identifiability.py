@@ -6,7 +6,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
@@ -15,7 +14,7 @@ from greybox.files.text_table import counted, listed
 
 def not_determined(accuracy: Accuracy) -> Iterator[str]:
     """Name the combinations that the data determine poorly or not at all, the worst three first."""
-    absent = _sizes_of_noise(accuracy.nlp) & set(accuracy.at_bound)
+    absent = accuracy.nlp.noise_sizes & set(accuracy.at_bound)
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
     # Infinite indices first: without them fixed, no standard error exists.
     combinations.sort(key=lambda c: -c.index)
@@ -74,15 +73,6 @@ def _not_determined(combination: Combination) -> str:
     )
 
 
-def _sizes_of_noise(nlp: CompiledProblem) -> set[str]:
-    """Return the sizes of process noise: where one is zero, its effect is of second order."""
-    return {
-        part.outside(f"w_{state}")
-        for part in nlp.problem.parts_with(Record)
-        for state in part.criterion.driven()
-    }
-
-
 def held_without_error(accuracy: Accuracy) -> Iterator[str]:
     """Name values fixed at an earlier fit that gives them no standard error."""
     nlp = accuracy.nlp
@@ -118,7 +108,7 @@ def at_bounds(answer: Fit, accuracy: Accuracy) -> Iterator[str]:
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`
     # compares likelihoods.
-    sizes = _sizes_of_noise(accuracy.nlp)
+    sizes = accuracy.nlp.noise_sizes
     for name in accuracy.at_bound:
         if name in without_effect or name in sizes:
             continue
