@@ -476,10 +476,13 @@ def _by_process_noise(
         ]
         shares = [_share(part, p) for part in informations(nlp, larger, moved)]
         other = _root_of_inverse(_stacked(shares, p), basis)
-        growth = (other @ other.T - root @ root.T) / 0.0201  # of the variance: 1.01² - 1
+        # A size may be known better where it is larger, which is no reason for a smaller error.
+        directions, sizes, _ = np.linalg.svd(np.linalg.pinv(root) @ other)
+        growth = np.maximum(sizes**2 - 1, 0) / 0.0201  # of the variance: 1.01² - 1
+        added = root @ directions * np.sqrt(growth)
         # Few numbers are no reason for a variance of more than twice the size.
         share = p / (numbers + p)
-        yield np.pad(share * growth, (0, len(nlp.constants))), numbers * share**2
+        yield np.pad(share * added @ added.T, (0, len(nlp.constants))), numbers * share**2
 
 
 def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> ArrayPair:

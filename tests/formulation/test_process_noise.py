@@ -97,6 +97,14 @@ def test_the_estimate_is_the_minimum_of_the_likelihood_of_a_kalman_filter(windy)
     assert np.all((curvature < error) & (error < 1.3 * curvature))
 
 
+def test_a_size_that_the_data_hardly_show_has_no_smaller_error_than_the_curvature_says():
+    found = fit(gb.Problem(Spring(), flown(0.02), WIND))
+    curvature = np.sqrt(found.white[found.free.index("w_v"), found.free.index("w_v")])
+    assert found.standard_error["w_v"] > curvature > found.estimate["w_v"]
+    low, high = found.interval()["w_v"]
+    assert high - low < 10 * curvature
+
+
 def test_gains_have_the_errors_of_what_they_follow_from(windy):
     _, found = windy
     names = ("k", "c", "b", "w_v", "v_x", "v_v")
