@@ -118,9 +118,12 @@ class Record(Printed):
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
-        for what, given in (("signals", self.signals), ("hold", self.hold)):
+        for what in ("signals", "units", "hold"):
+            given = getattr(self, what)
             if not hasattr(given, "items"):
                 raise TypeError(f"{what} is {given!r:.60}: give {{name: values}}.")
+            # The columns of a data frame may be numbered.
+            vars(self)[what] = {all_printable(str(name)): x for name, x in given.items()}
         if self.time is None:
             rows = next(map(np.size, self.signals.values()), 0)
             vars(self).update(time=np.arange(rows, dtype=float), has_time=False)
@@ -136,9 +139,7 @@ class Record(Printed):
                 "samples and remove duplicates."
             )
 
-        measured = {
-            all_printable(str(name)): _read_only(x, name) for name, x in self.signals.items()
-        }
+        measured = {name: _read_only(x, name) for name, x in self.signals.items()}
         signals = {name: within_range(values) for name, values in measured.items()}
         lost = [
             f"{name} has values beyond 1e75, which count as missing: check its sensor."
@@ -148,15 +149,13 @@ class Record(Printed):
         for name, values in signals.items():
             require_size(name, values, "time" if self.has_time else next(iter(signals)), time.size)
         for what, described in (("units", self.units), ("hold", self.hold)):
-            unknown = [name for name in map(all_printable, described) if name not in signals]
+            unknown = [name for name in described if name not in signals]
             if unknown:
                 raise ValueError(
                     f"{what} names {unknown[0]!r}, which is not a signal; the record has "
                     f"{alternatives(unknown[0], signals)}"
                 )
-        hold = {
-            all_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
-        }
+        hold = {name: checked_hold(name, seconds) for name, seconds in self.hold.items()}
         # A given checksum is that of the file: excerpts of one log are recognized by it.
         checksum = self.checksum or checksum_of(time, *chain.from_iterable(signals.items()))
         findings = (*self.findings, *lost)

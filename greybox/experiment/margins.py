@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from greybox.data.checked_array import number_pair
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level
@@ -29,7 +30,6 @@ from greybox.files.arrays import Array, ComplexArray, Fields, StringPair, String
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Model
-from greybox.modeling.parameter import number_pair
 
 UNITS = {
     "phase margin": "deg",

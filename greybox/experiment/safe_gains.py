@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.checked_array import number_pair
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit, Fits
@@ -33,7 +34,6 @@ from greybox.files.arrays import (
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Names, require_known
-from greybox.modeling.parameter import number_pair
 from greybox.spectral import spectral_response
 
 POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains

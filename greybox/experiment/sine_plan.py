@@ -202,7 +202,8 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    _require_valid(band, wanted, {"amplitude": amplitude, **wanted, **limits})
+    positive = {"band[0]": band[0], "amplitude": amplitude, **wanted, **limits}
+    _require_valid(band, wanted, positive)
     input, output = pick_signals(model, input, output)
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)

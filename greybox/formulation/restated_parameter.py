@@ -4,8 +4,9 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from greybox.data.checked_array import number_pair
 from greybox.files.arrays import Interval
-from greybox.modeling.parameter import Parameter, is_finite_number, number_pair
+from greybox.modeling.parameter import Parameter, is_finite_number
 
 
 def restated(

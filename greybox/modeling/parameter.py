@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.data.checked_array import number_pair
 from greybox.files.arrays import Array, Interval
 from greybox.files.text_table import number, require_kind, text_table
 
@@ -172,18 +173,6 @@ def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> 
     if not is_whole or not least <= value <= most:
         limits = f"of at least {least}" if math.isinf(most) else f"from {least} to {most}"
         raise ValueError(f"{name} is {value!r}: give a whole number {limits}.")
-
-
-def number_pair(value: object, what: str) -> Interval:
-    """Return two numbers (low, high), neither of them NaN; ValueError for anything else."""
-    try:
-        low, high = value  # type: ignore[misc]
-        low, high = float(low), float(high)
-    except (TypeError, ValueError):
-        raise ValueError(f"{what} {value!r} must be a pair of numbers.") from None
-    if math.isnan(low) or math.isnan(high):
-        raise ValueError(f"{what} {value!r} contain a NaN: give two numbers (low, high).")
-    return low, high
 
 
 def normal_prior(value: object, what: str) -> tuple[float, float]:

@@ -125,8 +125,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
 
 def _within(band: Interval, lowest: float, highest: float) -> Interval:
     """Return the part of a band that the records resolve."""
-    require_band(band)
-    low, high = band
+    low, high = require_band(band)
     if not max(low, lowest) < min(high, highest):
         raise ValueError(
             f"these records resolve {lowest:.4g} to {highest:.4g} rad/s, not the band from "

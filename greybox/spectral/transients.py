@@ -98,8 +98,7 @@ def _changes(before_end: Array, values: Array) -> Array:
 
 def lines_in_band(band: Interval, duration: float, step: float) -> Array:
     """Return the multiples of 2π / duration within the band, rad/s; refuse a band without any."""
-    require_band(band)
-    low, high = band
+    low, high = require_band(band)
     spacing = 2 * np.pi / duration
     if high > HIGHEST * 2 * np.pi / step * (1 + 1e-9):  # rounding of the step
         raise ValueError(

@@ -135,7 +135,12 @@ def test_wrong_names_in_a_record_are_not_dropped_silently():
         Record([0.0, 1.0], {"u": [1.0, 2.0]}, hold={"U": math.inf})
     with pytest.raises(TypeError, match=r"^hold is inf: give \{name"):
         Record([0.0, 1.0], {"u": [1.0, 2.0]}, hold=math.inf)
-    assert [*Record([0.0, 1.0], {1: [1.0, 2.0]}).signals] == ["1"]
+    numbered = Record([0.0, 1.0], {1: [1.0, 2.0]}, units={1: "m"}, hold={1: math.inf})
+    assert ([*numbered.signals], numbered.units, numbered.hold) == (
+        ["1"],
+        {"1": "m"},
+        {"1": math.inf},
+    )
 
 
 @pytest.mark.parametrize("hold", [-0.1, math.nan, "held", True, None])

@@ -155,6 +155,7 @@ def test_expected_errors_are_those_of_a_fit_that_ends_there():
     ("change", "sentence"),
     [
         ({"band": (5, 2)}, "the lower one first"),
+        ({"band": (0, 2)}, "the value of band\\[0\\], 0, must be a positive number"),
         ({"wanted": {}}, "wanted is empty"),
         ({"wanted": {"Q": 1.0}}, "no free parameter 'Q'"),
         ({"noise": 0.0}, "must be a positive standard deviation"),
