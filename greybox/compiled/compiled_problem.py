@@ -270,9 +270,10 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     Raises
     ------
-    ValueError
-        If no parameter is free, or a formula does not trace.
+    TypeError, ValueError
+        For anything but a problem, if no parameter is free, or a formula does not trace.
     """
+    require_problem(problem)
     # Priors become parts, so that costs, counts and covariances include them without a special
     # case.
     problem = with_enough_harmonics(with_priors(problem))

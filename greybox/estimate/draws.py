@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, require_fit
 from greybox.files.arrays import Array, Labels, Strings, by_name, frozen, positive_or_one
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import (
@@ -20,7 +20,6 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
-    require_kind,
     some,
     text_table,
 )
@@ -139,7 +138,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     >>> draws.to_pandas().shape
     (100, 8)
     """
-    require_kind("fit", fit, Fit, "what gb.fit returns")
+    require_fit(fit)
     require_whole("count", count, 1)
     if fit.known_directions(fit.names).unseen.size:
         unknown = [q.name for q in fit.quantities if math.isnan(q.standard_error)]

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, compile_problem, require_problem
+from greybox.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import (
     Accuracy,
@@ -236,7 +236,6 @@ def fit_with_storage(
     progress: bool | ProgressReport = True,
 ) -> Fit:
     """Fit as `fit` does, and store every run at once; stored runs are not repeated."""
-    require_problem(problem)
     require_executor(executor)
     began = time.perf_counter()
     solver = by.solver(problem)

@@ -7,7 +7,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.misfit_assessment import assessed_misfit
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, require_fit
 from greybox.files.text_table import require_kind
 from greybox.modeling.added_terms import Formula
 from greybox.solve.multistart import solver_for
@@ -48,6 +48,7 @@ def misfit(
     >>> gb.misfit(fit).explains
     True
     """
+    require_fit(fit)
     fit.require_estimate()
     require_kind("candidates", candidates, Mapping, "{name: function of x, u and p}")
     if candidates and not fit.records:

@@ -24,10 +24,10 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
-from greybox.estimate.result import Fit, Quantity
+from greybox.estimate.result import Fit, Quantity, require_fit
 from greybox.files.arrays import Array, Interval, Labels, Strings, frozen
 from greybox.files.progress import bar
-from greybox.files.text_table import as_names, number, require_kind
+from greybox.files.text_table import as_names, number
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -90,7 +90,7 @@ def profile(
     >>> low < fit.estimate["a1"] < high
     True
     """
-    require_kind("fit", fit, Fit, "what gb.fit returns")
+    require_fit(fit)
     fit.require_estimate()
     require_level(level)
     if fit.priors:

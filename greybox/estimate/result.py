@@ -44,7 +44,7 @@ from greybox.files.arrays import (
     by_name,
     frozen,
 )
-from greybox.files.text_table import Printed, counted, one_line, with_error
+from greybox.files.text_table import Printed, counted, one_line, require_kind, with_error
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.time_criteria import Inputs
@@ -595,6 +595,12 @@ class Fit(Printed):
 
 
 Fits = Sequence[Fit]
+
+
+def require_fit(fit: object) -> None:
+    """Raise TypeError for anything but a fit, such as the name of its file."""
+    require_kind("fit", fit, Fit, "what gb.fit or gb.load returns")
+
 
 # `fit` and `load` make fits: thirty arguments would hide what a reader of help() looks for.
 Fit.__init__.__dict__["__signature__"] = Signature([Parameter("self", Parameter.POSITIONAL_ONLY)])

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from greybox.estimate.fitted_part import require_shapes
-from greybox.estimate.result import Fit
+from greybox.estimate.result import Fit, require_fit
 from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.safe_files import HDF5
 from greybox.files.sealed_files import read_sealed, write_sealed
-from greybox.files.text_table import printable, require_kind
+from greybox.files.text_table import printable
 from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
@@ -53,7 +53,7 @@ def save(fit: Fit, path: str | Path) -> None:
     >>> gb.load("pitch.h5").cost == fit.cost
     True
     """
-    require_kind("fit", fit, Fit, "what gb.fit returns")
+    require_fit(fit)
     path = Path(path)
     if path.suffix.lower() not in HDF5:
         raise ValueError(

@@ -29,7 +29,7 @@ def cost(problem: AnyProblem, values: Values, method: Transcription | None = Non
     >>> round(gb.cost(pitch_hover.problem(), pitch_hover.published["values"]), 4)
     0.5866
     """
-    require_known(values, problem.parameters, "parameter", repr(problem.name))
     nlp = compile_problem(problem, method)
+    require_known(values, nlp.names, "parameter", repr(problem.name))
     point = np.array([values.get(name, problem.parameters[name].start) for name in nlp.names])
     return (GaussNewton(nlp) if nlp.has_states else nlp).cost(point)

@@ -21,7 +21,7 @@ from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
-from greybox.estimate.result import Fit, Quantity
+from greybox.estimate.result import Fit, Quantity, require_fit
 from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.progress import bar
@@ -30,7 +30,6 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
-    require_kind,
     some,
     text_table,
 )
@@ -315,7 +314,7 @@ def bootstrap(
     True
     """
     began = time.perf_counter()
-    require_kind("fit", fit, Fit, "what gb.fit returns")
+    require_fit(fit)
     fit.require_estimate()
     require_whole("replicates", replicates, 2)
     require_whole("seed", seed, 0)

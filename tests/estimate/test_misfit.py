@@ -565,6 +565,12 @@ def test_terms_of_the_user_need_the_equations_of_a_record():
         gb.misfit(fit, candidates={"drag": lambda x, u, p: abs(x.v) * x.v})
     with pytest.raises(TypeError, match=r"candidates is .*: give \{name: function"):
         gb.misfit(fit, candidates=[lambda x, u, p: x.v])
+    with pytest.raises(TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit or gb\.load"):
+        gb.misfit("lag.h5")
+    with pytest.raises(TypeError, match=r"^problem is 'lag': give a Problem"):
+        gb.misfit(fit, "lag")
+    with pytest.raises(TypeError, match=r"^problem is <Fit .*: give a Problem"):
+        gb.cost(fit, fit.estimate)
 
 
 def test_a_gain_of_the_wrong_sign_is_named_once():

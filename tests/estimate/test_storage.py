@@ -378,7 +378,7 @@ def test_what_is_no_hdf5_file_is_refused(tmp_path):
     text.write_text("omega,alpha\n1,2\n")
     with pytest.raises(ValueError, match="not a greybox fit: give a file that"):
         gb.load(text)
-    with pytest.raises(TypeError, match=r"^fit is 'a fit': give what gb\.fit returns"):
+    with pytest.raises(TypeError, match=r"^fit is 'a fit': give what gb\.fit or gb\.load returns"):
         gb.save("a fit", tmp_path / "none.h5")
     with pytest.raises(FileNotFoundError, match="there is no file"):
         gb.load(tmp_path / "none.h5")
