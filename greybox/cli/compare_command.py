@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> Answer:
     tables = {"to_csv": options.csv, "to_latex": options.latex}
     for path in tables.values():
         require_writable(path, options.force)
-    if len(options.results) > 1 or options.results[0].is_file():  # a study is a folder
+    if len(options.results) > 1 or not options.results[0].is_dir():  # a study is a folder
         if any(tables.values()) or options.by:
             raise UsageError("--by, --csv and --latex are for a study: give one folder.")
         comparison = _comparison(options)

@@ -42,7 +42,7 @@ class Intersample:
 
     def __str__(self) -> str:
         if self.held:
-            return "held until its next sample"
+            return "held until the next sample"
         return f"interpolated, {1e3 * self.late:.3g} ms late" if self.late else "interpolated"
 
 

@@ -22,6 +22,6 @@ def test_a_single_sample_has_no_step():
 
 
 def test_it_is_said_in_words():
-    assert str(intersample(HELD, 0.02)) == "held until its next sample"
+    assert str(intersample(HELD, 0.02)) == "held until the next sample"
     assert str(intersample(CONTINUOUS, 0.02)) == "interpolated"
     assert str(intersample(0.0025, 0.02)) == "interpolated, 1.25 ms late"

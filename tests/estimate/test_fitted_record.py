@@ -51,7 +51,7 @@ def test_every_field_of_a_fitted_record(noise):
     assert (part.data.units, part.data.name, part.outputs) == ({"y": "m"}, "flight", ("y", "z"))
     assert part.data.hold == {"u": np.inf}
     assert part.inputs == "record"
-    assert part.between == {"u": "held until its next sample, as the record says"}
+    assert part.between == {"u": "held until the next sample, as the record says"}
     assert (part.simulated.name, part.biases, part.gains, part.driven, part.added) == (
         "Two",
         (),

@@ -58,7 +58,7 @@ def test_a_virtual_flight_gives_the_truth_by_default():
         scaled.append([(found.estimate[n] - TRUTH[n]) / found.standard_error[n] for n in FREE])
     assert np.abs(np.mean(scaled, axis=0)).max() < 3 / math.sqrt(3)
     assert 0.5 < np.sqrt(np.mean(np.square(scaled))) < 1.5
-    assert "inputs     u held until its next sample, as the record says\n" in str(found)
+    assert "inputs     u held until the next sample, as the record says\n" in str(found)
 
 
 def test_the_data_cannot_tell_and_the_delay_takes_half_a_sample(unknown, assumed):
@@ -76,7 +76,7 @@ def test_records_that_know_and_do_not_know_have_a_line_each(unknown):
     problem = gb.several(LinearTilt(), halves, free=["T_delay"])
     text = str(gb.fit(problem, [{name: TRUTH[name] for name in FREE}], progress=False))
     assert "u interpolated, as assumed without a hold" in text
-    assert "u held until its next sample, as the record says" in text
+    assert "u held until the next sample, as the record says" in text
 
 
 def test_a_log_of_every_fourth_control():

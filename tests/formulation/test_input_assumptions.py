@@ -40,14 +40,14 @@ def test_the_user_overrules_it():
 
 def test_it_is_said_with_the_half_step_that_it_means():
     said = described_inputs("record", NAMES, record())
-    assert said["held"] == "held until its next sample, as the record says"
+    assert said["held"] == "held until the next sample, as the record says"
     assert said["thinned"] == "interpolated, 1.25 ms late, as the record says"
     assert (
         said["unknown"]
         == "interpolated, as assumed without a hold; if wrong, delays change by half a step, 10 ms"
     )
     assert described_inputs("held", ["unknown"], record())["unknown"].startswith(
-        "held until its next sample, as stated"
+        "held until the next sample, as stated"
     )
 
 

@@ -175,7 +175,7 @@ def test_a_held_control_on_slow_samples(delay):
     known = {"mu": 0.0, "d": delay}
     found = gb.regression.equation_error(Slider(), flown, fixed=known)
     assert_near(found, {"k": 9.0, "c": 1.2, "b": 4.0}, 0.01)
-    assert found.inputs == {"F": "held until its next sample, as the record says"}
+    assert found.inputs == {"F": "held until the next sample, as the record says"}
     interpolated = gb.regression.equation_error(Slider(), flown, fixed=known, inputs="linear")
     later = gb.regression.equation_error(
         Slider(), flown, fixed=known | {"d": delay + 0.025}, inputs="linear"
@@ -549,7 +549,7 @@ def test_every_row_of_what_is_printed():
         states=("v from the derivative of x",),
         parameters=parameters,
         warnings=("c ended at its bound.",),
-        inputs={"F": "held until its next sample"},
+        inputs={"F": "held until the next sample"},
     )
     lines = str(found).splitlines()
     (row,) = [line.split() for line in lines if line.split()[:1] == ["c"]]
@@ -559,7 +559,7 @@ def test_every_row_of_what_is_printed():
     assert "  az        k    0.5000     7       all       1.5" in lines
     assert "  left out: w' (it needs w, not known)" in lines
     assert "  state v from the derivative of x" in lines
-    assert "  input F held until its next sample" in lines
+    assert "  input F held until the next sample" in lines
     assert "  warning: c ended at its bound." in lines
 
 
