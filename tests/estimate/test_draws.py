@@ -172,5 +172,7 @@ def test_gains_at_their_stability_limit_do_not_narrow_the_other_parameters():
 
 
 def test_what_is_no_fit_is_named():
-    with pytest.raises(TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit or gb\.load returns"):
+    with pytest.raises(
+        TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit or gb\.load returns"
+    ):
         gb.draws("lag.h5", 3)

@@ -1,5 +1,6 @@
 """Warnings appear when they should and not otherwise."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -202,15 +203,22 @@ def test_three_points_are_enough_for_four_unknowns():
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"),
-    [(1.0, None), (0.04, "variances are too small"), (25.0, "the variances are too large")],
+    ("factor", "dof", "words"),
+    [
+        (1.0, None, None),
+        (0.04, None, "variances are too small"),
+        (25.0, None, "the variances are too large"),
+        # Estimated variances may include systematic errors, which the parameters take up.
+        (0.04, 60.0, "variances are too small"),
+        (25.0, 60.0, None),
+    ],
 )
-def test_variances_that_do_not_match_the_residuals_are_told(factor, words):
+def test_variances_that_do_not_match_the_residuals_are_told(factor, dof, words):
     exact = gb.frequency_response(LagLagDelay(), TWO_LAGS, TWO_LAGS_OMEGA).response
     noisy = lags(noise=0.02)
-    data = gb.FrequencyResponse(
-        noisy.omega, noisy.response, variance=factor * 2 * 0.02**2 * np.abs(exact) ** 2, name="made"
-    )
+    variance = factor * 2 * 0.02**2 * np.abs(exact) ** 2
+    dof = None if dof is None else np.full(len(noisy), dof)
+    data = replace(noisy, variance=variance, dof=dof, name="made")
     texts = [
         t
         for t in warned(LagLagDelay(), data, gb.MaximumLikelihood(), constraints=ORDERED)

@@ -475,5 +475,7 @@ def test_many_responses_are_profiled_by_the_search_of_their_fit(monkeypatch):
 
 
 def test_what_is_no_fit_is_named():
-    with pytest.raises(TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit or gb\.load returns"):
+    with pytest.raises(
+        TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit or gb\.load returns"
+    ):
         gb.profile("lag.h5")

@@ -76,3 +76,7 @@ def test_peaks_are_low():
 def test_mistakes_are_sentences(arguments, words):
     with pytest.raises(ValueError, match=words):
         multisine(*arguments)
+
+
+def test_a_period_that_is_written_with_seven_digits_is_a_whole_number_of_samples():
+    assert len(multisine(1.0, 20.0, 6.666667, 150)) == 4 * 1000

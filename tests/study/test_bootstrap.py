@@ -434,5 +434,7 @@ def test_intervals_are_quantiles_as_far_out_as_those_of_students_t():
 
 
 def test_what_is_no_fit_is_named():
-    with pytest.raises(TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit or gb\.load returns"):
+    with pytest.raises(
+        TypeError, match=r"^fit is 'lag\.h5': give what gb\.fit or gb\.load returns"
+    ):
         gb.bootstrap("lag.h5")
