@@ -2,8 +2,8 @@
 
 import json
 import re
-import sys
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
 def test_of_a_large_study_the_first_members_are_read_and_drawn(
     capsys, results, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(sys.modules["greybox.html_report.report"], "DETAILED", 1)
+    monkeypatch.setattr(import_module("greybox.html_report.report"), "DETAILED", 1)
     loaded = []
     fit = StudyMember.fit.fget
     monkeypatch.setattr(

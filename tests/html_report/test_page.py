@@ -1,9 +1,9 @@
 """The page as a document: sections, links, what is left out."""
 
 import re
-import sys
 from dataclasses import replace
 from datetime import date
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_one_result_has_its_sections_and_links_to_them(fit):
 
 def test_several_results_have_details_that_are_open_up_to_three(fit, monkeypatch):
     # The name of the file is that of the function, too.
-    file = sys.modules["greybox.html_report.report"]
+    file = import_module("greybox.html_report.report")
     assert file.OPEN == 3
     monkeypatch.setattr(file, "OPEN", 2)  # a smaller page
     alike = replace(fit, parts=fit.parts[:1], models=None)

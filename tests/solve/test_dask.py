@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from contextlib import contextmanager
+from importlib import import_module
 
 import pytest
 from command_line import QUICK, refused, run
@@ -98,7 +99,7 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
 
         monkeypatch.setattr(StoredRuns, "add", noted)
         # A small member would be fitted as a whole: its workers share the runs of a large one.
-        monkeypatch.setattr(sys.modules["greybox.study.batch"], "UNWRITTEN", 1e-9)
+        monkeypatch.setattr(import_module("greybox.study.batch"), "UNWRITTEN", 1e-9)
         member = gb.study.Member(RESPONSE, 80, name="response", search="multistart")
         with pytest.raises(
             RuntimeError,

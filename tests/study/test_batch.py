@@ -9,6 +9,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, nullcontext
+from importlib import import_module
 from pathlib import Path
 from threading import Timer, current_thread, main_thread
 
@@ -100,7 +101,7 @@ def test_workers_fit_whole_members_while_these_are_small(tmp_path, monkeypatch, 
         finish(self, *values)
 
     monkeypatch.setattr(StoredRuns, "finish", noted)
-    monkeypatch.setattr(sys.modules["greybox.study.batch"], "UNWRITTEN", limit)
+    monkeypatch.setattr(import_module("greybox.study.batch"), "UNWRITTEN", limit)
     with ThreadPoolExecutor(2) as workers:
         gb.batch(members(), tmp_path, executor=workers, progress=False)
     # The first is fitted here, which shows whether members are small.
