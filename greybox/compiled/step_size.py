@@ -17,8 +17,8 @@ from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.step_size import stable_substeps
 
-# Parameter vectors, the declared one first: with 17 a quartile is one of them, and a few odd draws
-# do not move it.
+# Number of parameter vectors, the declared one first. With 17, the quartile is one of them, and a
+# few odd draws do not move it.
 DRAWS = 17
 
 

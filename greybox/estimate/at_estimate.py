@@ -131,7 +131,7 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
 
     def rank(k: int) -> int:
         data = fit.parts[k].data
-        if fit.parts[k].is_prior:  # its record and its model only state numbers
+        if fit.parts[k].is_prior:  # a prior is no data to simulate
             return 3
         if not isinstance(data, Record):
             return 2

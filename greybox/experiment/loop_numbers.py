@@ -352,7 +352,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
     length = math.isqrt(count // stride) + 1
     A, B, C, D = loop.closed(setpoint, response)
 
-    # With the constant input as a state, sample k is the row [C D] M^k of the column of the input.
+    # With the constant input as a state, sample k is the last entry of the row [C D] M^k.
     M = np.zeros((len(A), len(A[0]) + 1, len(A[0]) + 1))
     M[:, :-1, :-1], M[:, :-1, -1], M[:, -1, -1] = A, B, 1
     rows = [np.concatenate([C, D[:, None]], axis=1)[:, None]]

@@ -527,7 +527,7 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
             "lines are assumed between them: measure more of them near the crossings."
         )
     plant = loop.name or "the measured response"
-    # There are no plants whose loops could be evaluated elsewhere.
+    # A measured response has no controller and no draws, so those fields are empty.
     level = level if has_errors else math.nan
     return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
 

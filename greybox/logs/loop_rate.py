@@ -110,8 +110,9 @@ def thinning_error(
 
     The first row is due to the D term, whose share of the control follows from the gains of the
     rate controller and from the response itself; the second, due to the age of the newest sample,
-    is a delay. A row is one standard deviation, common to all frequencies: the clocks of gyro and
-    loop drift through a flight from one phase to the next, whatever frequency is flown.
+    is a delay. Each row is the effect of one standard deviation. It is common to all frequencies,
+    because the clocks of gyro and loop drift slowly against each other during a flight, whatever
+    frequency is flown.
     """
     parameters = recording.parameters
     s = 1j * response.omega

@@ -23,7 +23,7 @@ def renamed(
     ValueError
         If a column does not exist, its unit is not known, or the table has it in another unit.
     """
-    # As in the file: messages quote it, and a name with brackets is then found.
+    # The header as in the file: messages quote it, and users may write names with their brackets.
     header = [f"{name} [{unit}]" if (unit := units.get(name)) else name for name in columns]
     own = [*columns]
     own_names: dict[str, str] = {}

@@ -264,7 +264,7 @@ def _sweep(
     run: tuple[int, int],
     piece: Segment,
 ) -> Segment | None:
-    """Return the sweep that a piece, which has the crossings of a `run`, is a part of.
+    """Return the whole sweep of which a piece, with the crossings of a `run`, was found.
 
     The half wave in which a sweep leaves or reaches a rest is part of it.
     """

@@ -186,7 +186,7 @@ class Simulator:
         model = self._model
         active = model.uncertain if active is None else active
         w, length = windows.rows.shape
-        # Rows have no states, but a noise, to which all of their errors belong.
+        # Rows without a time have no lead-in: all of them show the size of the errors.
         lead = windows.lead or length
         data = sample_data(windows, model.system.inputs, model.delays)
         k = len(self._outputs)

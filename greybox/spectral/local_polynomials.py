@@ -22,8 +22,9 @@ Error of the polynomials
     Symposium on System Identification).
 Noise
     Its spectrum S is estimated from the residuals of the band, with the pole if one is needed, and
-    of the bands beside it if these are few. For the estimate aY, the variance E|P̂ - P|² is S aaᴴ;
-    with an instrument, the one that the points beside it expect.
+    of the bands beside it if these are few. The variance E|P̂ - P|² of an
+    estimate P̂ = aY is S aaᴴ. With an instrument, it is the one that follows from the noise at the
+    neighboring points.
 """
 
 import math
@@ -464,7 +465,8 @@ def _with_pole(lines: Lines, band: Band) -> Band | None:
     """Return a band with the error of its polynomials given a pole, and the residuals of the pole.
 
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
-    T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
+    T. The noise in Y would bias a: the instrumental variable for x Y is the next power of x times the
+    input, which has no such noise.
     """
     fitted, omega = band.fitted, band.omega
     center = fitted.center

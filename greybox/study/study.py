@@ -69,7 +69,7 @@ class Study(Printed):
         Raises
         ------
         ValueError
-            For a factor or a value that no member has; no member need have a status.
+            For a factor or a value that no member has. A status that no member has is no error.
         """
         members = self.members
         for name, values in factors.items():

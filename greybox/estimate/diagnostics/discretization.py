@@ -85,8 +85,8 @@ def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
 def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
     """Name held responses of outputs that a delayed input reaches at once.
 
-    Samples show this path alike for all delays between two samples: the model has its average, and
-    is off by up to half a sample of it.
+    Along this path, all delays between two samples lead to the same samples: the model has the
+    delay in the middle, which is off by up to half a sample.
     """
     for k, (problem, part) in enumerate(zip(nlp.problem.parts, answer.parts, strict=True)):
         if not isinstance(part, FittedResponse):
@@ -99,10 +99,10 @@ def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
         shift = path * part.data.omega * hold / 2
         if np.linalg.norm(shift / part.response) > max(rms(part.relative_residuals), 0.01):
             yield (
-                f"the delayed input of {part.name!r} reaches its output at once, and held samples "
-                "show this path alike for all delays between two samples: the delay is known to "
-                "half a sample and other parameters may be biased, which the standard errors do "
-                "not show. Fit the record itself."
+                f"the delayed input of {part.name!r} reaches its output at once. Along this "
+                "path, all delays between two samples lead to the same samples: the delay is known "
+                "only to half a sample, and other parameters may be biased, which the standard "
+                "errors do not show. Fit the record itself."
             )
 
 

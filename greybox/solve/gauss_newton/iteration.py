@@ -67,12 +67,12 @@ def descend(
     A run that fails, or ends above the cost of a simulation at its start, begins there once more,
     with nodes that are simulated.
     """
-    # Where states die away or jump, noise of nodes from the data leads anywhere: without this, five
-    # of 25 stiff or large models have no run from the true parameters (a flame, the Oregonator). Of
-    # 156 runs of 29 hard problems, 72 % reach the best minimum, 71 % if they begin near the data.
-    # In segments, gains would follow the data beyond the stability limit.
-    # So may poles of a formula, such as x / (1 + x / M): such a run may end at a kink, above where
-    # it would have begun.
+    # Nodes begin at the data. Where states die away or jump, the noise in them may lead a run
+    # astray: without a second attempt, no run from the true parameters of five of 25 stiff or large
+    # models converges (a flame, the Oregonator). Of 156 runs of 29 hard problems, 72 % reach the
+    # best minimum, 71 % if they begin near the data. In segments, gains would follow the data beyond
+    # the stability limit. Poles of a formula, such as x / (1 + x / M), may also lead a run astray:
+    # it then ends at a kink, above the cost of a simulation from its start.
     end = _attempted(parts, iterate, progress, iterations, states_only=states_only)
     if end.status == CONVERGED or parts.is_gain.any():
         return end
@@ -155,9 +155,10 @@ def _iterated(
         if trial is None and progress.damping <= LARGEST_DAMPING:
             progress = replace(progress, damping=after_failure(progress.damping))
             continue
-        # Delays at which the cost jumps block the steps: heavy damping has not helped. Held, they
-        # halve the time where a held input reaches an output directly. Otherwise a run whose
-        # minimum lies at a jump may take 2000 iterations, and the fit another minimum.
+        # If heavy damping has not helped, delays at which the cost jumps block the steps. Holding
+        # these delays halves the time where a held input reaches an output directly. Otherwise a
+        # run whose minimum lies at a jump may take 2000 iterations, and the fit may choose another
+        # minimum.
         blocked = parts.is_discontinuous.any() and not progress.delays_held
         if blocked and progress.is_exact and progress.damping >= 1e2:
             progress = replace(progress, delays_held=True, damping=0.0)
