@@ -169,8 +169,8 @@ def _presolve(model: StateSpace, at: Values, residual: ca.Function) -> tuple[Arr
         if not np.abs(derivative).max(initial=0) <= TOLERANCE * (1 + np.abs(root).max(initial=0)):
             continue
 
-        # A pivot counts as zero if it is as small as the rounding of the largest one, or far smaller
-        # than at a nearby point, as at a double root.
+        # A pivot counts as zero if it is as small as the rounding of the largest one, or far
+        # smaller than at a nearby point, as at a double root.
         pivots, order = _pivots(residual(root, start)[1])
         nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
         if pivots.size and pivots.min() < max(

@@ -465,8 +465,8 @@ def _with_pole(lines: Lines, band: Band) -> Band | None:
     """Return a band with the error of its polynomials given a pole, and the residuals of the pole.
 
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
-    T. The noise in Y would bias a: the instrumental variable for x Y is the next power of x times the
-    input, which has no such noise.
+    T. The noise in Y would bias a: the instrumental variable for x Y is the next power of x times
+    the input, which has no such noise.
     """
     fitted, omega = band.fitted, band.omega
     center = fitted.center

@@ -70,9 +70,9 @@ def descend(
     # Nodes begin at the data. Where states die away or jump, the noise in them may lead a run
     # astray: without a second attempt, no run from the true parameters of five of 25 stiff or large
     # models converges (a flame, the Oregonator). Of 156 runs of 29 hard problems, 72 % reach the
-    # best minimum, 71 % if they begin near the data. In segments, gains would follow the data beyond
-    # the stability limit. Poles of a formula, such as x / (1 + x / M), may also lead a run astray:
-    # it then ends at a kink, above the cost of a simulation from its start.
+    # best minimum, 71 % if they begin near the data. In segments, gains would follow the data
+    # beyond the stability limit. Poles of a formula, such as x / (1 + x / M), may also lead a run
+    # astray: it then ends at a kink, above the cost of a simulation from its start.
     end = _attempted(parts, iterate, progress, iterations, states_only=states_only)
     if end.status == CONVERGED or parts.is_gain.any():
         return end
