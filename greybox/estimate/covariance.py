@@ -478,8 +478,8 @@ def _by_process_noise(
         other = _root_of_inverse(_stacked(shares, p), basis)
         # A size may be known better where it is larger, which is no reason for a smaller error.
         directions, sizes, _ = np.linalg.svd(np.linalg.pinv(root) @ other)
-        growth = np.maximum(sizes**2 - 1, 0) / 0.0201  # of the variance: 1.01² - 1
-        added = root @ directions * np.sqrt(growth)
+        # 0.0201 is the growth of the variance, 1.01² - 1.
+        added = root @ directions * np.sqrt(np.maximum(sizes**2 - 1, 0) / 0.0201)
         # Few numbers are no reason for a variance of more than twice the size.
         share = p / (numbers + p)
         yield np.pad(share * added @ added.T, (0, len(nlp.constants))), numbers * share**2

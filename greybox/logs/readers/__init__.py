@@ -135,6 +135,8 @@ def read(
     >>> log
     <Recording 'sitl_pitch.BIN', 7 messages, MODE, ATT, RATE, EV, ARM, VER, SINE>
     """
+    if rate is not None and not rate > 0:
+        raise ValueError(f"rate={rate} must be a number of Hz above 0.")
     path = Path(path)
     names = (messages,) if isinstance(messages, str) else messages
     kind = _format(path)

@@ -206,3 +206,11 @@ def test_dates_are_times(saved, end):
     recording = saved("\n".join(["timestamp,u", *rows, f"2026-05-01 11:00:00{end},100"]))
     np.testing.assert_allclose(recording["flight"].time, 0.01 * np.arange(6), atol=1e-6)
     assert recording["flight"]["u"].tolist() == list(range(95, 101))
+
+
+@pytest.mark.parametrize("rate", [0, -5.0, float("nan")])
+def test_a_rate_that_is_none_is_named(tmp_path, rate):
+    path = tmp_path / "bench.csv"
+    path.write_text("u,y\n1,2\n3,4\n")
+    with pytest.raises(ValueError, match=f"rate={rate} must be a number of Hz above 0"):
+        read(path, rate=rate)
