@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from scipy.stats import f
 
-from greybox.statistics.score_test import chance, correlated_fits, p_values_of_fits
+from greybox.statistics.score_test import chance, correlated_fits, p_values_of_fits, score_tests
 
 
 def blocks():
@@ -13,6 +14,26 @@ def blocks():
     for rows, columns in ((20, 3), (30, 5), (16, 2)):
         residuals = np.cumsum(random.normal(size=(2 * rows, 1)), axis=0)
         yield residuals, random.normal(size=(2 * rows, columns)), (rows, rows)
+
+
+def test_a_term_beside_what_a_fit_absorbs_is_judged_as_by_least_squares_in_any_unit():
+    random = np.random.default_rng(0)
+    columns, terms = random.normal(size=(60, 4)), random.normal(size=(60, 5))
+    # Of the last one, the fit can absorb all but 0.5 %.
+    terms[:, 4] = columns.sum(axis=1) + 0.005 * terms[:, 4]
+    y = random.normal(size=60) + 0.3 * terms[:, 0]
+    basis = np.linalg.qr(columns)[0]
+    y = y - basis @ (basis.T @ y)
+    for unit in (1e-9, 1.0, 1e9):
+        decrease, p_value, factor, _ = score_tests(y, basis, unit * terms)
+        assert np.isnan(p_value).tolist() == [False] * 4 + [True]
+        for k in range(4):
+            both = np.column_stack([columns, unit * terms[:, k]])
+            found = np.linalg.lstsq(both, y)[0]
+            left, squares = np.sum((y - both @ found) ** 2), y @ y
+            assert factor[k] == pytest.approx(found[-1], rel=1e-6)
+            assert decrease[k] == pytest.approx(60 * (1 - left / squares), rel=1e-6)
+            assert p_value[k] == pytest.approx(f.sf((squares / left - 1) * 55, 1, 55), rel=1e-6)
 
 
 def test_parts_with_columns_of_their_own_are_one_block_diagonal_matrix():
