@@ -92,7 +92,7 @@ def number_pair(value: object, what: str) -> Interval:
         low, high = value  # type: ignore[misc]
         low, high = float(low), float(high)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} {value!r} must be a pair of numbers (low, high).") from None
+        raise ValueError(f"{what} {value!r} must be a pair of numbers.") from None
     if math.isnan(low) or math.isnan(high):
         raise ValueError(f"{what} {value!r} contain a NaN: give two numbers (low, high).")
     return low, high

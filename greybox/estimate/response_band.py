@@ -122,9 +122,9 @@ def t_quantile(level: float, dof: float) -> float:
 
 
 def require_level(level: float) -> None:
-    """Raise ValueError for a confidence level outside 0 to 1."""
-    if not 0 < level < 1:
-        raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+    """Raise ValueError for a confidence level outside 0 to 1, or a name in its place."""
+    if isinstance(level, str) or not 0 < level < 1:
+        raise ValueError(f"level {level!r} must lie between 0 and 1, e.g. 0.95.")
 
 
 def radius(level: float, dof: float) -> float:

@@ -184,7 +184,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         Flies the vehicle meanwhile; without one the plant is tested in open loop.
     limits : mapping of signal to float
         Largest amplitudes of signals of the loop: outputs, inputs, states, and derivatives such as
-        ``theta_dot``; of settled sines, at whose beginnings the signals overshoot.
+        ``theta_dot``. They hold for settled sines; at the beginning of a sine, signals overshoot them.
     rate : float, Hz
         Sampling rate of the log.
     periods : int
@@ -202,8 +202,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    positive = {"band[0]": band[0], "amplitude": amplitude, **wanted, **limits}
-    _require_valid(band, wanted, positive)
+    _require_valid(band, wanted, {"band[0]": band[0], "amplitude": amplitude, **wanted, **limits})
     input, output = pick_signals(model, input, output)
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)

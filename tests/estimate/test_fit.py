@@ -83,6 +83,11 @@ def test_a_level_that_is_no_probability_is_refused(level):
         LAG.interval(level)
 
 
+def test_a_name_in_the_place_of_the_level_is_named():
+    with pytest.raises(ValueError, match="level 'T' must lie between 0 and 1"):
+        LAG.interval("T")
+
+
 def test_covariance_of_picks_names_in_their_order():
     full = LAGS.covariance_of(["K", "T1", "T2", "tau"])
     assert_array_equal(LAGS.covariance_of(["tau", "K"]), full[np.ix_([3, 0], [3, 0])])
