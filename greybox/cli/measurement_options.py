@@ -3,10 +3,9 @@
 import argparse
 import math
 from dataclasses import fields
-from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.files.arrays import selected
+from greybox.files.arrays import Fields, selected
 from greybox.identification.measurement import Settings
 
 # Which tests, which samples, which estimate.
@@ -43,7 +42,7 @@ MEASUREMENT_OPTIONS = """
 """
 
 
-def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
+def stated_choices(options: argparse.Namespace) -> Fields:
     """Return the options for one input and one output, by the names of `Settings`."""
     if len(options.instrument) > 1:
         raise UsageError(

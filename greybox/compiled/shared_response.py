@@ -26,6 +26,7 @@ from greybox.files.arrays import (
     ArrayTriple,
     BoolArray,
     ComplexArray,
+    ComplexPair,
     IntArray,
     Named,
     as_arrays,
@@ -95,7 +96,7 @@ class SharedSystem:
             points = np.array([*signals, range(len(at))])
             yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
 
-    def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+    def responses(self, z: Array) -> ComplexPair:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
@@ -168,7 +169,7 @@ class SineTest(Rebuilt):
         """Yield the part with itself."""
         yield self.pairs[0][0], self
 
-    def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+    def responses(self, z: Array) -> ComplexPair:
         """Return the response at z (p, k), (k, n), and its derivatives by z, last.
 
         The response is NaN where no motion is found.

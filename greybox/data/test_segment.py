@@ -89,7 +89,10 @@ class Segment:
         )
 
 
-def segment_table(segments: Sequence[Segment]) -> str:
+Segments = Sequence[Segment]
+
+
+def segment_table(segments: Segments) -> str:
     """Return the segments as a table for a terminal, with their findings below it."""
     header = (
         "",

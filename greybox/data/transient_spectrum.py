@@ -11,6 +11,7 @@ from greybox.data.frequency_response import Stretch
 from greybox.files.arrays import (
     Array,
     ComplexArray,
+    ComplexPair,
     NamedArrays,
     NamedStrings,
     Strings,
@@ -146,7 +147,7 @@ class TransientSpectrum:
         """Return whether another spectrum has the same data."""
         return self.checksum == other.checksum
 
-    def delayed_input(self, name: str, delay: float) -> tuple[ComplexArray, ComplexArray]:
+    def delayed_input(self, name: str, delay: float) -> ComplexPair:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
         Also return its derivative with respect to the delay. The input is assumed to have its first

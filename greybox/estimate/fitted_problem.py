@@ -6,6 +6,7 @@ from typing import Any
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Fields
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -13,7 +14,7 @@ from greybox.solve.robust_fit import with_pseudo_values
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
 ALL = (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)
-KINDS: dict[str, Any] = {criterion.class_path: type(criterion) for criterion in ALL}
+KINDS: Fields = {criterion.class_path: type(criterion) for criterion in ALL}
 
 
 def compiled_again(

@@ -29,6 +29,7 @@ from greybox.files.arrays import (
     Arrays,
     BoolArray,
     ComplexArray,
+    ComplexPair,
     IntArray,
     Labels,
     NamedArrays,
@@ -368,7 +369,7 @@ def regression_of_manoeuvre(
         weighted = np.einsum("ka,lab,blc->klc", fitted.weight, fitted.transform, columns)
         return real_and_imaginary(weighted * turned, 1).reshape(2 * turned.size, -1)
 
-    def curve(x: Array) -> tuple[ComplexArray, ComplexArray]:
+    def curve(x: Array) -> ComplexPair:
         parameters, slopes = located(x)
         at = part.along(parameters.full().ravel())
         if at is None:
@@ -398,7 +399,7 @@ def regression_of_manoeuvre(
 
 
 def _of_curve(
-    curve: Callable[[Array], tuple[ComplexArray, ComplexArray]],
+    curve: Callable[[Array], ComplexPair],
     measured: ComplexArray,
     rows: Callable[[ComplexArray], Array],
     values: Array,
@@ -416,7 +417,7 @@ def _of_curve(
     """
     places = np.flatnonzero(moves)
 
-    def modeled(x: Array) -> tuple[ComplexArray, ComplexArray]:
+    def modeled(x: Array) -> ComplexPair:
         # Where a response is zero, the effects of its parameters are not.
         model, slopes = curve(x)
         return np.where(model == 0, NOTHING, model), slopes

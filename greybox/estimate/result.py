@@ -49,7 +49,7 @@ from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.harmonic_balance import response_of_test
-from greybox.modeling.model import Model, require_known
+from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.rational import Rational, rational
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -185,7 +185,7 @@ class Fit(Printed):
     seconds: float
     versions: NamedStrings
     models: tuple[Model, ...] | None = field(default=None, metadata=NOT_STORED)
-    given: tuple[Model | type[Model], ...] = field(default=(), metadata=NOT_STORED)
+    given: tuple[AnyModel, ...] = field(default=(), metadata=NOT_STORED)
     white: Array | None = None
     independent: tuple[Array, float] | None = None
     notes: Strings = ()

@@ -14,7 +14,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
-from greybox.experiment.controller import Controller
+from greybox.experiment.controller import Controller, Controllers
 from greybox.experiment.drawn_loops import BESIDE, DRAWN, DRAWS, drawn_loops
 from greybox.experiment.loop_numbers import (
     LoopNumbers,
@@ -211,7 +211,7 @@ class Margins(Printed):
 
 def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     plant: Fit | Model | FrequencyResponse,
-    controller: Controller | Sequence[Controller] | None = None,
+    controller: Controllers | None = None,
     values: Values | None = None,
     *,
     broken_at: str = "",

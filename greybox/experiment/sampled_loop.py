@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from greybox.data.checked_array import finite_numbers
 from greybox.experiment.controller import (
     Controller,
+    Controllers,
     connected,
     outside_names,
     run_controllers,
@@ -235,7 +236,7 @@ class SampledLoop:
 def sampled_loop(
     model: Model,
     values: Array,
-    controller: Controller | Sequence[Controller] | None,
+    controller: Controllers | None,
     *,
     at: Values | None = None,
     measured: Labels = (),

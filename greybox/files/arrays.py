@@ -19,6 +19,7 @@ Named = Mapping[str, Any]  # by the names of parameters, signals, settings or fa
 Fields = dict[str, Any]  # by the names of columns, options or attributes
 ArrayPair = tuple[Array, Array]
 ArrayTriple = tuple[Array, Array, Array]
+ComplexPair = tuple[ComplexArray, ComplexArray]
 StringPair = tuple[str, str]  # such as a text and its cure
 Arrays = Sequence[Array]
 Interval = tuple[float, float]  # its low and its high end

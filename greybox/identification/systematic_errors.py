@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment
+from greybox.data.test_segment import Segments
 from greybox.files.arrays import Array, ComplexArray, Interval, frozen
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
@@ -41,7 +41,7 @@ def systematic_errors(
     record: Record,
     response: FrequencyResponse,
     control: str,
-    used: Sequence[Segment],
+    used: Segments,
     amplitudes: Array | None = None,
 ) -> list[SystematicError]:
     """Return the errors of a response from a control that follow from the log.
@@ -153,7 +153,7 @@ def _rounded(
     recording: Recording,
     record: Record,
     response: FrequencyResponse,
-    used: Sequence[Segment],
+    used: Segments,
     spans: Sequence[Interval],
     amplitudes: Array | None,
 ) -> SystematicError | None:

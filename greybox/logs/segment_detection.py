@@ -1,7 +1,7 @@
 """Finds the tests in a flight: those of System Identification mode, and sines and sweeps."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
@@ -16,7 +16,7 @@ from greybox.data.record import (
     require_time,
     runs_between_gaps,
 )
-from greybox.data.test_segment import Segment
+from greybox.data.test_segment import Segment, Segments
 from greybox.data.units import known_unit
 from greybox.files.arrays import (
     Array,
@@ -204,7 +204,7 @@ def _tests(time: Array, columns: NamedArrays) -> list[IntArray]:
     return [rows for rows in groups if rows.size > 1 and columns["omega"][rows[0]] > 0]
 
 
-def _checked(segment: Segment, data: Recording | Record, sines: Sequence[Segment]) -> Segment:
+def _checked(segment: Segment, data: Recording | Record, sines: Segments) -> Segment:
     """Refuse a test that is too short, not excited, flown by hand, or cut by a change of mode.
 
     Refuse a sine also if it is much shorter, or much weaker, than the others of the flight.

@@ -1,12 +1,11 @@
 """Signals of a flight log over time: a whole log with its tests, and the traces of one test."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from greybox.data.record import Record, Recording, median_step, runs_between_gaps
-from greybox.data.test_segment import Segment, checked_segments
+from greybox.data.test_segment import Segment, Segments, checked_segments
 from greybox.files.arrays import Array, Labels
 from greybox.files.grouping import grouped
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
@@ -78,7 +77,7 @@ def traces(
 
 def recording(
     recording: Recording,
-    segments: Sequence[Segment] = (),
+    segments: Segments = (),
     *,
     axes: GivenAxes | None = None,
 ) -> AxesArray:

@@ -42,7 +42,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Fields
 from greybox.modeling.one_thread import Stored
 from greybox.modeling.parameter import require_whole
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
@@ -354,7 +354,7 @@ class WorkerPool(Executor):
             process.shutdown(wait)
 
     def _call(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]
+        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: Fields
     ) -> Any:
         """Call a function in the process of this thread, or in the next one if that is killed."""
         thread = threading.get_ident()

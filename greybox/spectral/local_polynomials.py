@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.files.arrays import AnyArray, Array, ComplexArray, IntArray, all_finite
+from greybox.files.arrays import AnyArray, Array, ComplexArray, ComplexPair, IntArray, all_finite
 from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -356,9 +356,7 @@ def _in_band(
     return rows, (omega - center) / half, y, inputs, instruments, transients
 
 
-def _solved(
-    regressors: ComplexArray, instruments: ComplexArray
-) -> tuple[ComplexArray, ComplexArray] | None:
+def _solved(regressors: ComplexArray, instruments: ComplexArray) -> ComplexPair | None:
     """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None if ill conditioned."""
     x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):

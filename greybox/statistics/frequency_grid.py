@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
+from greybox.files.arrays import Array, ComplexArray, ComplexPair, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
@@ -90,9 +90,7 @@ class FrequencyGrid:
             result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
         return result
 
-    def covariances(
-        self, factors: Sequence[tuple[ComplexArray, ComplexArray]], order: int
-    ) -> tuple[Array, ComplexArray]:
+    def covariances(self, factors: Sequence[ComplexPair], order: int) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
         It is the sum of the products a bᵀ of its factors, (k, p, frequencies) each, and of their

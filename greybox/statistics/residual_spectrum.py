@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, frozen
+from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, ComplexPair, frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
@@ -446,7 +446,7 @@ class ResidualSpectra:
         """White sensor noise with white process noise, which does not depend on corrections."""
         return self.process_noise(0.0)
 
-    def noise_parts(self, correlation: float) -> tuple[ComplexArray, ComplexArray] | None:
+    def noise_parts(self, correlation: float) -> ComplexPair | None:
         """Return white noise of every sensor and process noise of every state, of variance one.
 
         They are the spectra (c, k, k, b) of these c parts, and the periodograms (c, b, k, k) of the
