@@ -1,7 +1,6 @@
 """Which parameters the data determine, alone or in combination."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -9,10 +8,10 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
-from greybox.files.text_table import counted, listed
+from greybox.files.text_table import Sentences, counted, listed
 
 
-def not_determined(accuracy: Accuracy) -> Iterator[str]:
+def not_determined(accuracy: Accuracy) -> Sentences:
     """Name the combinations that the data determine poorly or not at all, the worst three first."""
     absent = accuracy.nlp.noise_sizes & set(accuracy.at_bound)
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
@@ -37,7 +36,7 @@ def not_determined(accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def determined_together(fit: Fit) -> Iterator[str]:
+def determined_together(fit: Fit) -> Sentences:
     """Say which combinations are determined although none of their members is."""
     combinations = () if fit.directions is None else fit.identifiability.combinations
     if not combinations:
@@ -73,7 +72,7 @@ def _not_determined(combination: Combination) -> str:
     )
 
 
-def held_without_error(accuracy: Accuracy) -> Iterator[str]:
+def held_without_error(accuracy: Accuracy) -> Sentences:
     """Name values fixed at an earlier fit that gives them no standard error."""
     nlp = accuracy.nlp
     variances = np.diag(accuracy.covariance)[len(nlp.free) :]
@@ -87,7 +86,7 @@ def held_without_error(accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
+def no_degrees_of_freedom(nlp: CompiledProblem) -> Sentences:
     """Warn where the data have no more numbers than the fit has unknowns."""
     numbers = nlp.numbers
     initial = sum(part.unknown_initial_states for part in nlp.parts)
@@ -103,7 +102,7 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     )
 
 
-def at_bounds(answer: Fit, accuracy: Accuracy) -> Iterator[str]:
+def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
     """Name parameters at bounds and active constraints: the standard errors treat both as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`

@@ -14,7 +14,7 @@ of both were compared for the standard errors, see `greybox.statistics.residual_
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -31,7 +31,7 @@ from greybox.estimate.diagnostics.repeated import Finding, Findings, once
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import by_name
-from greybox.files.text_table import counted, percent, some
+from greybox.files.text_table import Sentences, counted, percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
 from greybox.statistics.residual_spectrum import VERY_STRONG
 
@@ -47,7 +47,7 @@ NOTICEABLE = 1.25
 NARROW = 4.0
 
 
-def unlikely_noise(accuracy: Accuracy) -> Iterator[str]:
+def unlikely_noise(accuracy: Accuracy) -> Sentences:
     """Warn where the residuals are far from the noise that was given with the data."""
     nlp, trajectories = accuracy.nlp, accuracy.trajectories
     findings: list[Finding] = []
@@ -148,7 +148,7 @@ def _of_record(
         yield f"{output} {ratio > 1}", name, text
 
 
-def unused_noise(problem: AnyProblem) -> Iterator[str]:
+def unused_noise(problem: AnyProblem) -> Sentences:
     """Note responses whose variances or coherence the criterion does not use."""
     # In a sum with a likelihood, another criterion must be a likelihood, too.
     beside_likelihood = any(part.criterion.is_likelihood for part in problem.parts)
@@ -169,7 +169,7 @@ def unused_noise(problem: AnyProblem) -> Iterator[str]:
             )
 
 
-def better_weights(accuracy: Accuracy) -> Iterator[str]:
+def better_weights(accuracy: Accuracy) -> Sentences:
     """Note the weights of parts with which standard errors are clearly smaller.
 
     The cost weights errors as if they were independent and as large as given. Where they are not,
@@ -199,7 +199,7 @@ def better_weights(accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def correlated_frequencies(accuracy: Accuracy) -> Iterator[str]:
+def correlated_frequencies(accuracy: Accuracy) -> Sentences:
     """Name the responses whose errors at the estimate are correlated."""
     nlp = accuracy.nlp
     values = nlp.all_values(accuracy.x)
@@ -255,7 +255,7 @@ def narrow_modes(answer: Fit) -> Findings:
             )
 
 
-def manoeuvre_warnings(accuracy: Accuracy) -> Iterator[str]:
+def manoeuvre_warnings(accuracy: Accuracy) -> Sentences:
     """Name manoeuvres whose errors look like turbulence, which may bias an estimate."""
     for information in accuracy.informations:
         if information.disturbed:
@@ -270,7 +270,7 @@ def manoeuvre_warnings(accuracy: Accuracy) -> Iterator[str]:
             )
 
 
-def gusts(accuracy: Accuracy, *, noisy: bool, explained: bool) -> Iterator[str]:
+def gusts(accuracy: Accuracy, *, noisy: bool, explained: bool) -> Sentences:
     """Name the records with gusts and the criterion for them, and test sizes that ended at zero.
 
     Residuals of a wrong model look like gusts, unless noise is most of them.

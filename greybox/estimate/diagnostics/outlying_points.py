@@ -15,7 +15,7 @@ estimate. Errors whose size follows that of the output are named in their place.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Findings
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
-from greybox.files.text_table import listed, number, p_text, percent
+from greybox.files.text_table import Sentences, listed, number, p_text, percent
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.huber import bounded, robust_deviation
 from greybox.statistics.metrics import is_resolved, size_test
@@ -64,7 +64,7 @@ class Deviation:
     relative: float
 
 
-def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool) -> Iterator[str]:
+def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool) -> Sentences:
     """Name outliers of responses at `x` (p,), and errors whose sizes are not as assumed.
 
     The sizes are judged only if the model explains the data.
@@ -86,7 +86,7 @@ def outlying_points(nlp: CompiledProblem, x: Array, *, explained: bool) -> Itera
             yield from _unequal_sizes(part, values, len(nlp.free), len(responses))
 
 
-def _unequal_sizes(part: ResponsePart, values: Array, free: int, responses: int) -> Iterator[str]:
+def _unequal_sizes(part: ResponsePart, values: Array, free: int, responses: int) -> Sentences:
     """Say whether errors are larger in a part of the band than assumed.
 
     The `responses` share the `free` parameters.

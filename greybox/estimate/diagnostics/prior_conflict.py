@@ -1,13 +1,12 @@
 """Whether the data contradict the a-priori knowledge."""
 
 import math
-from collections.abc import Iterator
 
 from greybox.estimate.result import Fit
-from greybox.files.text_table import number, with_error
+from greybox.files.text_table import Sentences, number, with_error
 
 
-def prior_conflicts(fit: Fit) -> Iterator[str]:
+def prior_conflicts(fit: Fit) -> Sentences:
     """Warn of parameters that the data moved further than their priors allow.
 
     If prior and data agree, the shift of the mean is normal, and its variance is that of the prior
