@@ -5,7 +5,7 @@ import math
 from dataclasses import fields
 
 from greybox.cli.options import UsageError
-from greybox.files.arrays import Fields, selected
+from greybox.files.arrays import Fields, Interval, selected
 from greybox.identification.measurement import Settings
 
 # Which tests, which samples, which estimate.
@@ -59,7 +59,7 @@ def stated_choices(options: argparse.Namespace) -> Fields:
     }
 
 
-def stated_band(words: list[str]) -> tuple[float, float] | None:
+def stated_band(words: list[str]) -> Interval | None:
     """Return the band in rad/s from ``1 80``, ``0.2 12 Hz`` or ``0.2Hz 12Hz``."""
     if not words:
         return None

@@ -36,6 +36,7 @@ from greybox.files.arrays import (
     AnyArray,
     Array,
     Fields,
+    FloatPair,
     Interval,
     Labels,
     NamedStrings,
@@ -191,7 +192,7 @@ class Fit(Printed):
     notes: Strings = ()
     directions: KnownDirections | None = None
     profiles: Profiles | None = None
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, FloatPair] = field(default_factory=dict)
     prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = None
     command: Strings = ()

@@ -17,6 +17,7 @@ from greybox.files.arrays import (
     ArrayPair,
     BoolArray,
     ComplexArray,
+    FloatPair,
     IntArray,
     frozen,
 )
@@ -37,7 +38,7 @@ class Located(NamedTuple):
     omega: Array
 
     @property
-    def first(self) -> tuple[float, float]:
+    def first(self) -> FloatPair:
         """The value and the frequency of the first plant."""
         return float(self.value[0]), float(self.omega[0])
 

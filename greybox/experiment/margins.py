@@ -25,7 +25,16 @@ from greybox.experiment.loop_numbers import (
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.arrays import Array, ComplexArray, Fields, StringPair, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    Fields,
+    FloatPair,
+    StringPair,
+    Strings,
+    Values,
+    frozen,
+)
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Model
@@ -219,7 +228,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     at: Values | None = None,
     part: int = 0,
     level: float = 0.95,
-    boundary: Sequence[tuple[float, float]] = (),
+    boundary: Sequence[FloatPair] = (),
 ) -> Margins:
     """Return margins and closed-loop numbers of a plant with sampled controllers, with intervals.
 

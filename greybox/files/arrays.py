@@ -22,7 +22,8 @@ ArrayTriple = tuple[Array, Array, Array]
 ComplexPair = tuple[ComplexArray, ComplexArray]
 StringPair = tuple[str, str]  # such as a text and its cure
 Arrays = Sequence[Array]
-Interval = tuple[float, float]  # its low and its high end
+FloatPair = tuple[float, float]  # such as a value and its standard error
+Interval = FloatPair  # its low and its high end
 Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 Labels = Sequence[str]  # the same, in a list or a tuple
 

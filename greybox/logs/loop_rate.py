@@ -25,7 +25,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording, median_step
-from greybox.files.arrays import Array, ComplexArray, Values
+from greybox.files.arrays import Array, ComplexArray, FloatPair, Values
 from greybox.logs.ardupilot.filters import CONTROLLERS
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"
@@ -129,7 +129,7 @@ def thinning_error(
     )
 
 
-def _differences(per_pass: float, stride: int) -> tuple[float, float]:
+def _differences(per_pass: float, stride: int) -> FloatPair:
     """Return how far logged passes differ from all passes, in gyro samples and in their age."""
     # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import median_step
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, ArrayPair, IntArray
+from greybox.files.arrays import Array, ArrayPair, FloatPair, IntArray
 
 # `benchmarks/signal_constants.py` shows what these constants decide. Below, "of 20" means pairs of
 # noisy sines; "of 15", schedules that are clean, offset, quantized or held; "of 24", sweeps; and
@@ -295,7 +295,7 @@ def _sweep(
     return replace(piece, start=start, end=stop, band=(min(slow), max(fast)))
 
 
-def _end_frequency(crossings: Array) -> tuple[float, float]:
+def _end_frequency(crossings: Array) -> FloatPair:
     """Return the frequency half a wave beyond the first of these crossings, and at it, rad/s."""
     frequency = math.pi / np.abs(np.diff(crossings))
     beyond = float(BEYOND @ frequency)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Interval
+from greybox.files.arrays import Array, FloatPair, Interval
 from greybox.files.text_table import number, require_kind, text_table
 
 
@@ -59,7 +59,7 @@ class Parameter:
     fixed: bool = False
     starts: Interval | None = None
     scale: str = "linear"
-    prior: tuple[float, float] | None = None
+    prior: FloatPair | None = None
 
     def __post_init__(self) -> None:
         """Check the types, and the numbers against one another."""
@@ -186,7 +186,7 @@ def number_pair(value: object, what: str) -> Interval:
     return low, high
 
 
-def normal_prior(value: object, what: str) -> tuple[float, float]:
+def normal_prior(value: object, what: str) -> FloatPair:
     """Return mean and standard deviation; ValueError for anything else."""
     mean, sigma = number_pair(value, what)
     if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):

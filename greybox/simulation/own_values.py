@@ -16,7 +16,16 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen, selected
+from greybox.files.arrays import (
+    Array,
+    FloatPair,
+    IntArray,
+    Labels,
+    Strings,
+    by_name,
+    frozen,
+    selected,
+)
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
@@ -36,7 +45,7 @@ def with_own_values(
     windows: Windows,
     integrator: Integrator | None,
     own: Labels,
-) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], Strings]:
+) -> tuple[ModelAtEstimate, dict[str, FloatPair], Strings]:
     """Return the model with the values `own` estimated from the windows.
 
     Also returned are these values with their standard errors, which include those of the model's
@@ -90,7 +99,7 @@ def with_own_values(
 
 
 def _note(
-    values: Mapping[str, tuple[float, float]],
+    values: Mapping[str, FloatPair],
     parameters: Parameters,
     numbers: int,
     record: str,

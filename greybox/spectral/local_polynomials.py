@@ -33,7 +33,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.files.arrays import AnyArray, Array, ComplexArray, ComplexPair, IntArray, all_finite
+from greybox.files.arrays import (
+    AnyArray,
+    Array,
+    ComplexArray,
+    ComplexPair,
+    FloatPair,
+    IntArray,
+    all_finite,
+)
 from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -540,7 +548,7 @@ def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Ar
     return np.clip(change, -limit, limit)
 
 
-def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
+def _noise(band: Band, bands: Sequence[Band]) -> FloatPair:
     """Return the noise density in a band, by its residuals and those beside, and its dof."""
     table = np.array(
         [(math.log(b.fitted.center / band.fitted.center), b.squares, b.number) for b in bands]
@@ -558,7 +566,7 @@ def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
     return float(np.exp(-slope * away[used]) @ squares[used] / total), 2 * float(total)
 
 
-def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float]:
+def _coherence(lines: Lines, fitted: Fitted, noise: float) -> FloatPair:
     """Return the partial γ² of instrument and output, and the noise density of the input.
 
     Transients and conditioned inputs are removed. With an instrument, the coherence is the lower of

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, StringPair, Strings, Values, all_finite, by_name
+from greybox.files.arrays import Array, FloatPair, StringPair, Strings, Values, all_finite, by_name
 from greybox.files.text_table import Printed, listed, number, p_text
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -64,7 +64,7 @@ class NestedTest(Printed):
     likelihood_ratio: float
     scale: float
     statistic: float
-    dof: tuple[float, float]
+    dof: FloatPair
     p_value: float
 
     def __str__(self) -> str:

@@ -24,7 +24,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Findings
 from greybox.estimate.fitted_part import FittedRecord
-from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, FloatPair, real_and_imaginary
 from greybox.files.text_table import Sentences, listed, number, p_text, percent
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.huber import bounded, robust_deviation
@@ -165,7 +165,7 @@ def outlying_samples(records: Sequence[FittedRecord]) -> Findings:
                 )
 
 
-def _rank_correlation(a: Array, b: Array) -> tuple[float, float]:
+def _rank_correlation(a: Array, b: Array) -> FloatPair:
     """Return Spearman's rank correlation of two series (n,), and its chance if independent.
 
     Slow series have fewer independent values: n (1 - c) / (1 + c), with c the product of their
