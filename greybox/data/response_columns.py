@@ -84,7 +84,7 @@ def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
     return result
 
 
-def written_columns(header: Labels, prefix: str) -> dict[str, str]:
+def written_columns(header: Labels, prefix: str) -> NamedStrings:
     """Return the columns of a file from `write_response`, as `columns_by_role` takes them.
 
     Another table names them by their roles, as in ``frequency [Hz], magnitude [dB], phase [deg]``,

@@ -329,7 +329,7 @@ class FittedRecord(FittedPart):
         return tuple(name for name in self.data.signals if name not in self.outputs)
 
     @property
-    def between(self) -> dict[str, str]:
+    def between(self) -> NamedStrings:
         """How every input varied between its samples, in words; empty for a static model."""
         if self.is_static:
             return {}

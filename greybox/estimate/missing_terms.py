@@ -22,6 +22,7 @@ from greybox.files.arrays import (
     Array,
     ComplexArray,
     Labels,
+    NamedArrays,
     StringPair,
     Values,
     by_name,
@@ -438,7 +439,7 @@ def _constants(record: DisturbedRecord) -> Iterator[Term]:
         yield Term("input offset", ones, partial(record.by_input, 0), b=part.system.inputs[0])
 
 
-def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
+def signals_of_record(record: DisturbedRecord) -> NamedArrays:
     """Return the states, inputs with their rates, and the time of a record, (samples,)."""
     part = record.part
     signals = by_name(part.system.states, record.states)

@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment, Segments
-from greybox.files.arrays import Fields, Labels, StringPair
+from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair
 from greybox.files.text_table import some
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
@@ -142,7 +142,7 @@ def motion(recording: Recording, signal: str, tests: Segments) -> float:
     return max(spreads, default=0.0)
 
 
-def _chosen_axis(usable: Segments, axes: dict[str, str], wanted: str) -> str:
+def _chosen_axis(usable: Segments, axes: NamedStrings, wanted: str) -> str:
     """Return the axis as its tests name it: the wanted one, or that of the longest tests."""
     if wanted:
         for raw, axis in axes.items():

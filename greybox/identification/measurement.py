@@ -166,7 +166,7 @@ def named_signal(text: str) -> StringPair:
     return (name, signal) if equals else (text.rpartition(".")[2], text)
 
 
-def named_signals(texts: Labels) -> dict[str, str]:
+def named_signals(texts: Labels) -> NamedStrings:
     """Return signals by name; raise ValueError if two have the same name."""
     signals = dict(map(named_signal, texts))
     if len(signals) < len(texts):
@@ -563,7 +563,7 @@ def _about(
     filters: KnownFilters,
     used: Segments,
     settings: Settings,
-) -> dict[str, str]:
+) -> NamedStrings:
     """Return the origin of a response, for its file."""
     about = {
         "log": recording.source,

@@ -3,10 +3,10 @@
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, Named
 from greybox.files.text_table import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
@@ -39,7 +39,7 @@ def reference(model: Model) -> Fields:
     }
 
 
-def resolve(stored: Mapping[str, Any], given: Sequence[AnyModel] = ()) -> Model:
+def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
     """Return the model that a reference names: one of those `given`, or one of greybox's own.
 
     A reference comes from a file, and a file must not choose what is imported: only `given` models
