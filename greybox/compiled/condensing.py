@@ -78,7 +78,7 @@ def condense(
     gaps = (variance * multiplier[:, :, 0])[:, relaxed] ** 2 - trajectory.gaps[:, relaxed] ** 2
     lost += 0.5 * float((gaps / variance[relaxed]).sum())
 
-    hessian = (hessian + hessian.swapaxes(1, 2)) / 2
+    hessian = (hessian + hessian.mT) / 2
     slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
     by_z = slopes.reshape(-1, slope.shape[-1])
@@ -114,11 +114,11 @@ def _held_curvature(b: Linearization, variance: Array, data: SampledData, larges
         b.node_hessian, b.transition, data.coupled, forces, np.zeros_like(forces), variance
     )
     covariance = x[begins] / size[:, None]
-    values, directions = np.linalg.eigh((covariance + covariance.swapaxes(1, 2)) / 2)
+    values, directions = np.linalg.eigh((covariance + covariance.mT) / 2)
     # A state that decays within a sample has about the largest variance, and is free.
     directions *= (values > 4)[:, None] / size[:, None]
     # A step along them is shortened to less than 1e-8 of itself.
-    curvature[begins] = 1e8 * directions @ directions.swapaxes(1, 2)
+    curvature[begins] = 1e8 * directions @ directions.mT
     return curvature
 
 

@@ -120,8 +120,8 @@ class ResidualCovariance:
         root = np.linalg.cholesky(self.covariance(products))
         deviations = np.linalg.norm(root, axis=-1, keepdims=True)
         directions, sizes, _ = np.linalg.svd(root / deviations)
-        whitening = directions / sizes[..., None, :] @ directions.swapaxes(-1, -2)
-        return whitening / deviations.swapaxes(-1, -2)
+        whitening = directions / sizes[..., None, :] @ directions.mT
+        return whitening / deviations.mT
 
     def along(self, measured: Array) -> "ResidualCovariance":
         """Return the covariance for other measured values (k, samples) of the same outputs."""

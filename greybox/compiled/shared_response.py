@@ -87,7 +87,7 @@ class SharedSystem:
         count = len(self.rows)
         S = np.zeros((z.shape[1], self.states + self.outputs, self.states + self.inputs))
         S[:, self.rows[:, 0], self.rows[:, 1]] = values[:count].T
-        slopes = slopes.T.reshape(z.shape[1], len(z), -1).swapaxes(1, 2)
+        slopes = slopes.T.reshape(z.shape[1], len(z), -1).mT
         return S, values[count:].T, slopes[:, :count], slopes[:, count:]
 
     def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
@@ -208,7 +208,7 @@ class SineTest(Rebuilt):
         """
         count = harmonics.shape[1]
         [linear] = self._linear(harmonics.T, settings)
-        table = linear.T.reshape(len(harmonics), -1, count + 2).swapaxes(1, 2)
+        table = linear.T.reshape(len(harmonics), -1, count + 2).mT
         value, by_harmonics, by_settings = np.split(table, [1, 1 + count], axis=2)
         value = np.concatenate([value, by_settings @ by_z], axis=2)
         steps = -_if_regular(np.linalg.solve, by_harmonics[:, :count], value[:, :count])
@@ -275,7 +275,7 @@ class SharedResponses:
         jacobian = real_and_imaginary(slopes, 1)
         gradient = first.T[:, None] @ jacobian
         left, right = (jacobian[:, rows] for rows in self._second)
-        hessian = (left * second.T[..., None]).swapaxes(1, 2) @ right
+        hessian = (left * second.T[..., None]).mT @ right
         return cost[0], gradient[:, 0].T, hessian.reshape(len(hessian), -1).T
 
 

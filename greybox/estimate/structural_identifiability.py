@@ -308,7 +308,7 @@ def _of_trajectory(
     pairs = zip(*map(part.data.unpadded, (slopes.weighted, slopes.by_initial)), strict=True)
     rows = []
     for stretch in pairs:
-        jacobian, by_states = (J.swapaxes(1, 2).reshape(-1, J.shape[1]) for J in stretch)
+        jacobian, by_states = (J.mT.reshape(-1, J.shape[1]) for J in stretch)
         rows.append(beside(jacobian, by_states))
 
     scale = nlp.scaling.slope(x)

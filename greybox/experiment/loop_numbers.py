@@ -365,7 +365,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
             rows.append(rows[-1] @ between)
             columns.append(across @ columns[-1])
         steps = np.concatenate(rows, axis=1) @ np.concatenate(columns, axis=2)
-        steps = steps.swapaxes(1, 2)
+        steps = steps.mT
     final = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)
     # Both begin at zero, before the step.

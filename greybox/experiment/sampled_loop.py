@@ -273,12 +273,12 @@ def sampled_loop(
     whole, part = in_periods(delay, period, system.inputs)
 
     # Before a control arrives the one before it acts: exp(A t) and its integral.
-    columns = B.swapaxes(1, 2)[..., None]
+    columns = B.mT[..., None]
     alike = np.repeat(A[:, None], B.shape[2], axis=1)  # for each input, whose delay is its own
     before, first = held_response(alike, columns, part * period)
     decay, second = held_response(alike, columns, (1 - part) * period)
     transition = (decay @ before)[:, 0]
-    early, late = (block[..., 0].swapaxes(1, 2) for block in (decay @ first, second))
+    early, late = (block[..., 0].mT for block in (decay @ first, second))
     return SampledLoop(
         system.inputs,
         sensors,

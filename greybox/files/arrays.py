@@ -82,7 +82,7 @@ def real_and_imaginary(values: ComplexArray, axis: int = 0) -> Array:
 
 def of_diagonal(matrices: Array) -> Array:
     """Return the diagonals (..., k) of matrices (..., k, k)."""
-    return np.diagonal(matrices, axis1=-2, axis2=-1)
+    return np.linalg.diagonal(matrices)
 
 
 def complex_array(real: Array, imaginary: Array) -> ComplexArray:

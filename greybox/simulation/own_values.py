@@ -285,7 +285,7 @@ def _linearized(
     by_state = np.concatenate([columns[..., :n], np.broadcast_to(np.diag(root), (w, n, n))], axis=1)
     columns = np.concatenate([columns, prior], axis=1)
     basis = np.linalg.qr(by_state)[0]
-    columns = columns - basis @ (basis.swapaxes(1, 2) @ columns)
+    columns = columns - basis @ (basis.mT @ columns)
 
     # The deviations of single windows were eliminated above; now the mean is.
     flat = columns.reshape(-1, n + a + 1)

@@ -374,8 +374,8 @@ def with_implied_states(
     # Without finite slopes, an output has no finite error either.
     by_state = np.nan_to_num(np.concatenate([J[..., :n], prior], axis=1), posinf=0.0, neginf=0.0)
     size = np.maximum(np.linalg.norm(by_state, axis=1, keepdims=True), TINY)
-    inverse = np.linalg.pinv(by_state / size, 1e-10) / np.swapaxes(size, 1, 2)
-    covariance = inverse @ np.swapaxes(inverse, 1, 2)
+    inverse = np.linalg.pinv(by_state / size, 1e-10) / size.mT
+    covariance = inverse @ inverse.mT
 
     outputs_by_state = slopes[..., :n]
     variance = np.sum(outputs_by_state @ covariance[:, None] * outputs_by_state, axis=-1)

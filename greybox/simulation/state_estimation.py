@@ -187,7 +187,7 @@ def information_of(e: Array, S: Array, R: Array) -> ArrayPair:
     w, samples, k, n = S.shape
     J = (weight @ S).reshape(w, samples * k, n)
     r = (e @ weight.T).reshape(w, -1)
-    return J.swapaxes(1, 2) @ J, np.einsum("wmn,wm->wn", J, r)
+    return J.mT @ J, np.einsum("wmn,wm->wn", J, r)
 
 
 def whitening(covariance: Array) -> Array:

@@ -54,7 +54,7 @@ class ProcessNoise:
             with np.errstate(all="ignore"):
                 states = resolvents(S[:, :n, :n], system.omega) @ S[:, None, :n, n:]
                 sizes = np.median(np.abs(states), axis=0) * system.omega[:, None, None]
-            sizes = np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)[places]
+            sizes = np.nan_to_num(sizes, posinf=0.0).mT[places]
             self._terms.append((system, places, measured, weight, sizes))
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
@@ -73,7 +73,7 @@ class ProcessNoise:
             lag = np.exp(-s * delays[:, inputs])
             with np.errstate(all="ignore"):
                 errors, left, x = _whitened(term, S, lag, noise)
-                by_input = S[:, :, system.states :].swapaxes(1, 2)[:, inputs, :, None]
+                by_input = S[:, :, system.states :].mT[:, inputs, :, None]
                 by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
                 by_delay = own.T[:, None, :, None] * by_delay
             right = np.concatenate([x, lag[..., None] * own], axis=-1)
@@ -103,9 +103,9 @@ def _whitened(
     system, (at, inputs), measured, weight, _ = term
     n, outputs = system.states, system.outputs
     inverse = resolvents(S[:, :n, :n], system.omega)
-    states = lag[..., None] * (inverse @ S[:, None, :n, n:]).swapaxes(2, 3)[:, at, inputs]
-    C, D = S[:, n:, :n], S[:, n:, n:].swapaxes(1, 2)[:, inputs]
-    errors = weight * (measured - states @ C.swapaxes(1, 2) - lag[..., None] * D)
+    states = lag[..., None] * (inverse @ S[:, None, :n, n:]).mT[:, at, inputs]
+    C, D = S[:, n:, :n], S[:, n:, n:].mT[:, inputs]
+    errors = weight * (measured - states @ C.mT - lag[..., None] * D)
     by_noise = weight[..., None] * (C[:, None] @ inverse)[:, at]
     scaled = by_noise * noise[..., None, :]
     # A pole at a frequency: such trials are refused, since the sum of noise and errors is not
@@ -113,9 +113,9 @@ def _whitened(
     refused = ~(np.abs(scaled).max(axis=(-2, -1)) < 1e7)
     scaled[refused], errors[refused] = 0, np.nan
 
-    root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().swapaxes(-1, -2))
+    root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().mT)
     whitening = np.linalg.inv(root)
     errors = (whitening @ errors[..., None])[..., 0]
     left = np.concatenate([whitening @ by_noise, whitening * weight[..., None, :]], axis=-1)
-    driven = noise**2 * (left[..., :n].conj().swapaxes(-1, -2) @ errors[..., None])[..., 0]
+    driven = noise**2 * (left[..., :n].conj().mT @ errors[..., None])[..., 0]
     return errors, left, states + (inverse[:, at] @ driven[..., None])[..., 0]

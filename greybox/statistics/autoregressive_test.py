@@ -80,7 +80,7 @@ def _shared(columns: Array, filters: Arrays, outputs: Outputs, width: int) -> Ar
     signals = np.append(signals, signals[:1] != 0, axis=0)
     terms, shared = signals[1:-1], 0.0
     for lag in range(min(ORDER + 1, signals.shape[1])):
-        sums = signals[:, lag:].swapaxes(1, 2) @ signals[:, : signals.shape[1] - lag]
+        sums = signals[:, lag:].mT @ signals[:, : signals.shape[1] - lag]
         covariances = (1 - np.eye(width)) * sums[0] / np.maximum(sums[-1], 1)
         # Either output may be the later one.
         shared += (2 if lag else 1) * np.tensordot(sums[1:-1], covariances)

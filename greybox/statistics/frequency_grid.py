@@ -143,7 +143,7 @@ def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
 
 def products(a: Array, b: Array) -> Array:
     """Return the sums (p, q) over k and n of the products of arrays (k, p, n) and (k, q, n)."""
-    return (a @ b.swapaxes(1, 2)).sum(axis=0)
+    return (a @ b.mT).sum(axis=0)
 
 
 def fast_length(count: int) -> int:

@@ -634,7 +634,7 @@ class ResidualSpectra:
 def _positive(matrices: ComplexArray) -> ComplexArray:
     """Return Hermitian matrices (k, k, b) without the negative parts that approximations leave."""
     values, vectors = np.linalg.eigh(matrices.T)
-    return ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().swapaxes(1, 2)).T
+    return ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().mT).T
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:

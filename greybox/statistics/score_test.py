@@ -152,7 +152,7 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         first = basis.shape[1]
         triangles = np.linalg.cholesky(products)
         # The product of its last rows is what the first columns leave of the others.
-        rest = triangles[:, first:, first:] @ triangles[:, first:, first:].swapaxes(1, 2)
+        rest = triangles[:, first:, first:] @ triangles[:, first:, first:].mT
         left = of_diagonal(rest)
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
         logarithms = (

@@ -67,9 +67,9 @@ def shared_covariance(
     for at, (_, errors, slopes), shift in zip(bins, rows, shifts, strict=True):
         moved = errors[:, np.arange(at.size) - (shift[:, None] * at.size).astype(int)]
         sums = (at == places[:, None]) @ np.einsum("csn,cnr->snr", moved, slopes)
-        total, alone = total + sums, alone + sums.swapaxes(1, 2) @ sums
+        total, alone = total + sums, alone + sums.mT @ sums
 
-    products = total.swapaxes(1, 2) @ total - alone
+    products = total.mT @ total - alone
     by_chance = np.linalg.eigvalsh(products[1:]).max()
     values, vectors = np.linalg.eigh(products[0])
     return (vectors * values * (values > by_chance)) @ vectors.T, float(places.size)

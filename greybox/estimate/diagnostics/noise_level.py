@@ -180,7 +180,7 @@ def better_weights(accuracy: Accuracy) -> Sentences:
         return
     bread = np.array([errors.bread for errors in accuracy.parts])
     # A part may determine nothing.
-    paid = np.trace(bread, axis1=1, axis2=2) + 1e-300
+    paid = np.linalg.trace(bread) + 1e-300
     variance = np.array([np.trace(errors.meat) for errors in accuracy.parts])
     # Correlation adds no information.
     weight = paid / np.maximum(variance, paid)

@@ -241,7 +241,7 @@ def deletion_ratios(
         return np.full(n, math.nan), math.nan
 
     rows = np.stack([basis[:n], basis[n:]], axis=1)
-    M = np.eye(2) - rows @ rows.swapaxes(1, 2)
+    M = np.eye(2) - rows @ rows.mT
     is_judged = np.linalg.eigvalsh(M)[:, 0] > ROUNDING
     M[~is_judged] = np.eye(2)
     points = z.reshape(2, n).T

@@ -160,9 +160,9 @@ class ShortSegments:
 
         slope = np.array([at.slope for at in placed])
         model = (
-            np.trace(errors, axis1=1, axis2=2) / 2,
+            np.linalg.trace(errors) / 2,
             np.einsum("rap,ra->rp", slope, b.parameter_gradient),
-            slope.swapaxes(1, 2) @ b.parameter_hessian @ slope,
+            slope.mT @ b.parameter_hessian @ slope,
             b.node_hessian.reshape(r, m, n, n),
             b.cross_hessian.reshape(r, m, n, -1) @ slope[:, None],
             b.node_gradient.reshape(r, m, n),
