@@ -69,7 +69,7 @@ def stated_band(words: list[str]) -> Interval | None:
     plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()
     try:
         # The library computes in rad/s.
-        low, high = (float(word) * (2 * math.pi if in_hz else 1) for word in plain)
+        low, high = (float(word) * (math.tau if in_hz else 1) for word in plain)
     except ValueError:
         raise UsageError(
             f"--band {text} is not understood: write two frequencies, --band 1 80 or "

@@ -73,7 +73,7 @@ class Segment:
     @property
     def periods(self) -> float:
         """Duration in periods of the lowest frequency."""
-        return self.duration * self.band[0] / (2 * math.pi)
+        return self.duration * self.band[0] / math.tau
 
     def refused(self, *findings: str) -> "Segment":
         """Return the segment as not usable, with more findings."""

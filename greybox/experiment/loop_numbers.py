@@ -180,8 +180,8 @@ def margin_numbers(
 
     # Where the gain is one, and how far the phase is from -180 degrees there.
     unity = crossings(size, omega)
-    lag = np.mod(unity.between(phase) + math.pi, 2 * math.pi)
-    angle = np.degrees(np.minimum(lag, 2 * math.pi - lag))
+    lag = np.mod(unity.between(phase) + math.pi, math.tau)
+    angle = np.degrees(np.minimum(lag, math.tau - lag))
 
     # Where the gain is real and negative.
     real = crossings(gain.imag, omega)
@@ -224,7 +224,7 @@ def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexA
     first, last = gain[:, :1], gain[:, -1:]
     is_integrator = np.abs(first.imag) > np.abs(first.real)
     before = np.where(is_integrator, first, first.conj())
-    at = np.r_[-omega[0], omega, 2 * math.pi / period - omega[-1]]
+    at = np.r_[-omega[0], omega, math.tau / period - omega[-1]]
     return np.concatenate([before, gain, last.conj()], axis=1), at
 
 

@@ -321,7 +321,7 @@ def noise_density(
     for stretch in uniform_stretches(noise, [input, output]):
         count = stretch.values.shape[1]
         length = stretch.step * count
-        window = 1 - np.cos(2 * np.pi * (np.arange(count) + 0.5) / count)  # Hann
+        window = 1 - np.cos(math.tau * (np.arange(count) + 0.5) / count)  # Hann
         # A spectrum of wind changes little over a sixth of its frequency.
         reach = np.maximum(omega / 6, 2 * HZ / length)
         lines = HZ / length * np.arange(1, min(count // 2, int(max(omega + reach) * length / HZ)))

@@ -148,7 +148,7 @@ def remaining_alternation(parameters: Values, axis: str, loop: float) -> float:
     """Return the share of an alternation from pass to pass that the filter of the D term leaves."""
     cutoff = _of_controller(parameters, axis, "FLTD")
     # The gain of a first-order low-pass filter at half of the rate of the loop.
-    alpha = 1 / (1 + loop / (2 * math.pi * cutoff)) if cutoff > 0 else 1.0
+    alpha = 1 / (1 + loop / (math.tau * cutoff)) if cutoff > 0 else 1.0
     return alpha / (2 - alpha)
 
 
@@ -158,7 +158,7 @@ def low_pass(order: int, cutoff: float, omega: Array) -> ComplexArray:
 
     if cutoff <= 0:
         return np.ones(omega.size, dtype=complex)
-    polynomials = butter(order, 2 * math.pi * cutoff, analog=True)
+    polynomials = butter(order, math.tau * cutoff, analog=True)
     return freqs(*polynomials, omega)[1]  # type: ignore[arg-type]
 
 

@@ -131,7 +131,7 @@ def _one_run(data: Recording, start: float, until: float, setting: Values) -> Se
     """Return one run from its settings; the waveform lasts TR, fades included."""
     planned_end = start + setting["TR"]
     axis = int(setting["Ax"])
-    low, high = sorted((2 * math.pi * setting["FSt"], 2 * math.pi * setting["FSp"]))
+    low, high = sorted((math.tau * setting["FSt"], math.tau * setting["FSp"]))
     segment = Segment(
         start,
         planned_end,
@@ -180,7 +180,7 @@ def _announced(
 
     columns = {key: record[name] for key, name in chosen.items()}
     if "frequency" in columns:
-        columns["omega"] = 2 * np.pi * columns.pop("frequency")
+        columns["omega"] = math.tau * columns.pop("frequency")
     segments = []
     for rows in _tests(record.time, columns):
         value: Fields = {key: float(x[rows[0]]) for key, x in columns.items()}
@@ -293,7 +293,7 @@ def stretches(
     values = record[field][finite]
     # A whole turn in the unit of an angle, the jump of a heading at north.
     conversion = known_unit(unit)
-    turn = 2 * math.pi / conversion.factor if conversion and conversion.si == "rad" else 0.0
+    turn = math.tau / conversion.factor if conversion and conversion.si == "rad" else 0.0
     return unit, [
         (time[run], np.unwrap(values[run], period=turn) if turn else values[run])
         for run in runs_between_gaps(time, max(longest_gap, GAP * record.step))

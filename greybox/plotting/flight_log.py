@@ -56,7 +56,7 @@ def traces(
     # The last periods: transients have decayed, and the controller has reached the amplitude.
     if segment is not None:
         (segment,) = checked_segments([segment])
-        span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
+        span = min(segment.duration, periods * math.tau / segment.band[0])
         record = record.between(segment.end - span, segment.end)
 
     # One color for each signal: a panel may contain several.

@@ -201,7 +201,7 @@ def equation_error(
         of = rows.equation == k
         share = explained(rows.target[of], errors[of])
         count = int(of.sum())
-        band_hz = band / (2 * math.pi)
+        band_hz = band / math.tau
         left, names = equation.left, equation.parameters
         used.append(UsedEquation(left, names, share, count, band_hz, float(residuals[k])))
     return EquationErrorEstimate(

@@ -13,7 +13,7 @@ from greybox.files.arrays import Array, BoolArray, ComplexArray, Fields
 from greybox.files.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
 
-HZ = 2 * math.pi  # rad/s
+HZ = math.tau  # rad/s
 EPS = np.finfo(float).eps
 
 # Least ratio of the power of the input that the instrument explains to that of its noise. Below,

@@ -262,7 +262,7 @@ def _length(record: Record, lowest: float, segments: Segments) -> Findings:
         lowest = fewest.band[0]
     else:
         # Nothing is estimated across a gap.
-        periods = max(piece.duration for piece in record.pieces) * lowest / (2 * math.pi)
+        periods = max(piece.duration for piece in record.pieces) * lowest / math.tau
     yield from graded(
         "length",
         periods,
@@ -278,7 +278,7 @@ def _rate(
     response: FrequencyResponse | None,
     segments: Segments,
 ) -> Findings:
-    reach = 2 * math.pi * record.rate / SAMPLES[1]
+    reach = math.tau * record.rate / SAMPLES[1]
     bands = [segment.band for segment in segments]
     if response is None and any(low < reach for low, _ in bands):
         # Sweeps are cut off at this frequency, and sines above it are left out.
@@ -292,7 +292,7 @@ def _rate(
         )
         yield Finding("rate", "note", swept, text)
 
-    samples = 2 * math.pi * record.rate / highest
+    samples = math.tau * record.rate / highest
     text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} "
     yield from graded(
         "rate",

@@ -55,7 +55,7 @@ class FrequencyGrid:
         # Low edges coincide. np.unique would import masked arrays, which takes 8 ms.
         starts = starts[np.flatnonzero(np.diff(starts, prepend=-1))]
         band_weight = np.add.reduceat(weight, starts)
-        omega = np.add.reduceat(weight * 2 * np.pi * np.arange(count) / size, starts) / band_weight
+        omega = np.add.reduceat(weight * math.tau * np.arange(count) / size, starts) / band_weight
 
         return cls(size, longest, starts, weight, band_weight, omega)
 
@@ -65,7 +65,7 @@ class FrequencyGrid:
 
     def spread_out(self, values: NDArray, part: slice = slice(None)) -> NDArray:
         """Interpolate values (..., b) of the bands at the frequencies of a part: (..., f)."""
-        omega = 2 * np.pi * np.arange(len(self.weight))[part] / self.size
+        omega = math.tau * np.arange(len(self.weight))[part] / self.size
         return np.apply_along_axis(lambda row: np.interp(omega, self.omega, row), -1, values)
 
     @cached_property

@@ -67,7 +67,7 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     terms = (
         2
         / (math.pi * TERMS * a)
-        * j1(2 * math.pi * TERMS * a)
+        * j1(math.tau * TERMS * a)
         * np.exp(-2 * (math.pi * TERMS * sigma) ** 2)
     )
     # The mean of cos² over the offset.
