@@ -212,7 +212,7 @@ def solve_continuity(
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(all="ignore")
 def state_sizes(hessian: Array, transition: Array) -> Array:
     """Return the change (n,) of each state that changes the outputs by one, at once or later.
 

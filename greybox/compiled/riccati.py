@@ -28,7 +28,7 @@ from greybox.files.arrays import (
 from greybox.modeling.symbolic_reading import dense_jacobian
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(all="ignore")
 def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     """Return the covariance P (..., n, n) of states predicted by steady filters; NaN without one.
 
@@ -124,7 +124,7 @@ class NoiseModel:
     deviations: IntArray
     columns: BoolArray
 
-    @np.errstate(over="ignore", invalid="ignore")
+    @np.errstate(all="ignore")
     def at(self, q: Array) -> SteadyFilter:
         """Return the filter at the parameters q; NaN where there is none.
 

@@ -224,7 +224,7 @@ class FittedResponse(FittedPart):
     @property
     def relative_residuals(self) -> Array:
         """Magnitudes of the residuals over those of the data, (n,); not finite at a zero."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             return np.abs(self.residuals) / np.abs(self.data.response)
 
     @property

@@ -192,7 +192,7 @@ def identifiability(
 
     error = np.full(len(names), np.nan)
     insensitivity = np.full(len(names), np.nan)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
         error[places] = errors / np.abs(inside.at)
         insensitivity[places] = alone / np.abs(inside.at)

@@ -64,7 +64,7 @@ class ResponseBand:
     @property
     def offset(self) -> Array:
         """Middle of the band less the response, (2, n): log magnitude, and phase in rad."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             away: ComplexArray = np.log(self._center / self.response.response)
         return np.array([away.real, away.imag])
 
@@ -148,7 +148,7 @@ def band_of(
     `known` is the covariance of these parameters, `bias` (k,) their bias.
     """
     # An undamped zero of the fitted response has no logarithm: its relative error is infinite.
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         relative = slope / response.response[:, None]
 
     components = np.stack([slope.real, slope.imag])

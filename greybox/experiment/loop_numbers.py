@@ -358,7 +358,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
     M[:, :-1, :-1], M[:, :-1, -1], M[:, -1, -1] = A, B, 1
     rows = [np.concatenate([C, D[:, None]], axis=1)[:, None]]
     columns = [np.broadcast_to(np.eye(M.shape[1])[:, -1:], (len(M), M.shape[1], 1))]
-    with np.errstate(over="ignore", invalid="ignore"):  # unstable loops
+    with np.errstate(all="ignore"):  # unstable loops
         between = np.linalg.matrix_power(M, stride)
         across = np.linalg.matrix_power(between, length)
         for _ in range(length - 1):

@@ -60,7 +60,7 @@ def frequency_response(
     input, output = pick_signals(model, input, output)
     pade = delay_order(delay)
     # At a pole the response is infinite, which is refused below with its frequency.
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         # Plain complex numbers if possible: tests compare them with those of `Complex`.
         s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
         if isinstance(model, TransferFunction):

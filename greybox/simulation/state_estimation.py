@@ -119,7 +119,7 @@ def _halved(
     weight = whitening(R)
 
     def cost(e: Array, x: Array) -> Array:
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(all="ignore"):
             squares = ((e @ weight.T) ** 2).sum(axis=(1, 2))
         squares = np.where(np.isfinite(squares), squares, np.inf)
         return squares + (precision * (x - mean) ** 2).sum(axis=1)

@@ -133,7 +133,7 @@ def _estimates(omega: Array, u: ComplexArray, y: ComplexArray, r: ComplexArray) 
         return np.sum(np.abs(signal) ** 2, axis=0)
 
     # A line without excitation has no estimate: 0 / 0 makes its variance NaN.
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):
         a = r.conj() / np.sum(r.conj() * u, axis=0)
         response = np.sum(a * y, axis=0)
         spread = power(a)

@@ -24,7 +24,7 @@ from greybox.solve.minima import Multistart, same_cost
 from greybox.solve.runs import NOT_FINITE, Outcome, spent
 
 # Trial steps may overflow; they are then shortened.
-DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+DIVERGING = np.errstate(all="ignore")
 
 CLOSE = 0.01  # share of the variance that predictions leave where they follow the outputs closely
 
