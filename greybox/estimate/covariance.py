@@ -26,6 +26,7 @@ from greybox.files.arrays import (
     by_name,
     frozen,
     positive_or_one,
+    real_root,
 )
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
@@ -235,7 +236,7 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
         accuracy = _with_covariance(accuracy, shares, seen * size[:, None], known_noise)
 
     # Collinearity matters where an error exceeds half of a value.
-    error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
+    error = real_root(np.diag(accuracy.covariance)[:p])
     loose = ~(error < 0.5 * np.abs(x))
     reported = (c for c in suspect if np.any(loose & np.isin(nlp.free, c.names)))
     return replace(accuracy, combinations=(*combinations, *reported))

@@ -18,6 +18,7 @@ from greybox.files.arrays import (
     Strings,
     by_name,
     frozen,
+    real_root,
     unit_length,
 )
 from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
@@ -86,7 +87,7 @@ class KnownDirections:
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
         scaled = gradients * self.size
         lost = np.abs(scaled @ self.unseen) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
-        return np.where(lost.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
+        return np.where(lost.any(axis=1), np.nan, real_root(variance))
 
     def gradients(self, rows: Array, is_product: BoolArray) -> Array:
         """Return gradients (m, p) of logarithms of products of powers `rows` (m, p), or of sums."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, frozen
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, frozen, real_root
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
@@ -91,7 +91,7 @@ class ResponseBand:
         turn = np.linspace(0, 2 * np.pi, 48)
         circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
         values, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
-        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        root = vectors * real_root(values)[:, None, :]
         around = root @ circle
         around[np.isnan(self.covariance).any(axis=(1, 2))] = np.nan
         return self._center[:, None] + around[:, 0] + 1j * around[:, 1]

@@ -60,6 +60,11 @@ def positive_or_one(sizes: Array) -> Array:
     return np.where(sizes > 0, sizes, 1.0)
 
 
+def real_root(squares: Array) -> Array:
+    """Return square roots: zero of those that rounding left below zero."""
+    return np.sqrt(np.maximum(squares, 0.0))
+
+
 def as_arrays(matrices: Iterable[Any]) -> list[Array]:
     """Return matrices of CasADi as dense arrays."""
     return [matrix.full() for matrix in matrices]

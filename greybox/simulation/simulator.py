@@ -22,6 +22,7 @@ from greybox.files.arrays import (
     by_name,
     evenly_spread,
     frozen,
+    real_root,
 )
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -407,7 +408,7 @@ def _standard_errors(
             unknown = tuple(model.names[i] for i in model.uncertain[involved])
 
     # Rounding may make a variance negative.
-    return np.sqrt(np.maximum(variance, 0.0)), unknown
+    return real_root(variance), unknown
 
 
 def _depends(by_value: Array, q: Array) -> BoolArray:

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ArrayPair, all_finite, frozen, positive_or_one
+from greybox.files.arrays import Array, ArrayPair, all_finite, frozen, positive_or_one, real_root
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
@@ -258,7 +258,7 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
         return np.full(len(change), math.inf)
 
     inverse = pseudo_inverse(hessian, 1e-12)
-    errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    errors = real_root(np.diag(inverse))
     return -(inverse @ change) / positive_or_one(errors)
 
 

@@ -22,7 +22,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
-from greybox.files.arrays import Array, Arrays, ComplexArray, frozen
+from greybox.files.arrays import Array, Arrays, ComplexArray, frozen, real_root
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -275,7 +275,7 @@ def response_draws(accuracy: Accuracy, seed: int) -> Draws:
     covariance = sum((earlier for earlier, _ in known_covariances(nlp)), nothing)
     # Cholesky needs a definite matrix, and constants without errors make this one singular.
     eigenvalues, vectors = np.linalg.eigh(covariance[free:, free:])
-    root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
+    root = (vectors * real_root(eigenvalues))[:, eigenvalues > 0]
     return Draws(seed, tuple(parts), nlp.constant_values, root, about)
 
 
