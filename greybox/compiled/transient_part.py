@@ -56,10 +56,6 @@ from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.disturbed_errors import disturbed_errors
 from greybox.statistics.uneven_errors import uneven_errors
 
-# Probability of white errors below which a disturbance is named: in 1 % of 2500 fits with right
-# models, and in 91 % of those in gusts by output error.
-UNLIKELY = 0.2
-
 
 @frozen
 class Along:
@@ -395,7 +391,9 @@ class TransientPart(Part):
             lambda correction: (1.0, jacobian.T @ jacobian),
             reach,
             colored=colored,
-            disturbed=calm < UNLIKELY,
+            # So unlikely with white errors are 1 % of 2500 fits with right models, and 91 % of
+            # those in gusts by output error.
+            disturbed=calm < 0.2,
         )
 
 

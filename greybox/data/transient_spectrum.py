@@ -19,9 +19,6 @@ from greybox.files.arrays import (
 )
 from greybox.files.text_table import as_names, one_line, printable, write_out
 
-# Share of a sample that a held input takes to change: half of it is the error of when it does.
-ROUNDED = 0.02
-
 
 @frozen
 class TransientSpectrum:
@@ -161,7 +158,8 @@ class TransientSpectrum:
         rows = self.input_changes.get(name, np.zeros((2, 0)))
         shift, change = np.exp(-s * delay), np.sum(rows[1])
         # A step would be a corner of the cost where the delay reaches it, in which no search ends.
-        rise = self.step * (ROUNDED if name in self.held else 1.0)
+        # The input takes 2 % of a sample to change: half of it is the error of when it does.
+        rise = self.step * (0.02 if name in self.held else 1.0)
         times, changes = rows[:, rows[0] < delay][..., None]
         share = np.clip((delay - times) / rise, 0, 1)
         ramp = rise * share**2 / 2 + np.maximum(delay - times - rise, 0)

@@ -49,16 +49,10 @@ from greybox.statistics.score_test import (
 
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
-# Evaluations of a fit with autoregressive errors, at most: most take 3 to 8, each of which is two
-# simulations of all records, which are shortened if they are long.
-EVALUATIONS = 15
-# Largest probability at which such a fit does not explain records either. Slow gusts look like a
-# term more often than noise: of 38 right models in gusts, 8 were between this and `FALSE_ALARMS`,
-# and of 148 wrong ones without gusts none.
+# Largest probability at which a fit with autoregressive errors does not explain records either.
+# Slow gusts look like a term more often than noise: of 38 right models in gusts, 8 were between
+# this and `FALSE_ALARMS`, and of 148 wrong ones without gusts none.
 IN_GUSTS = 0.001
-# Largest probability, beside white errors, of a term in whose place functions are tested, too. In
-# 1177 simulated tests 11 functions were significant, and where they act a term was below 0.015.
-NEAR = 0.02
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
 
@@ -261,7 +255,9 @@ def _with_autoregressive_errors(
             (nlp.lower, nlp.upper),
             ftol=1e-4,
             x_scale="jac",
-            max_nfev=EVALUATIONS,
+            # Most take 3 to 8 evaluations, each of which is two simulations of all records, which
+            # are shortened if they are long.
+            max_nfev=15,
         ).x
     return x, group_at(*x)
 
@@ -529,7 +525,9 @@ def _functions(
     tested = []
     # More knots would fit the noise of short records, which lines and initial states leave.
     most = max(len(group.white_residuals) // 15, 2)
-    places = {_place(test.key) for test in tests if test.p_white < NEAR}
+    # Functions are tested in place of likely terms: in 1177 simulated tests 11 functions were
+    # significant, and where they act a term had a probability, beside white errors, below 0.015.
+    places = {_place(test.key) for test in tests if test.p_white < 0.02}
     functions = [key for key, term in terms.items() if term.knots]
     tried = [key for key in functions if _place(key) in places]
     for key in tried:

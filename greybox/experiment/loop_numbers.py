@@ -25,7 +25,6 @@ from greybox.files.arrays import (
 POINTS = 400  # in four decades below the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
 LARGEST = math.log(1e4)  # gain; the phase of two integrators, near rest, is rounding above it
-STEPS = 2**14  # most points of a step response: 70 MB for all draws
 
 
 class Located(NamedTuple):
@@ -349,7 +348,8 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
     """
     size = np.abs(loop.first.poles)
     count = max(int(math.log(1e-4) / math.log(size[size < 1 - 1e-7].max(initial=0.5))), 100)
-    stride = -(-count // STEPS)
+    # So many points of a step response take 70 MB for all draws.
+    stride = -(-count // 2**14)
     length = math.isqrt(count // stride) + 1
     A, B, C, D = loop.closed(setpoint, response)
 

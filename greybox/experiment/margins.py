@@ -68,7 +68,6 @@ LEAST = ("modulus margin", "disturbance rejection peak")
 
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
 MAIN = ("phase margin", "gain margin", "delay margin", "crossover")  # of a table of many loops
-SPARSE = 3.0  # ratio of neighboring frequencies; sines at 0.6, 1.7 and 4.5 rad/s stay below it
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
@@ -530,7 +529,8 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     if "phase margin 2" in numbers:
         notes.append("The gain is one at several frequencies; the smallest margin counts.")
     widest = math.exp(np.diff(points).max(initial=0.0))
-    if widest > SPARSE:
+    # Sines at 0.6, 1.7 and 4.5 rad/s stay below this ratio.
+    if widest > 3.0:
         notes.append(
             f"Neighboring points differ by up to a factor of {number(widest, 2)} in frequency, and "
             "lines are assumed between them: measure more of them near the crossings."

@@ -16,7 +16,6 @@ from greybox.plotting.signals import shown_unit
 # Setpoint and angle of each axis, as ArduPilot logs them.
 ATTITUDE = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.DesYaw", "ATT.Yaw"))
 ORANGE = 1  # color of tests that are not usable
-PANELS = 6  # signals of a log without attitudes: more would not fit a page
 
 
 def traces(
@@ -106,9 +105,10 @@ def recording(
     require_drawable(recording, Recording, "the Recording that gb.read returns")
     segments = checked_segments(segments)
     signals = recording.signal_names
+    # Without attitudes, more signals would not fit a page.
     names = [
         [name for name in pair if name in signals] for pair in ATTITUDE if pair[1] in signals
-    ] or [[name] for name in signals[:PANELS]]
+    ] or [[name] for name in signals[:6]]
     if not names:
         raise ValueError(f"{recording.source or 'the recording'} has no signal to draw.")
 

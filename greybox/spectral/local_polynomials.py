@@ -55,7 +55,6 @@ NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
 # order less leaves an error as small as that of the response.
 TRANSIENT_ORDER = 1
 
-EXTRA = 2  # additional orders in the check of the polynomials
 DOUBLED = 2  # width of the band of that check over the width of the band
 GROWTH = DOUBLED ** (ORDER + 2)  # growth of the error at the nodes in that wider band
 
@@ -65,17 +64,7 @@ GROWTH = DOUBLED ** (ORDER + 2)  # growth of the error at the nodes in that wide
 VISIBLE = 4.6
 CERTAIN = 9.2
 
-# Relative error of the polynomials that never matters: a thousandth of a dB.
-NEGLIGIBLE = 1e-4
-
-# Share of the squared error that remains after the correction by a pole, and enters the variance.
-UNCORRECTED = 0.01
-
 LEAST_RESIDUALS = 3  # complex residuals in the narrowest band of a point: six degrees of freedom
-
-# Largest share of the lines of the narrowest band that transients may use; several short stretches
-# need many of them.
-TRANSIENT_SHARE = 0.5
 
 # Residuals from which the noise is estimated: 24 degrees of freedom. A band with fewer residuals
 # uses those of the bands beside it, up to an octave away.
@@ -199,7 +188,8 @@ class Band(NamedTuple):
 
     def corrected(self, error: ComplexArray) -> "Band":
         """Subtract an error (k,) that is known for a response near the true one."""
-        remaining = self.squared_error + UNCORRECTED * np.abs(error) ** 2
+        # A hundredth of the squared error remains after the correction by a pole.
+        remaining = self.squared_error + 0.01 * np.abs(error) ** 2
         return self._replace(correction=self.correction + error, squared_error=remaining)
 
 
@@ -283,10 +273,8 @@ def _narrowest(lines: Lines, omega: float) -> float:
             fit_band(lines, center + shift * lines.spacing, half, residuals=LEAST_RESIDUALS)
             for shift in (0.0, 0.25, 0.5)
         ]
-        if all(
-            fit is not None and fit.transients.shape[1] <= TRANSIENT_SHARE * fit.rows.size
-            for fit in fits
-        ):
+        # Transients may use half of the lines; several short stretches need many of them.
+        if all(fit is not None and fit.transients.shape[1] <= 0.5 * fit.rows.size for fit in fits):
             return 2 * half
         half_lines += 1
 
@@ -442,7 +430,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> Band:
     squares *= fitted.number / fitted.trace()
     plain = Band(fitted, omega, 0j * omega, 0 * omega, squares, fitted.number)
     quadratic, quartic = (
-        fit_band(lines, fitted.center, DOUBLED * fitted.half, extra=extra) for extra in (0, EXTRA)
+        fit_band(lines, fitted.center, DOUBLED * fitted.half, extra=extra) for extra in (0, 2)
     )
     if quadratic is None or quartic is None or not np.array_equal(quadratic.rows, quartic.rows):
         return plain
@@ -454,8 +442,9 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> Band:
     squared = np.abs(weights @ y) ** 2
     variance = noise * np.sum(np.abs(weights) ** 2, axis=1)
     response = fitted.weights(omega) @ lines.values[1, fitted.rows]
+    # A relative error of 1e-4, a thousandth of a dB, never matters.
     if not np.any(
-        (squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))
+        (squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * 1e-4 * np.abs(response))
     ):
         return plain
 

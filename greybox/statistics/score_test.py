@@ -24,7 +24,6 @@ from greybox.statistics.neighbor_correlation import slow_errors
 # Share of the length of a term that must remain beside the parameters: less is an error of the
 # integration, or the effect of another parameter.
 REMAINS = 0.01
-PRINCIPAL = 0.2  # of the longest direction of terms that are tested together
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
@@ -101,7 +100,8 @@ def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Arr
     squares, axes = np.linalg.eigh(effects.T @ effects)
     lengths = real_root(squares)
     longest = max(np.linalg.norm(terms, axis=0), default=0.0)
-    kept = lengths > max(PRINCIPAL * max(lengths, default=0.0), REMAINS * longest)
+    # Directions shorter than a fifth of the longest are not tested.
+    kept = lengths > max(0.2 * max(lengths, default=0.0), REMAINS * longest)
     directions = axes[:, kept] / lengths[kept]
     share = np.sum((residuals @ effects @ directions) ** 2) / (residuals @ residuals + TINY)
     remaining = len(residuals) - basis.shape[1] - np.sum(kept)

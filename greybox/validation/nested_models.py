@@ -33,8 +33,6 @@ from greybox.validation.same_data import (
     other_samples,
 )
 
-LEAST_DOF = 3  # with fewer, F of one term is significant only above 18
-
 
 @dataclass(frozen=True, repr=False)
 class NestedTest(Printed):
@@ -72,10 +70,8 @@ class NestedTest(Printed):
         rejected = f"rejected by the test against {self.large}"
         if self.p_value < SIGNIFICANT:
             verdict = f"{verb} needed: {self.small} is {rejected}"
-        elif (
-            self.dof[1] < LEAST_DOF
-            or f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT
-        ):
+        # With fewer than three degrees of freedom, F of one term is significant only above 18.
+        elif self.dof[1] < 3 or f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT:
             # The same ratio would be significant with more degrees of freedom.
             verdict = (
                 f"may be needed: the residuals are too correlated, or too few, to tell "

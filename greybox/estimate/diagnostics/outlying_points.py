@@ -33,14 +33,6 @@ from greybox.statistics.metrics import is_resolved, size_test
 # Share of fits to clean data in which any point is called an outlier.
 SIZE = 0.01
 
-# Factor on the variance of an estimate above which outlying samples are reported: standard errors
-# are 12 % larger. Normal errors have 0.95.
-NOTICEABLE = 1.25
-
-# Rank correlation of the size of errors with an output above which they are called proportional:
-# errors of one relative size have 0.3 to 0.8, and below it intervals hardly change.
-FOLLOWS = 0.2
-
 # Share of a point's residual that is a rounding error.
 ROUNDING = 1e-9
 
@@ -135,7 +127,9 @@ def outlying_samples(records: Sequence[FittedRecord]) -> Findings:
             shown = measured[:: 1 + len(measured) // 30_000]
             r, chance = _rank_correlation(size[shown], np.abs(part.simulated[output][shown]))
             # Rounding follows what is rounded.
-            follows = r > FOLLOWS and chance < SIZE / len(part.outputs)
+            # Errors of one relative size have rank correlations of 0.3 to 0.8 with an output, and
+            # below 0.2 intervals hardly change.
+            follows = r > 0.2 and chance < SIZE / len(part.outputs)
             if follows and is_resolved(residual[0], part.data[output]):
                 yield (
                     f"{output} sizes",
@@ -153,7 +147,9 @@ def outlying_samples(records: Sequence[FittedRecord]) -> Findings:
             if not count:
                 continue
             gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
-            if gain > NOTICEABLE:
+            # At this factor on the variance standard errors are 12 % larger. Normal errors have
+            # 0.95.
+            if gain > 1.25:
                 largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[:count][:4]]]
                 yield (
                     output,

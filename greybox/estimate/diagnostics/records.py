@@ -38,9 +38,6 @@ EVIDENCE = 4.0
 # Fourier frequencies with the information on the parameters, at least. Errors at fewer follow from
 # their spectrum at others: with 1/f noise, intervals of 95 % held in 90 % of such fits.
 FEWEST_LINES = 8.0
-# Share of the variance beyond which noise that feedback returns to an unstable model biases output
-# error: 10 to 14 % by 0.6 to 1.5 standard errors, and 1 to 4 % by less than the intervals leave.
-ANSWERED = 0.1
 
 
 def finding_warnings(nlp: CompiledProblem) -> Sentences:
@@ -95,7 +92,9 @@ def record_warnings(answer: Fit, accuracy: Accuracy, *, noisy: bool) -> Strings:
     misfit, explained = answer.misfit, answer.is_explained
     pairs = accuracy.nlp.rows_of(RecordPart, answer.parts)
     unstable = bool(misfit and misfit.is_unstable)
-    answered = bool(misfit and unstable and (misfit.left > ANSWERED or not explained))
+    # Noise that feedback returns to an unstable model biases output error: with 10 to 14 % of the
+    # variance by 0.6 to 1.5 standard errors, with 1 to 4 % by less than the intervals leave.
+    answered = bool(misfit and unstable and (misfit.left > 0.1 or not explained))
 
     return (
         *(once(_slow(answer, accuracy)) if noisy and explained else ()),
