@@ -200,7 +200,7 @@ def solve_continuity(
     bands[:, n:, 2 * width + n] = link  # of a multiplier, in the row of the next state
     bands[1:, :n, 2 * width - n] = link[:-1]
 
-    right = np.concatenate([stationarity * size[:, None], gaps], axis=1).reshape(2 * n * s, r)
+    right = np.hstack([stationarity * size[:, None], gaps]).reshape(2 * n * s, r)
     matrix = bands.reshape(2 * n * s, -1).T
     # It works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
     (gbsv,) = get_lapack_funcs(("gbsv",), (matrix, right))

@@ -24,6 +24,7 @@ from greybox.files.arrays import (
     Fields,
     Strings,
     as_arrays,
+    column_lengths,
     complex_array,
     frozen,
     real_and_imaginary,
@@ -256,7 +257,7 @@ class ResponsePart(Part):
 
         residuals = (data.response - response)[:, None]
         errors = criterion.jacobian(response, residuals, data)[:, 0]
-        reach = np.linalg.norm(jacobian, axis=0)
+        reach = column_lengths(jacobian)
         return Information(
             self,
             jacobian,

@@ -270,7 +270,7 @@ class SharedResponses:
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
         # All responses (k, N), and their derivatives (k, N, p).
-        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
+        values, slopes = (np.hstack(piece)[:, self._order] for piece in pieces)
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 1)
         gradient = first.T[:, None] @ jacobian

@@ -39,6 +39,7 @@ from greybox.files.arrays import (
     Strings,
     all_finite,
     as_arrays,
+    column_lengths,
     frozen,
     positive_or_one,
     real_and_imaginary,
@@ -307,7 +308,7 @@ class TransientPart(Part):
         variance = np.stack([hermitian.real, hermitian.imag], axis=1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
-        reach = np.linalg.norm(np.vstack([rows, variance]), axis=0)
+        reach = column_lengths(np.vstack([rows, variance]))
 
         return outside(rows, at.taken), variance, reach
 
@@ -448,7 +449,7 @@ def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -
     for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
         rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
-        size = positive_or_one(np.linalg.norm(rows, axis=0))
+        size = positive_or_one(column_lengths(rows))
         # Smaller singular values are rounding, as for a state that no output shows.
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size
         remaining = errors - basis @ ends

@@ -144,7 +144,7 @@ def regression_of_record(
         return np.vstack([*map(outside, by_stretch(values), taken)])
 
     by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
-    with_effects = np.concatenate([record.residuals[:, None], constants.effects], axis=1)
+    with_effects = np.hstack([record.residuals[:, None], constants.effects])
     firsts = np.cumsum([0, *(row.size for row in present)])
     outputs = [
         [

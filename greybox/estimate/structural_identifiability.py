@@ -29,6 +29,7 @@ from greybox.files.arrays import (
     Values,
     all_finite,
     by_name,
+    column_lengths,
     frozen,
     positive_or_one,
 )
@@ -257,7 +258,7 @@ def _of_responses(
     if not (all_finite(seen) and np.any(seen)):
         return None
     jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]
-    return _Sensitivity(nlp, _directions(x, jacobian, np.linalg.norm(jacobian, axis=0)), {})
+    return _Sensitivity(nlp, _directions(x, jacobian, column_lengths(jacobian)), {})
 
 
 def _of_record(

@@ -224,7 +224,7 @@ def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexA
     is_integrator = np.abs(first.imag) > np.abs(first.real)
     before = np.where(is_integrator, first, first.conj())
     at = np.r_[-omega[0], omega, math.tau / period - omega[-1]]
-    return np.concatenate([before, gain, last.conj()], axis=1), at
+    return np.hstack([before, gain, last.conj()]), at
 
 
 def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
@@ -356,7 +356,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
     # With the constant input as a state, sample k is the row [C D] M^k of the column of the input.
     M = np.zeros((len(A), len(A[0]) + 1, len(A[0]) + 1))
     M[:, :-1, :-1], M[:, :-1, -1], M[:, -1, -1] = A, B, 1
-    rows = [np.concatenate([C, D[:, None]], axis=1)[:, None]]
+    rows = [np.hstack([C, D[:, None]])[:, None]]
     columns = [np.broadcast_to(np.eye(M.shape[1])[:, -1:], (len(M), M.shape[1], 1))]
     with np.errstate(all="ignore"):  # unstable loops
         between = np.linalg.matrix_power(M, stride)
@@ -364,7 +364,7 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
         for _ in range(length - 1):
             rows.append(rows[-1] @ between)
             columns.append(across @ columns[-1])
-        steps = np.concatenate(rows, axis=1) @ np.concatenate(columns, axis=2)
+        steps = np.hstack(rows) @ np.concatenate(columns, axis=2)
         steps = steps.mT
     final = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)

@@ -218,7 +218,7 @@ class SampledLoop:
         # Every past control becomes the next older one.
         following[:, controls:] = np.eye(size - controls, size + 1, controls - 1)
         following[:, newest] = u
-        read = np.concatenate([y, total], axis=1)[:, self.signals.index(signal)]
+        read = np.hstack([y, total])[:, self.signals.index(signal)]
         return following[..., :-1], following[..., -1], read[:, :-1], read[:, -1]
 
     @cached_property

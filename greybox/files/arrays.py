@@ -75,6 +75,11 @@ def evenly_spread(count: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
 
+def column_lengths(columns: Any) -> Array:
+    """Return the lengths of the columns of a matrix."""
+    return np.linalg.norm(columns, axis=0)
+
+
 def unit_length(vectors: Array, axis: int) -> Array:
     """Return vectors along an axis divided by their lengths; zeros stay."""
     return vectors / positive_or_one(np.linalg.norm(vectors, axis=axis, keepdims=True))

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segments
-from greybox.files.arrays import Array, ComplexArray, Interval, frozen, real_root
+from greybox.files.arrays import Array, ComplexArray, Interval, column_lengths, frozen, real_root
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
@@ -139,7 +139,7 @@ def _thinned(
         finding = Finding("logging", "warning", thinned.logged, text)
         return SystematicError("thinned log", np.zeros(len(response)), finding)
     common = thinning_error(thinned, recording, axis, response)
-    relative = np.linalg.norm(common, axis=0)
+    relative = column_lengths(common)
     text = (
         f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all "
         f"frequencies and a fitted gain have in common; to log every pass, {thinned.cure}."

@@ -345,7 +345,7 @@ def _part_of(sine: Segment, sweep: Segment) -> bool:
 
 def _factors(t: Array, x: Array, omega: float, columns: int) -> Array:
     """Return the factors on these waves whose sum is closest to x (n,)."""
-    return np.linalg.lstsq(_waves(t, omega, columns), x, rcond=None)[0]
+    return np.linalg.lstsq(_waves(t, omega, columns), x)[0]
 
 
 def _waves(x: Array, omega: float, columns: int) -> Array:

@@ -282,8 +282,8 @@ def _linearized(
     deviation = np.where(used.any(axis=(1, 2))[:, None], initial.states - initial.mean, 0.0)
     prior = np.zeros((w, n, n + a + 1))
     prior[..., -1] = -root * deviation
-    by_state = np.concatenate([columns[..., :n], np.broadcast_to(np.diag(root), (w, n, n))], axis=1)
-    columns = np.concatenate([columns, prior], axis=1)
+    by_state = np.hstack([columns[..., :n], np.broadcast_to(np.diag(root), (w, n, n))])
+    columns = np.hstack([columns, prior])
     basis = np.linalg.qr(by_state)[0]
     columns = columns - basis @ (basis.mT @ columns)
 

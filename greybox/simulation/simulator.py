@@ -373,7 +373,7 @@ def with_implied_states(
     J = (whitening(noise) @ informing).reshape(w, -1, slopes.shape[-1])
     prior = np.broadcast_to(np.diag(np.sqrt(precision)), (w, n, n))
     # Without finite slopes, an output has no finite error either.
-    by_state = np.nan_to_num(np.concatenate([J[..., :n], prior], axis=1), posinf=0.0, neginf=0.0)
+    by_state = np.nan_to_num(np.hstack([J[..., :n], prior]), posinf=0.0, neginf=0.0)
     size = np.maximum(np.linalg.norm(by_state, axis=1, keepdims=True), TINY)
     inverse = np.linalg.pinv(by_state / size, 1e-10) / size.mT
     covariance = inverse @ inverse.mT

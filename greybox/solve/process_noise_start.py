@@ -81,7 +81,7 @@ class ProcessNoise:
             # Only the entries that depend on z; rows (entry, frequency and input, output).
             moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
             i, j = system.rows[moving].T
-            slopes = np.concatenate([slopes[:, moving], delay_slopes], axis=1)
+            slopes = np.hstack([slopes[:, moving], delay_slopes])
             left, right = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)[..., None]
             for c in range(k):
                 rows = np.concatenate([-left[i, c] * right[j, c], by_delay[:, c]])

@@ -85,7 +85,7 @@ def spectral_line(t: Array, x: Array, omega: float) -> ComplexArray:
 
 def _coefficients(columns: Array, x: Array) -> Array:
     # The columns are few and well scaled, so that normal equations are as accurate as QR.
-    return np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
+    return np.linalg.lstsq(columns @ columns.T, columns @ x.T)[0]
 
 
 def sine_and_cosine(time: Array, omega: float, origin: float) -> Array:

@@ -41,6 +41,7 @@ from greybox.files.arrays import (
     FloatPair,
     IntArray,
     all_finite,
+    column_lengths,
 )
 from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
@@ -206,7 +207,7 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
 
     together = np.concatenate(omega)
     order = np.argsort(together, kind="stable")
-    together, signals = together[order], np.concatenate(values, axis=1)[:, order]
+    together, signals = together[order], np.hstack(values)[:, order]
     return Lines(
         together,
         signals,
@@ -354,7 +355,7 @@ def _in_band(
 
 def _solved(regressors: ComplexArray, instruments: ComplexArray) -> ComplexPair | None:
     """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None if ill conditioned."""
-    x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
+    x_length, z_length = (column_lengths(columns) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):
         return None
     # With an orthonormal basis of the instruments, the condition number is that of the problem, not

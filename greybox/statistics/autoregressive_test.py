@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from greybox.files.arrays import Array, Arrays, IntArray
+from greybox.files.arrays import Array, Arrays, IntArray, column_lengths
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance
 
@@ -115,7 +115,7 @@ def autoregressive_p_values(
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
     values = np.column_stack([residuals, basis, outside(terms, basis)])
-    values /= np.linalg.norm(values, axis=0) + TINY
+    values /= column_lengths(values) + TINY
     # Each test is fitted with the parameters, without the others; the last fit has no term.
     first, size = 1 + basis.shape[1], np.array(sizes or [1] * terms.shape[1], dtype=int)
     tests = np.repeat(np.eye(len(size) + 1, len(size)), size, axis=1)

@@ -624,7 +624,7 @@ class ResidualSpectra:
         scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
         stretches = []
         for J, X in zip(self.weighted, self.initial, strict=True):
-            A = np.concatenate([self.directions.T @ J, X], axis=1)
+            A = np.hstack([self.directions.T @ J, X])
             transform = self.grid.transform(A, np.eye(A.shape[1]), self.deviation)
             first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
             stretches.append((A, transform, first, taken))

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayTriple, of_diagonal, real_root
+from greybox.files.arrays import Array, ArrayTriple, column_lengths, of_diagonal, real_root
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.neighbor_correlation import slow_errors
 
@@ -99,7 +99,7 @@ def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Arr
     # and only those beyond a fifth of the largest matter.
     squares, axes = np.linalg.eigh(effects.T @ effects)
     lengths = real_root(squares)
-    longest = max(np.linalg.norm(terms, axis=0), default=0.0)
+    longest = max(column_lengths(terms), default=0.0)
     # Directions shorter than a fifth of the longest are not tested.
     kept = lengths > max(0.2 * max(lengths, default=0.0), REMAINS * longest)
     directions = axes[:, kept] / lengths[kept]

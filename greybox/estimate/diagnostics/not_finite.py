@@ -103,7 +103,7 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     # A state is simulated to the next sample, also at the end of a segment.
     segments = len(trajectory.ends), sampled.segment_length, part.states
     within = x.T.reshape(segments)[:, 1:]
-    later = np.concatenate([within, trajectory.ends[:, None]], axis=1).reshape(x.T.shape).T
+    later = np.hstack([within, trajectory.ends[:, None]]).reshape(x.T.shape).T
 
     # Later values that are not finite follow from the first.
     lost = ~np.isfinite(np.vstack([slopes, residual, later]))
