@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from greybox.compiled.part import ColoredErrors
-from greybox.files.arrays import Array, Arrays
+from greybox.files.arrays import Array, Arrays, sum_of_squares
 from greybox.statistics.residual_spectrum import colored_information
 
 
@@ -65,7 +65,7 @@ def colored_errors(
 
     # The share of these residuals that the parameters absorb, and of white ones of equal variance.
     paid = effect.taken_of_white
-    squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
+    squares = sum(sum_of_squares(weight @ e) for e in residuals) / max(numbers, 1)
     factor = max(effect.taken / max(paid * squares, 1e-300), 1.0)
 
     independent = independent_numbers(numbers, initial_states, paid, factor)

@@ -19,6 +19,7 @@ from greybox.files.arrays import (
     by_name,
     frozen,
     real_root,
+    sum_of_squares,
     unit_length,
 )
 from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
@@ -448,7 +449,7 @@ def collinear_groups(
     _, singular, rows = np.linalg.svd(triangle_of(unit), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
     # The smallest singular values belong to the invisible directions, which have groups already.
-    seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
+    seen = len(rows) - round(sum_of_squares(invisible[inside]))
     groups: dict[frozenset[str], Combination] = {}
 
     for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):

@@ -29,7 +29,15 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import KNOTS, Term, constants_of_record, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, Arrays, Labels, Strings, column_lengths, frozen
+from greybox.files.arrays import (
+    Array,
+    Arrays,
+    Labels,
+    Strings,
+    column_lengths,
+    frozen,
+    sum_of_squares,
+)
 from greybox.files.text_table import numbered_where_alike
 from greybox.modeling.added_terms import Formula
 from greybox.solve.local_solver import LocalSolver
@@ -367,7 +375,7 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
         for weights, rows in zip(group.filters, group.outputs, strict=True)
         if any(map(len, rows))
     ]
-    squares = float(np.sum(group.residuals**2)) + TINY
+    squares = sum_of_squares(group.residuals) + TINY
     misfit = Misfit(
         left,
         noise,
@@ -406,7 +414,7 @@ def _shares(
     """
     residuals = group.residuals
     without, remainder = (
-        float(np.sum(beside(group.white_residuals, fitted) ** 2))
+        sum_of_squares(beside(group.white_residuals, fitted))
         for fitted in (group.basis, np.hstack([group.basis, white[:, :TOGETHER]]))
     )
     explained = len(white) * (1 - remainder / (without + TINY)) + TINY

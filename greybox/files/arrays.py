@@ -75,6 +75,11 @@ def evenly_spread(count: int, most: int) -> IntArray:
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
 
+def sum_of_squares(values: AnyArray) -> float:
+    """Return the sum of the squared magnitudes of an array."""
+    return float(np.sum(np.abs(values) ** 2))
+
+
 def column_lengths(columns: Any) -> Array:
     """Return the lengths of the columns of a matrix."""
     return np.linalg.norm(columns, axis=0)

@@ -42,6 +42,7 @@ from greybox.files.arrays import (
     IntArray,
     all_finite,
     column_lengths,
+    sum_of_squares,
 )
 from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
@@ -427,7 +428,7 @@ def _beside(
 
 def _judged(lines: Lines, fitted: Fitted, omega: Array) -> Band:
     """Return the band evaluated at `omega`, with an error if its polynomials are visibly wrong."""
-    squares = float(np.sum(np.abs(fitted.residuals(lines.values[1, fitted.rows])) ** 2))
+    squares = sum_of_squares(fitted.residuals(lines.values[1, fitted.rows]))
     squares *= fitted.number / fitted.trace()
     plain = Band(fitted, omega, 0j * omega, 0 * omega, squares, fitted.number)
     quadratic, quartic = (
@@ -493,7 +494,7 @@ def _with_pole(lines: Lines, band: Band) -> Band | None:
     numerator = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1]
     response = numerator * (center / omega) / (1 + pole * at)
     correction = fitted.weights(omega) @ output[places] - response
-    squares = float(np.sum(np.abs(y - output) ** 2))
+    squares = sum_of_squares(y - output)
     if not all_finite(correction, squares):
         return None
     return band._replace(squares=squares, number=number).corrected(correction)
@@ -570,7 +571,7 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> FloatPair:
 
     def unexplained(signal: ComplexArray, basis: AnyArray) -> float:
         residual = _without(basis, signal)
-        return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
+        return sum_of_squares(residual) / (n - basis.shape[1])
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
     if lines.direct:
