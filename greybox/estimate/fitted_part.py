@@ -428,6 +428,3 @@ class FittedSpectrum(FittedPart):
         # The mean is not subtracted, unlike in time: a band above zero frequency contains none.
         size = np.linalg.norm(self.data.outputs[output])
         return float(100 * (1 - np.linalg.norm(self.residual(output)) / size)) if size else math.nan
-
-
-AnyFittedPart = FittedResponse | FittedRecord | FittedSpectrum

@@ -13,7 +13,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.discretization import pade_error
-from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import response_and_slope
 from greybox.files.arrays import Array, Fields, NamedArrays, Values, all_finite, by_name, selected
 from greybox.formulation.problem import Problem
@@ -25,7 +25,7 @@ from greybox.modeling.one_thread import traced_once
 
 def fitted_part(
     part: Part, trajectory: Trajectory | None, x: Array, values: Values
-) -> AnyFittedPart:
+) -> FittedResponse | FittedRecord | FittedSpectrum:
     """Return the values of a part that are stored in an answer.
 
     Parameters

@@ -22,12 +22,6 @@ import numpy as np
 from greybox.compiled.shared_response import resolvents
 from greybox.files.arrays import Array, ArrayTriple, ComplexArray, positive_or_one
 
-# Noise over the derivatives of the states, with relative errors of one in the responses: at first,
-# for every second pair of starts, and over that, stage by stage. Starts with much noise and starts
-# with less miss different minima of two flexible modes.
-FIRST = 30.0, 3.0
-STAGES = 1.0, 0.1, 0.01
-
 
 class ProcessNoise:
     """The mean squared error with process noise, with gradient and Gauss-Newton Hessian."""

@@ -23,10 +23,6 @@ STRONG = 10
 
 COHERENT = 0.6  # least coherence of an automatic point: Tischler and Remple, section 5.5
 
-# Largest condition number of the normal equations with columns of length one. Rounding errors of
-# the solution reach this times 2e-16.
-WORST_CONDITION = 1e6
-
 
 class EstimatedPoints(NamedTuple):
     """The estimates at frequencies (n,); the variances are NaN where the instrument is `weak`."""

@@ -1,4 +1,4 @@
-"""Which parameters the data determine, alone or in combination."""
+"""Which parameters the data determine, alone or in combination; whether they contradict priors."""
 
 import math
 
@@ -8,7 +8,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
-from greybox.files.text_table import Sentences, counted, listed
+from greybox.files.text_table import Sentences, counted, listed, number, with_error
 
 
 def not_determined(accuracy: Accuracy) -> Sentences:
@@ -121,3 +121,25 @@ def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
 
     for limit in accuracy.active:
         yield f"{limit} holds with equality: standard errors treat it as known."
+
+
+def prior_conflicts(fit: Fit) -> Sentences:
+    """Warn of parameters that the data moved further than their priors allow.
+
+    If prior and data agree, the shift of the mean is normal, and its variance is that of the prior
+    less that of the estimate. Source: Evans and Moshonov (2006), Checking for prior-data conflict,
+    Bayesian Analysis 1(4), for normal densities.
+    """
+    for name, (mean, sigma) in fit.priors.items():
+        q = fit.by_name[name]
+        moved = sigma**2 - q.standard_error**2
+        # An error beyond that of the prior has grown with the residuals that a conflict leaves.
+        spread = math.sqrt(moved) if moved > 0 else sigma
+        deviations = abs(q.value - mean) / spread
+        if deviations > 3:
+            value, deviation = with_error(mean, sigma)
+            yield (
+                f"the data contradict the prior of {name}, {value} ± {deviation}: the estimate "
+                f"{number(q.value)} is {number(deviations, 2)} standard deviations "
+                "away. Check the prior and the model."
+            )
