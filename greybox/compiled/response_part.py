@@ -22,6 +22,7 @@ from greybox.files.arrays import (
     ArrayPair,
     ComplexArray,
     Fields,
+    Indices,
     Strings,
     as_arrays,
     column_lengths,
@@ -207,7 +208,7 @@ class ResponsePart(Part):
         self,
         names: Strings,
         values: Array,
-        uncertain: tuple[int, ...],
+        uncertain: Indices,
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:

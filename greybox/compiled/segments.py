@@ -25,7 +25,7 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
-from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, IntArray
+from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, Indices, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
@@ -384,7 +384,7 @@ class SubstepDerivatives:
 
     @one_thread_at_a_time
     def __init__(
-        self, step: SampleStep, active: Sequence[int], *, simulated: bool, shared: tuple[int, ...]
+        self, step: SampleStep, active: Sequence[int], *, simulated: bool, shared: Indices
     ) -> None:
         x, q, d = step.measurement.sx_in()
         corrected, mean, change, residual, output = step.measurement(x, q, d)

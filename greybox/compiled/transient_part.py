@@ -34,6 +34,7 @@ from greybox.files.arrays import (
     ArrayPair,
     ArrayTriple,
     ComplexArray,
+    Indices,
     Labels,
     Named,
     Strings,
@@ -352,7 +353,7 @@ class TransientPart(Part):
         self,
         names: Strings,
         values: Array,
-        uncertain: tuple[int, ...],
+        uncertain: Indices,
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:

@@ -24,6 +24,7 @@ StringPair = tuple[str, str]  # such as a text and its cure
 Arrays = Sequence[Array]
 FloatPair = tuple[float, float]  # such as a value and its standard error
 Interval = FloatPair  # its low and its high end
+Indices = tuple[int, ...]  # of parameters, states, rows or runs
 Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 Labels = Sequence[str]  # the same, in a list or a tuple
 

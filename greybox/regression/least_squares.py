@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, column_lengths, frozen, positive_or_one
+from greybox.files.arrays import Array, Indices, IntArray, column_lengths, frozen, positive_or_one
 from greybox.statistics.column_space import triangle_of
 
 
@@ -46,7 +46,7 @@ class Rows:
         return np.sqrt(np.where(total > 0, total / np.maximum(size, 1), 1.0))
 
 
-def undetermined(slopes: Array) -> list[tuple[int, ...]]:
+def undetermined(slopes: Array) -> list[Indices]:
     """Return the columns without effect, and sets of columns with a combination without effect."""
     from scipy.linalg import null_space  # noqa: PLC0415  (imports slowly)
 
