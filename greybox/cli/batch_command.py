@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, save_figure
@@ -12,6 +11,7 @@ from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inpu
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.terminal import write
 from greybox.cli.workers import stated_executor
+from greybox.files.arrays import Fields
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError
@@ -125,7 +125,7 @@ def _listed(members: Sequence[Member]) -> Answer:
     return {"starts": starts}, text_table(["member", "starts"], rows), *errors, total
 
 
-def as_json(study: Study) -> dict[str, Any]:
+def as_json(study: Study) -> Fields:
     """Return the members of a study by name."""
     members = [
         attributes(member, "name", "status", "runs")

@@ -4,7 +4,6 @@ import argparse
 import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
 from greybox.cli.orders_command import selection_json
@@ -12,6 +11,7 @@ from greybox.cli.output import Answer, attributes, require_figure, require_writa
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
+from greybox.files.arrays import Fields
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.structure_fit import Structure
 from greybox.logs.flight_controllers import axis_of
@@ -117,7 +117,7 @@ def _structure(word: str) -> Structure:
     return Structure(find_model(name), name, free)
 
 
-def _json(result: Identification) -> dict[str, Any]:
+def _json(result: Identification) -> Fields:
     return {
         "chosen": [
             {"what": choice.what, "why": choice.why, "option": f"--{choice.argument}"}

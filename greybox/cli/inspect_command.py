@@ -8,7 +8,7 @@ from greybox.cli.options import option_words
 from greybox.cli.output import Answer, attributes, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment, segment_table
+from greybox.data.test_segment import Segments, segment_table
 from greybox.files.arrays import Fields, Named, by_name
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> Answer:
     recording = read_log(options)
     segments = find_segments(recording, options.announced, options.fields, options.setpoint)
     # A controller that flies tests moves its own setpoints, which are not manoeuvres of the pilot.
-    manoeuvres: Sequence[Segment] = ()
+    manoeuvres: Segments = ()
     if options.setpoint or not segments:
         manoeuvres = find_manoeuvres(recording, options.setpoint)
 
@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> Answer:
     return answer, "\n\n".join(filter(None, parts))
 
 
-def _tests(recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment]) -> str:
+def _tests(recording: Recording, segments: Segments, manoeuvres: Segments) -> str:
     text = "no sweep or sine was found: name their message, --announced, or signal, --setpoint."
     if segments:
         text = segment_table(segments)
@@ -80,7 +80,7 @@ def _tests(recording: Recording, segments: Sequence[Segment], manoeuvres: Sequen
 
 def next_command(
     recording: Recording,
-    segments: Sequence[Segment],
+    segments: Segments,
     options: argparse.Namespace,
 ) -> str:
     """Return the command to type next, if there is something to identify."""

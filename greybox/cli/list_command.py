@@ -2,9 +2,9 @@
 
 import argparse
 from types import ModuleType
-from typing import Any
 
 from greybox.cli.output import Answer, attributes
+from greybox.files.arrays import Fields
 from greybox.files.text_table import text_table
 from greybox.modeling.model import Model, equation
 from greybox.modeling.parameter import parameter_table
@@ -66,7 +66,7 @@ def _show(name: str) -> Answer:
     return answer, "\n\n".join([name, doc, *dict.fromkeys(map(_model_text, models))])
 
 
-def _parameters(model: Model) -> dict[str, Any]:
+def _parameters(model: Model) -> Fields:
     names = ("start", "bounds", "unit", "about", "fixed", "scale")
     rows = [{"name": name, **attributes(p, *names)} for name, p in model.parameters.items()]
     return {"parameters": rows, "inputs": model.input_names, "outputs": model.output_names}

@@ -3,10 +3,9 @@
 import argparse
 import math
 from dataclasses import fields
-from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.files.arrays import selected
+from greybox.files.arrays import Fields, Interval, selected
 from greybox.identification.measurement import Settings
 
 # Which tests, which samples, which estimate.
@@ -43,7 +42,7 @@ MEASUREMENT_OPTIONS = """
 """
 
 
-def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
+def stated_choices(options: argparse.Namespace) -> Fields:
     """Return the options for one input and one output, by the names of `Settings`."""
     if len(options.instrument) > 1:
         raise UsageError(
@@ -60,7 +59,7 @@ def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def stated_band(words: list[str]) -> tuple[float, float] | None:
+def stated_band(words: list[str]) -> Interval | None:
     """Return the band in rad/s from ``1 80``, ``0.2 12 Hz`` or ``0.2Hz 12Hz``."""
     if not words:
         return None
@@ -70,7 +69,7 @@ def stated_band(words: list[str]) -> tuple[float, float] | None:
     plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()
     try:
         # The library computes in rad/s.
-        low, high = (float(word) * (2 * math.pi if in_hz else 1) for word in plain)
+        low, high = (float(word) * (math.tau if in_hz else 1) for word in plain)
     except ValueError:
         raise UsageError(
             f"--band {text} is not understood: write two frequencies, --band 1 80 or "

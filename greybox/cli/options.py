@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Fields, Labels, NamedStrings
+from greybox.files.arrays import Fields, FloatPair, Interval, Labels, NamedStrings
 
 # Options that several commands have in common, in the form that `declare` reads.
 SHARED = """
@@ -208,13 +208,13 @@ def _between(text: str, limit: float, kind: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not {kind}")
 
 
-def _interval(text: str) -> tuple[float, float]:
+def _interval(text: str) -> Interval:
     """Return the ends of ``-10:10``; ``0:`` has no upper end."""
     low, high = text.split(":")
     return float(low or -math.inf), float(high or math.inf)
 
 
-def _corner(text: str) -> tuple[float, float]:
+def _corner(text: str) -> FloatPair:
     """Return delay and bandwidth of ``0.1:3``."""
     with contextlib.suppress(ValueError):
         delay, bandwidth = map(float, text.split(":"))
@@ -222,7 +222,7 @@ def _corner(text: str) -> tuple[float, float]:
     raise argparse.ArgumentTypeError(f"{text!r} is not a corner such as 0.1:3")
 
 
-def _uncertain(text: str) -> tuple[float, float]:
+def _uncertain(text: str) -> FloatPair:
     """Return value and standard deviation of ``3.2+-0.1``, or with ±."""
     mean, sigma = text.replace("±", "+-").split("+-")
     return float(mean), float(sigma)

@@ -1,12 +1,12 @@
 """The command `greybox orders`: orders of a transfer function that responses support."""
 
 import argparse
-from typing import Any
 
 from greybox.cli.output import Answer, attributes
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.data.response_file import read_response
 from greybox.estimate.printed import summary
+from greybox.files.arrays import Fields
 from greybox.identification.orders import select_orders
 from greybox.identification.selection import Selection
 from greybox.study.stated_problem import filters_of
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> Answer:
     return answer, *text
 
 
-def selection_json(selection: Selection) -> dict[str, Any]:
+def selection_json(selection: Selection) -> Fields:
     """Return the structures and the verdict."""
     structures = [
         {

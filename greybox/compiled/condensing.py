@@ -78,7 +78,7 @@ def condense(
     gaps = (variance * multiplier[:, :, 0])[:, relaxed] ** 2 - trajectory.gaps[:, relaxed] ** 2
     lost += 0.5 * float((gaps / variance[relaxed]).sum())
 
-    hessian = (hessian + hessian.swapaxes(1, 2)) / 2
+    hessian = (hessian + hessian.mT) / 2
     slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
     by_z = slopes.reshape(-1, slope.shape[-1])
@@ -114,11 +114,11 @@ def _held_curvature(b: Linearization, variance: Array, data: SampledData, larges
         b.node_hessian, b.transition, data.coupled, forces, np.zeros_like(forces), variance
     )
     covariance = x[begins] / size[:, None]
-    values, directions = np.linalg.eigh((covariance + covariance.swapaxes(1, 2)) / 2)
+    values, directions = np.linalg.eigh((covariance + covariance.mT) / 2)
     # A state that decays within a sample has about the largest variance, and is free.
     directions *= (values > 4)[:, None] / size[:, None]
     # A step along them is shortened to less than 1e-8 of itself.
-    curvature[begins] = 1e8 * directions @ directions.swapaxes(1, 2)
+    curvature[begins] = 1e8 * directions @ directions.mT
     return curvature
 
 
@@ -200,7 +200,7 @@ def solve_continuity(
     bands[:, n:, 2 * width + n] = link  # of a multiplier, in the row of the next state
     bands[1:, :n, 2 * width - n] = link[:-1]
 
-    right = np.concatenate([stationarity * size[:, None], gaps], axis=1).reshape(2 * n * s, r)
+    right = np.hstack([stationarity * size[:, None], gaps]).reshape(2 * n * s, r)
     matrix = bands.reshape(2 * n * s, -1).T
     # It works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
     (gbsv,) = get_lapack_funcs(("gbsv",), (matrix, right))
@@ -212,7 +212,7 @@ def solve_continuity(
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(all="ignore")
 def state_sizes(hessian: Array, transition: Array) -> Array:
     """Return the change (n,) of each state that changes the outputs by one, at once or later.
 

@@ -12,7 +12,14 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.response_columns import EXTRAS
-from greybox.files.arrays import Array, ComplexArray, by_name, real_and_imaginary, selected
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    NamedArrays,
+    by_name,
+    real_and_imaginary,
+    selected,
+)
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -37,7 +44,7 @@ class _Measured(Complex):
 INCLUDED = {type(criterion) for criterion in CRITERIA}
 
 
-def columns_of(data: FrequencyResponse) -> dict[str, Array]:
+def columns_of(data: FrequencyResponse) -> NamedArrays:
     """Return the columns, besides the response, on which a cost may depend."""
     return selected(data.columns, EXTRAS)
 

@@ -179,7 +179,7 @@ class DisturbedRecord:
         unknown = ~part.known_states[:, None]
         ends, J = ends * unknown, J * unknown
         weighted = (self.weight.T @ self.weight) @ J.reshape(len(J), -1, len(self.weight), n)
-        return ends, J, weighted.reshape(J.shape).swapaxes(1, 2)
+        return ends, J, weighted.reshape(J.shape).mT
 
     def _carried(self, S: Array, effects: Sequence[Effect]) -> ArrayPair:
         """Carry derivatives S (s, n, c) of nodes through the segments, with the effects of c terms.

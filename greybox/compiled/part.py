@@ -23,6 +23,7 @@ from greybox.files.arrays import (
     Array,
     ArrayPair,
     Fields,
+    Indices,
     NamedArrays,
     StringPair,
     Strings,
@@ -410,7 +411,7 @@ class Part(Portable, ABC):
         self,
         names: Strings,
         values: Array,
-        uncertain: tuple[int, ...],
+        uncertain: Indices,
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:

@@ -25,6 +25,7 @@ from greybox.files.arrays import (
     ArrayPair,
     Arrays,
     Fields,
+    Indices,
     Named,
     StringPair,
     Strings,
@@ -195,7 +196,7 @@ class RecordPart(SegmentedPart):
         self,
         names: Strings,
         values: Array,
-        uncertain: tuple[int, ...],
+        uncertain: Indices,
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:

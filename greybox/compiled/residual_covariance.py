@@ -101,7 +101,7 @@ class ResidualCovariance:
             return math.inf
         covariance = self.covariance(products)
         if self.predicted is not None or self.full:
-            logarithms = np.linalg.slogdet(2 * math.pi * covariance)[1] * self.counts.max(axis=-1)
+            logarithms = np.linalg.slogdet(math.tau * covariance)[1] * self.counts.max(axis=-1)
             squares = self.counts.sum()
             if self.predicted is not None:
                 squares = np.trace(np.linalg.solve(covariance, products))
@@ -109,7 +109,7 @@ class ResidualCovariance:
 
         variance = of_diagonal(covariance)
         squares = of_diagonal(products) / variance if self.known is not None else self.counts
-        return float(0.5 * np.sum(squares + self.counts * np.log(2 * math.pi * variance)))
+        return float(0.5 * np.sum(squares + self.counts * np.log(math.tau * variance)))
 
     def weight(self, products: Array) -> Array:
         """Return W (k, k) with WᵀW the inverse of the covariance.
@@ -120,8 +120,8 @@ class ResidualCovariance:
         root = np.linalg.cholesky(self.covariance(products))
         deviations = np.linalg.norm(root, axis=-1, keepdims=True)
         directions, sizes, _ = np.linalg.svd(root / deviations)
-        whitening = directions / sizes[..., None, :] @ directions.swapaxes(-1, -2)
-        return whitening / deviations.swapaxes(-1, -2)
+        whitening = directions / sizes[..., None, :] @ directions.mT
+        return whitening / deviations.mT
 
     def along(self, measured: Array) -> "ResidualCovariance":
         """Return the covariance for other measured values (k, samples) of the same outputs."""

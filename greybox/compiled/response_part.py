@@ -22,8 +22,10 @@ from greybox.files.arrays import (
     ArrayPair,
     ComplexArray,
     Fields,
+    Indices,
     Strings,
     as_arrays,
+    column_lengths,
     complex_array,
     frozen,
     real_and_imaginary,
@@ -206,7 +208,7 @@ class ResponsePart(Part):
         self,
         names: Strings,
         values: Array,
-        uncertain: tuple[int, ...],
+        uncertain: Indices,
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
@@ -256,7 +258,7 @@ class ResponsePart(Part):
 
         residuals = (data.response - response)[:, None]
         errors = criterion.jacobian(response, residuals, data)[:, 0]
-        reach = np.linalg.norm(jacobian, axis=0)
+        reach = column_lengths(jacobian)
         return Information(
             self,
             jacobian,

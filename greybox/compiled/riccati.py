@@ -28,7 +28,7 @@ from greybox.files.arrays import (
 from greybox.modeling.symbolic_reading import dense_jacobian
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(all="ignore")
 def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     """Return the covariance P (..., n, n) of states predicted by steady filters; NaN without one.
 
@@ -43,9 +43,9 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     largest = variance.max(axis=-1, keepdims=True, initial=0.0)
     size = np.sqrt(np.where(variance > 0, variance, largest))
     row, column = size[..., None, :], size[..., :, None]
-    A = transposed(F) * column / row
+    A = F.mT * column / row
     scaled = C * row
-    G = transposed(scaled) @ scaled
+    G = scaled.mT @ scaled
     H = process / row / column
     eye = np.eye(F.shape[-1])
 
@@ -57,10 +57,10 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
             gramian = np.linalg.solve(eye + G @ H, G)
         except np.linalg.LinAlgError:
             break
-        change = transposed(A) @ H @ step
-        G = G + A @ gramian @ transposed(A)
+        change = A.mT @ H @ step
+        G = G + A @ gramian @ A.mT
         A = A @ step
-        H = H + (change + transposed(change)) / 2
+        H = H + (change + change.mT) / 2
         if np.abs(change).max(initial=0.0) <= 1e-12 * np.abs(H).max(initial=0.0):
             return H * row * column
 
@@ -124,7 +124,7 @@ class NoiseModel:
     deviations: IntArray
     columns: BoolArray
 
-    @np.errstate(over="ignore", invalid="ignore")
+    @np.errstate(all="ignore")
     def at(self, q: Array) -> SteadyFilter:
         """Return the filter at the parameters q; NaN where there is none.
 
@@ -138,7 +138,7 @@ class NoiseModel:
         matrices = []
         for M, slope in zip(values[:3], values[3:], strict=True):
             # CasADi stacks matrices column by column; the first filter is at q itself.
-            slopes = transposed(slope.T.reshape(-1, M.shape[1], M.shape[0]))
+            slopes = slope.T.reshape(-1, M.shape[1], M.shape[0]).mT
             matrices.append(M + 1j * tiny * np.concatenate([np.zeros((1, *M.shape)), slopes]))
         F, half, C = matrices
         K, S = self._filters(F, half, C, moved)
@@ -156,19 +156,19 @@ class NoiseModel:
         W = np.zeros((len(q), n, n), dtype=complex)
         W[:, self.driven, self.driven] = q[:, self.intensities] ** 2
         # The integral over a sample by Simpson's rule: exact for two integrators in a row.
-        Q = self.step / 6 * (W + 4 * half @ W @ transposed(half) + F @ W @ transposed(F))
+        Q = self.step / 6 * (W + 4 * half @ W @ half.mT + F @ W @ F.mT)
 
         # Noise does not reach the other states, which may be integrators without a steady filter.
         r = np.flatnonzero(reached(F[0].real, self.driven))
         F, C, Q = F[:, r[:, None], r], C[:, :, r], Q[:, r[:, None], r]
         deviation = np.sqrt(of_diagonal(V))[:, :, None]
         P = steady_covariance(F, C / deviation, Q)
-        S = C @ P @ transposed(C) + V
+        S = C @ P @ C.mT + V
         if not all_finite(S):
             K[:, r] = np.nan
             return K, V
 
-        K[:, r] = transposed(np.linalg.solve(S, C @ P))
+        K[:, r] = np.linalg.solve(S, C @ P).mT
         return K, S
 
 
@@ -211,8 +211,3 @@ def reached(F: Array, states: IntArray) -> BoolArray:
     for _ in range(len(F)):
         dependent |= (F[:, dependent] != 0).any(axis=1)
     return dependent
-
-
-def transposed(matrices: Any) -> Any:
-    """Return the transposes of matrices (..., n, m)."""
-    return np.swapaxes(matrices, -1, -2)

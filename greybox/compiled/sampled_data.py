@@ -143,8 +143,8 @@ class SampledData:
         for value, count in zip(values, self.segment_counts, strict=True):
             missing = count * self.segment_length - value.shape[1]
             last = value[:, -1:] if fill is None else np.full((len(value), 1), fill)
-            joined.append(np.concatenate([value, np.repeat(last, missing, axis=1)], axis=1))
-        return np.concatenate(joined, axis=1)
+            joined.append(np.hstack([value, np.repeat(last, missing, axis=1)]))
+        return np.hstack(joined)
 
     def at_samples(self, values: Array) -> Array:
         """Choose the samples (r, samples) of all stretches from rows (r, n) of the whole record."""

@@ -25,7 +25,7 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
-from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, IntArray
+from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, Indices, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
@@ -167,12 +167,12 @@ class Segments:
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
         by_segment = values.reshape(-1, self.count, self.length)
-        return by_segment.swapaxes(1, 2).reshape(values.shape)
+        return by_segment.mT.reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
         by_sample = values.reshape(len(values), self.length, self.count)
-        return by_sample.swapaxes(1, 2).reshape(values.shape)
+        return by_sample.mT.reshape(values.shape)
 
     def by_segment(self, values: Array) -> Array:
         """Return columns (r, columns) as (segments, length, r)."""
@@ -227,7 +227,7 @@ class Segments:
         if self.number == 1:
             return (residuals @ residuals.T)[None]
         by_segment = self.by_segment(residuals)
-        return self.by_record(by_segment.swapaxes(1, 2) @ by_segment)
+        return self.by_record(by_segment.mT @ by_segment)
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
@@ -270,7 +270,7 @@ class Segments:
 
             # Products of stacked matrices are fast for contiguous ones.
             J = np.ascontiguousarray(J.reshape(-1, v + 1, e.shape[-1]).transpose(2, 0, 1))
-            H = J.swapaxes(1, 2) @ J
+            H = J.mT @ J
             pieces.append((ends.transpose(2, 0, 1), H[:, :n].copy()))
             by_parameters += self.by_record(H[:, n:, n:], batch)
 
@@ -384,7 +384,7 @@ class SubstepDerivatives:
 
     @one_thread_at_a_time
     def __init__(
-        self, step: SampleStep, active: Sequence[int], *, simulated: bool, shared: tuple[int, ...]
+        self, step: SampleStep, active: Sequence[int], *, simulated: bool, shared: Indices
     ) -> None:
         x, q, d = step.measurement.sx_in()
         corrected, mean, change, residual, output = step.measurement(x, q, d)

@@ -26,6 +26,7 @@ from greybox.files.arrays import (
     ArrayTriple,
     BoolArray,
     ComplexArray,
+    ComplexPair,
     IntArray,
     Named,
     as_arrays,
@@ -86,7 +87,7 @@ class SharedSystem:
         count = len(self.rows)
         S = np.zeros((z.shape[1], self.states + self.outputs, self.states + self.inputs))
         S[:, self.rows[:, 0], self.rows[:, 1]] = values[:count].T
-        slopes = slopes.T.reshape(z.shape[1], len(z), -1).swapaxes(1, 2)
+        slopes = slopes.T.reshape(z.shape[1], len(z), -1).mT
         return S, values[count:].T, slopes[:, :count], slopes[:, count:]
 
     def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
@@ -95,7 +96,7 @@ class SharedSystem:
             points = np.array([*signals, range(len(at))])
             yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
 
-    def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+    def responses(self, z: Array) -> ComplexPair:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
@@ -168,7 +169,7 @@ class SineTest(Rebuilt):
         """Yield the part with itself."""
         yield self.pairs[0][0], self
 
-    def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+    def responses(self, z: Array) -> ComplexPair:
         """Return the response at z (p, k), (k, n), and its derivatives by z, last.
 
         The response is NaN where no motion is found.
@@ -207,7 +208,7 @@ class SineTest(Rebuilt):
         """
         count = harmonics.shape[1]
         [linear] = self._linear(harmonics.T, settings)
-        table = linear.T.reshape(len(harmonics), -1, count + 2).swapaxes(1, 2)
+        table = linear.T.reshape(len(harmonics), -1, count + 2).mT
         value, by_harmonics, by_settings = np.split(table, [1, 1 + count], axis=2)
         value = np.concatenate([value, by_settings @ by_z], axis=2)
         steps = -_if_regular(np.linalg.solve, by_harmonics[:, :count], value[:, :count])
@@ -269,12 +270,12 @@ class SharedResponses:
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
         # All responses (k, N), and their derivatives (k, N, p).
-        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
+        values, slopes = (np.hstack(piece)[:, self._order] for piece in pieces)
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 1)
         gradient = first.T[:, None] @ jacobian
         left, right = (jacobian[:, rows] for rows in self._second)
-        hessian = (left * second.T[..., None]).swapaxes(1, 2) @ right
+        hessian = (left * second.T[..., None]).mT @ right
         return cost[0], gradient[:, 0].T, hessian.reshape(len(hessian), -1).T
 
 

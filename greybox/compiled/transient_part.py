@@ -34,11 +34,13 @@ from greybox.files.arrays import (
     ArrayPair,
     ArrayTriple,
     ComplexArray,
+    Indices,
     Labels,
     Named,
     Strings,
     all_finite,
     as_arrays,
+    column_lengths,
     frozen,
     positive_or_one,
     real_and_imaginary,
@@ -55,10 +57,6 @@ from greybox.modeling.trim import trim_of
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.disturbed_errors import disturbed_errors
 from greybox.statistics.uneven_errors import uneven_errors
-
-# Probability of white errors below which a disturbance is named: in 1 % of 2500 fits with right
-# models, and in 91 % of those in gusts by output error.
-UNLIKELY = 0.2
 
 
 @frozen
@@ -311,7 +309,7 @@ class TransientPart(Part):
         variance = np.stack([hermitian.real, hermitian.imag], axis=1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
-        reach = np.linalg.norm(np.vstack([rows, variance]), axis=0)
+        reach = column_lengths(np.vstack([rows, variance]))
 
         return outside(rows, at.taken), variance, reach
 
@@ -355,7 +353,7 @@ class TransientPart(Part):
         self,
         names: Strings,
         values: Array,
-        uncertain: tuple[int, ...],
+        uncertain: Indices,
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
@@ -395,7 +393,9 @@ class TransientPart(Part):
             lambda correction: (1.0, jacobian.T @ jacobian),
             reach,
             colored=colored,
-            disturbed=calm < UNLIKELY,
+            # So unlikely with white errors are 1 % of 2500 fits with right models, and 91 % of
+            # those in gusts by output error.
+            disturbed=calm < 0.2,
         )
 
 
@@ -450,7 +450,7 @@ def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -
     for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
         rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
-        size = positive_or_one(np.linalg.norm(rows, axis=0))
+        size = positive_or_one(column_lengths(rows))
         # Smaller singular values are rounding, as for a state that no output shows.
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size
         remaining = errors - basis @ ends

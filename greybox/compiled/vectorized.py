@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, Arrays
+from greybox.files.arrays import Array, Arrays, Indices
 from greybox.files.rebuilt import Rebuilt
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
@@ -81,9 +81,7 @@ class Columns(Rebuilt):
         It, with dense inputs and outputs.
     """
 
-    def __init__(
-        self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = FEWEST
-    ) -> None:
+    def __init__(self, function: ca.Function, shared: Indices = (), fewest: int = FEWEST) -> None:
         function = _dense(function)
         self.function, self._shared, self._fewest = function, shared, fewest
         self._first = next((k for k in range(function.n_in()) if k not in shared), 0)
@@ -173,7 +171,7 @@ class _Mapped:
     """A function of dense inputs and outputs mapped over m columns, with its own memory."""
 
     @one_thread_at_a_time
-    def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
+    def __init__(self, function: ca.Function, shared: Indices, m: int) -> None:
         mapped = function if m == 1 else function.map("columns", "serial", m, list(shared), [])
         buffer: Any
         buffer, self._call = mapped.buffer()
@@ -198,7 +196,7 @@ class _Mapped:
 class _Registers:
     """The instructions of an SX function as calls of numpy on registers for m columns."""
 
-    def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
+    def __init__(self, function: ca.Function, shared: Indices, m: int) -> None:
         self._reads: list[tuple[int, int, Array]] = []
         self._calls: list[tuple[Callable[..., Any], tuple[Array, ...]]] = []
         self._outputs = [np.empty((function.numel_out(k), m)) for k in range(function.n_out())]

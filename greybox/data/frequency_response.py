@@ -21,6 +21,7 @@ from greybox.files.arrays import (
     BoolArray,
     ComplexArray,
     IntArray,
+    NamedArrays,
     NamedStrings,
     all_finite,
     frozen,
@@ -225,7 +226,7 @@ class FrequencyResponse(Printed):
         return self.response.imag
 
     @property
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> NamedArrays:
         """The values at each frequency as real numbers, (n,) arrays by name, for tables and files.
 
         ``alpha, beta``, then, if known, ``coherence, variance, dof``, and ``alpha_common1,

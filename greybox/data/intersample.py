@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Values
+from greybox.files.arrays import Array, ComplexArray, NamedStrings, Values
 
 HELD = math.inf
 CONTINUOUS = 0.0
@@ -55,7 +55,7 @@ def intersample(hold: float, step: float) -> Intersample:
 
 def hold_of_response(
     input: str, output: str, sampled: Iterable[tuple[Values, float]]
-) -> dict[str, str]:
+) -> NamedStrings:
     """Return for how long values of the input of a response lasted, for `FrequencyResponse.about`.
 
     `sampled` are `Record.hold` and the step of what it was measured from. Nothing where the records

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import AnyArray, Array, Named, Strings
+from greybox.files.arrays import AnyArray, Array, Named, NamedArrays, Strings
 from greybox.files.delimited_text import heading
 from greybox.files.optional_package import required
 
@@ -39,7 +39,7 @@ def require_frame(frame: Frame) -> None:
         raise ValueError(f"the data frame has two columns {twice[0]!r}: rename or drop one.")
 
 
-def columns_of(frame: Frame, without: str = "") -> dict[str, Array]:
+def columns_of(frame: Frame, without: str = "") -> NamedArrays:
     """Return the columns of a data frame as numbers, by name, without the time column.
 
     Raises

@@ -84,7 +84,7 @@ def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
     return result
 
 
-def written_columns(header: Labels, prefix: str) -> dict[str, str]:
+def written_columns(header: Labels, prefix: str) -> NamedStrings:
     """Return the columns of a file from `write_response`, as `columns_by_role` takes them.
 
     Another table names them by their roles, as in ``frequency [Hz], magnitude [dB], phase [deg]``,
@@ -208,7 +208,7 @@ def angular_frequency(frequency: Array, unit: str) -> Array:
     conversion = known_unit(unit)
     # In tables of responses Hz is a frequency in cycles; `to_si` keeps it as a unit of its own.
     if conversion and conversion.si == "Hz":
-        return 2 * math.pi * conversion.factor * frequency
+        return math.tau * conversion.factor * frequency
     if conversion and conversion.si == "rad/s":
         return conversion.apply(frequency)
     raise ValueError(f"the unit of frequency is {unit!r:.40}: give 'rad/s' or 'Hz'.")

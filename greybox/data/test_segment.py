@@ -73,7 +73,7 @@ class Segment:
     @property
     def periods(self) -> float:
         """Duration in periods of the lowest frequency."""
-        return self.duration * self.band[0] / (2 * math.pi)
+        return self.duration * self.band[0] / math.tau
 
     def refused(self, *findings: str) -> "Segment":
         """Return the segment as not usable, with more findings."""
@@ -89,7 +89,10 @@ class Segment:
         )
 
 
-def segment_table(segments: Sequence[Segment]) -> str:
+Segments = Sequence[Segment]
+
+
+def segment_table(segments: Segments) -> str:
     """Return the segments as a table for a terminal, with their findings below it."""
     header = (
         "",

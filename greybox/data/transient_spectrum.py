@@ -11,15 +11,13 @@ from greybox.data.frequency_response import Stretch
 from greybox.files.arrays import (
     Array,
     ComplexArray,
+    ComplexPair,
     NamedArrays,
     NamedStrings,
     Strings,
     frozen,
 )
 from greybox.files.text_table import as_names, one_line, printable, write_out
-
-# Share of a sample that a held input takes to change: half of it is the error of when it does.
-ROUNDED = 0.02
 
 
 @frozen
@@ -146,7 +144,7 @@ class TransientSpectrum:
         """Return whether another spectrum has the same data."""
         return self.checksum == other.checksum
 
-    def delayed_input(self, name: str, delay: float) -> tuple[ComplexArray, ComplexArray]:
+    def delayed_input(self, name: str, delay: float) -> ComplexPair:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
         Also return its derivative with respect to the delay. The input is assumed to have its first
@@ -160,7 +158,8 @@ class TransientSpectrum:
         rows = self.input_changes.get(name, np.zeros((2, 0)))
         shift, change = np.exp(-s * delay), np.sum(rows[1])
         # A step would be a corner of the cost where the delay reaches it, in which no search ends.
-        rise = self.step * (ROUNDED if name in self.held else 1.0)
+        # The input takes 2 % of a sample to change: half of it is the error of when it does.
+        rise = self.step * (0.02 if name in self.held else 1.0)
         times, changes = rows[:, rows[0] < delay][..., None]
         share = np.clip((delay - times) / rise, 0, 1)
         ramp = rise * share**2 / 2 + np.maximum(delay - times - rise, 0)

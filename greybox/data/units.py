@@ -141,9 +141,6 @@ CAPITALS = {
 
 # Products that a misspelled unit may mean, beside the names
 USUAL = "m/s m/s^2 rad/s rad/s^2 deg/s deg/s^2 1/s N*m kg*m^2 kg/m^3".split()
-# Two thirds of LSB, PWM and cd are those of known units, which are not meant, and so is 0.77 of
-# units, as of a stick, in unitless.
-LIKENESS = 0.8
 
 # Not Hz, which is 2π rad/s for a rotation and 1/s otherwise.
 IN_BASE_UNITS = {
@@ -225,7 +222,9 @@ def misspelled(unit: str) -> str:
 
     It is empty for units of the user's own, such as LSB and counts.
     """
-    near = nearest(unit.strip(), (*NAMED, *USUAL), LIKENESS)
+    # Two thirds of LSB, PWM and cd are those of known units, which are not meant, and so is 0.77 of
+    # units, as of a stick, in unitless.
+    near = nearest(unit.strip(), (*NAMED, *USUAL), 0.8)
     return f"the unit {unit!r} is not known: write {near!r} if that is meant" if near else ""
 
 

@@ -24,8 +24,10 @@ from greybox.files.arrays import (
     Values,
     all_finite,
     by_name,
+    column_lengths,
     frozen,
     positive_or_one,
+    real_root,
 )
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
@@ -192,8 +194,8 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
 
     # A column may be mere rounding, relative to the parameter or after the initial states have
     # compensated for it. It must not count as information.
-    length = np.linalg.norm(jacobian, axis=0)
-    reach = np.linalg.norm([share.limit * share.reach for share in shares], axis=0)
+    length = column_lengths(jacobian)
+    reach = column_lengths([share.limit * share.reach for share in shares])
     rounding = ROUNDING * np.abs(nlp.scaling.slope(x))
     reach[reach < rounding] = 0
     jacobian = jacobian * ((length >= rounding) & (length >= DEAD * reach))
@@ -235,7 +237,7 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
         accuracy = _with_covariance(accuracy, shares, seen * size[:, None], known_noise)
 
     # Collinearity matters where an error exceeds half of a value.
-    error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
+    error = real_root(np.diag(accuracy.covariance)[:p])
     loose = ~(error < 0.5 * np.abs(x))
     reported = (c for c in suspect if np.any(loose & np.isin(nlp.free, c.names)))
     return replace(accuracy, combinations=(*combinations, *reported))
@@ -300,7 +302,7 @@ def _with_covariance(
     # A quantity that depends on a constant without a standard error has no standard error either.
     unknown = np.isnan(sum((np.diag(covariance) for covariance, _ in earlier), np.zeros(k)))
     lost = slope[:, unknown] / accuracy.size[:, None]
-    lost = lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)
+    lost = lost / np.maximum(column_lengths(lost), 1e-300)
 
     return replace(
         accuracy,

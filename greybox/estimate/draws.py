@@ -13,7 +13,7 @@ import numpy as np
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit, require_fit
-from greybox.files.arrays import Array, Labels, Strings, by_name, frozen, positive_or_one
+from greybox.files.arrays import Array, Labels, Strings, by_name, frozen, positive_or_one, real_root
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import (
     Printed,
@@ -167,7 +167,7 @@ def drawn_values(fit: Fit, count: int, names: Labels, seed: int = 0) -> Array:
     known = fit.known_directions(fit.names)
     lines = [fit.by_name[name] for name in fit.names]
     variances, axes = np.linalg.eigh(known.covariance)
-    root = axes * np.sqrt(np.maximum(variances, 0))
+    root = axes * real_root(variances)
     # Rounding gives a parameter at its bound, which has no variance, a share of the others.
     root[np.diag(known.covariance) == 0] = 0
     dof = fit.fewest_degrees(names)
@@ -226,7 +226,7 @@ def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> A
         # A model without a response there is as unlikely as can be. For a record, where no
         # predictor is stable, only the standard error is known.
         rise = np.nan_to_num((costs(steps) - lowest) / predicted, nan=1.0 if has_records else 1e6)
-        return np.sqrt(np.maximum(rise, 0))
+        return real_root(rise)
 
     if not has_records:
         return _roots(ratio, steps, predicted)[:, None] * steps

@@ -224,7 +224,7 @@ class FittedResponse(FittedPart):
     @property
     def relative_residuals(self) -> Array:
         """Magnitudes of the residuals over those of the data, (n,); not finite at a zero."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             return np.abs(self.residuals) / np.abs(self.data.response)
 
     @property
@@ -329,7 +329,7 @@ class FittedRecord(FittedPart):
         return tuple(name for name in self.data.signals if name not in self.outputs)
 
     @property
-    def between(self) -> dict[str, str]:
+    def between(self) -> NamedStrings:
         """How every input varied between its samples, in words; empty for a static model."""
         if self.is_static:
             return {}
@@ -428,6 +428,3 @@ class FittedSpectrum(FittedPart):
         # The mean is not subtracted, unlike in time: a band above zero frequency contains none.
         size = np.linalg.norm(self.data.outputs[output])
         return float(100 * (1 - np.linalg.norm(self.residual(output)) / size)) if size else math.nan
-
-
-AnyFittedPart = FittedResponse | FittedRecord | FittedSpectrum

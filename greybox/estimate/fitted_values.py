@@ -13,9 +13,9 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.discretization import pade_error
-from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import response_and_slope
-from greybox.files.arrays import Array, Fields, Values, all_finite, by_name, selected
+from greybox.files.arrays import Array, Fields, NamedArrays, Values, all_finite, by_name, selected
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model, equation
@@ -25,7 +25,7 @@ from greybox.modeling.one_thread import traced_once
 
 def fitted_part(
     part: Part, trajectory: Trajectory | None, x: Array, values: Values
-) -> AnyFittedPart:
+) -> FittedResponse | FittedRecord | FittedSpectrum:
     """Return the values of a part that are stored in an answer.
 
     Parameters
@@ -178,7 +178,7 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
     )
 
 
-def _simulated(part: RecordPart, trajectory: Trajectory | None) -> dict[str, Array]:
+def _simulated(part: RecordPart, trajectory: Trajectory | None) -> NamedArrays:
     """Return the outputs at the times of the record; NaN where none was compared."""
     record = part.model.record
     signals = {name: np.full(len(record), np.nan) for name in part.outputs}

@@ -18,6 +18,8 @@ from greybox.files.arrays import (
     Strings,
     by_name,
     frozen,
+    real_root,
+    sum_of_squares,
     unit_length,
 )
 from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
@@ -86,7 +88,7 @@ class KnownDirections:
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
         scaled = gradients * self.size
         lost = np.abs(scaled @ self.unseen) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
-        return np.where(lost.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
+        return np.where(lost.any(axis=1), np.nan, real_root(variance))
 
     def gradients(self, rows: Array, is_product: BoolArray) -> Array:
         """Return gradients (m, p) of logarithms of products of powers `rows` (m, p), or of sums."""
@@ -192,7 +194,7 @@ def identifiability(
 
     error = np.full(len(names), np.nan)
     insensitivity = np.full(len(names), np.nan)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
         error[places] = errors / np.abs(inside.at)
         insensitivity[places] = alone / np.abs(inside.at)
@@ -447,7 +449,7 @@ def collinear_groups(
     _, singular, rows = np.linalg.svd(triangle_of(unit), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
     # The smallest singular values belong to the invisible directions, which have groups already.
-    seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
+    seen = len(rows) - round(sum_of_squares(invisible[inside]))
     groups: dict[frozenset[str], Combination] = {}
 
     for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):

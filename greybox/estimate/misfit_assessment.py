@@ -29,7 +29,15 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import KNOTS, Term, constants_of_record, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, Arrays, Labels, Strings, frozen
+from greybox.files.arrays import (
+    Array,
+    Arrays,
+    Labels,
+    Strings,
+    column_lengths,
+    frozen,
+    sum_of_squares,
+)
 from greybox.files.text_table import numbered_where_alike
 from greybox.modeling.added_terms import Formula
 from greybox.solve.local_solver import LocalSolver
@@ -49,16 +57,10 @@ from greybox.statistics.score_test import (
 
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
-# Evaluations of a fit with autoregressive errors, at most: most take 3 to 8, each of which is two
-# simulations of all records, which are shortened if they are long.
-EVALUATIONS = 15
-# Largest probability at which such a fit does not explain records either. Slow gusts look like a
-# term more often than noise: of 38 right models in gusts, 8 were between this and `FALSE_ALARMS`,
-# and of 148 wrong ones without gusts none.
+# Largest probability at which a fit with autoregressive errors does not explain records either.
+# Slow gusts look like a term more often than noise: of 38 right models in gusts, 8 were between
+# this and `FALSE_ALARMS`, and of 148 wrong ones without gusts none.
 IN_GUSTS = 0.001
-# Largest probability, beside white errors, of a term in whose place functions are tested, too. In
-# 1177 simulated tests 11 functions were significant, and where they act a term was below 0.015.
-NEAR = 0.02
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
 
@@ -261,7 +263,9 @@ def _with_autoregressive_errors(
             (nlp.lower, nlp.upper),
             ftol=1e-4,
             x_scale="jac",
-            max_nfev=EVALUATIONS,
+            # Most take 3 to 8 evaluations, each of which is two simulations of all records, which
+            # are shortened if they are long.
+            max_nfev=15,
         ).x
     return x, group_at(*x)
 
@@ -371,7 +375,7 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
         for weights, rows in zip(group.filters, group.outputs, strict=True)
         if any(map(len, rows))
     ]
-    squares = float(np.sum(group.residuals**2)) + TINY
+    squares = sum_of_squares(group.residuals) + TINY
     misfit = Misfit(
         left,
         noise,
@@ -410,7 +414,7 @@ def _shares(
     """
     residuals = group.residuals
     without, remainder = (
-        float(np.sum(beside(group.white_residuals, fitted) ** 2))
+        sum_of_squares(beside(group.white_residuals, fitted))
         for fitted in (group.basis, np.hstack([group.basis, white[:, :TOGETHER]]))
     )
     explained = len(white) * (1 - remainder / (without + TINY)) + TINY
@@ -482,7 +486,7 @@ def _on_knots(
 
 def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
     """Return for every term the texts of those whose effects (M, c) are nearly the same."""
-    unit = effects / np.linalg.norm(effects, axis=0)
+    unit = effects / column_lengths(effects)
     is_alike = np.abs(unit.T @ unit) > 0.95
     names = np.array([name for name, _ in texts], dtype=object)
     # Terms of one name are one cause.
@@ -529,7 +533,9 @@ def _functions(
     tested = []
     # More knots would fit the noise of short records, which lines and initial states leave.
     most = max(len(group.white_residuals) // 15, 2)
-    places = {_place(test.key) for test in tests if test.p_white < NEAR}
+    # Functions are tested in place of likely terms: in 1177 simulated tests 11 functions were
+    # significant, and where they act a term had a probability, beside white errors, below 0.015.
+    places = {_place(test.key) for test in tests if test.p_white < 0.02}
     functions = [key for key, term in terms.items() if term.knots]
     tried = [key for key in functions if _place(key) in places]
     for key in tried:

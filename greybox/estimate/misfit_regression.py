@@ -29,6 +29,7 @@ from greybox.files.arrays import (
     Arrays,
     BoolArray,
     ComplexArray,
+    ComplexPair,
     IntArray,
     Labels,
     NamedArrays,
@@ -39,17 +40,10 @@ from greybox.statistics.autoregressive_test import Outputs
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance, score_tests
 
-# Largest probability at which a model of responses is called wrong, as `FALSE_ALARMS` of records:
-# of 1614 simulated right fits, whose errors are white, correlated along frequency, or larger at one
-# end, at both ends or in a band, 2.2 % are below it, and of those in white ones 1 %.
-OF_RESPONSES = 0.01
 TINY = 1e-300
-NOTHING = 1e-200  # in place of a modeled response of zero: the square of its effects is zero
 STEP = 1e-6  # of the numbers of a term, for derivatives
 # Samples of an output in a stretch: of fewer, straight lines and an autoregression leave nothing.
 FEWEST = 8
-# Share of an output by which a simulation by larger steps may miss it: so little do terms differ.
-FOLLOWED = 0.1
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 
@@ -150,7 +144,7 @@ def regression_of_record(
         return np.vstack([*map(outside, by_stretch(values), taken)])
 
     by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
-    with_effects = np.concatenate([record.residuals[:, None], constants.effects], axis=1)
+    with_effects = np.hstack([record.residuals[:, None], constants.effects])
     firsts = np.cumsum([0, *(row.size for row in present)])
     outputs = [
         [
@@ -269,7 +263,9 @@ def shortened(
     missed, moved = np.std(simulated - exact, axis=1), np.std(exact, axis=1)
     # The gains of a predictor belong to its step, and short stretches would have too few samples.
     is_long = np.mean([*map(len, coarse.data.stretches)]) >= FEWEST
-    if is_long and not part.gains and np.all(missed < FOLLOWED * moved):
+    # A simulation by larger steps may miss an output by a tenth of what the term moves: so little
+    # do terms differ.
+    if is_long and not part.gains and np.all(missed < 0.1 * moved):
         # With the residuals that the whole part has there.
         coarse = coarse.with_outputs(coarse.data.unpadded(coarse.data.measured + simulated - exact))
         return coarse, along(coarse)
@@ -343,7 +339,10 @@ def regression_of_response(
         orders=orders,
     )
     is_unlike = 2 * np.sum(regression.residuals**2) >= np.sum(regression.measured**2)
-    return replace(regression, causes=(path,) if is_unlike else (), level=OF_RESPONSES)
+    # Of 1614 simulated right fits, whose errors are white, correlated along frequency, or larger at
+    # one end, at both ends or in a band, 2.2 % are below this probability, and of those in white
+    # ones 1 %.
+    return replace(regression, causes=(path,) if is_unlike else (), level=0.01)
 
 
 def regression_of_manoeuvre(
@@ -368,7 +367,7 @@ def regression_of_manoeuvre(
         weighted = np.einsum("ka,lab,blc->klc", fitted.weight, fitted.transform, columns)
         return real_and_imaginary(weighted * turned, 1).reshape(2 * turned.size, -1)
 
-    def curve(x: Array) -> tuple[ComplexArray, ComplexArray]:
+    def curve(x: Array) -> ComplexPair:
         parameters, slopes = located(x)
         at = part.along(parameters.full().ravel())
         if at is None:
@@ -398,7 +397,7 @@ def regression_of_manoeuvre(
 
 
 def _of_curve(
-    curve: Callable[[Array], tuple[ComplexArray, ComplexArray]],
+    curve: Callable[[Array], ComplexPair],
     measured: ComplexArray,
     rows: Callable[[ComplexArray], Array],
     values: Array,
@@ -416,10 +415,11 @@ def _of_curve(
     """
     places = np.flatnonzero(moves)
 
-    def modeled(x: Array) -> tuple[ComplexArray, ComplexArray]:
+    def modeled(x: Array) -> ComplexPair:
         # Where a response is zero, the effects of its parameters are not.
         model, slopes = curve(x)
-        return np.where(model == 0, NOTHING, model), slopes
+        # In place of a modeled response of zero, since the square of its effects is zero.
+        return np.where(model == 0, 1e-200, model), slopes
 
     def again(change: Array, factors: ComplexArray) -> Array:
         x = values.copy()

@@ -22,6 +22,7 @@ from greybox.files.arrays import (
     Array,
     ComplexArray,
     Labels,
+    NamedArrays,
     StringPair,
     Values,
     by_name,
@@ -255,10 +256,6 @@ LEVELS = (0.2, 0.4, 0.7)
 # Rate limits, over the mean speed of an input: with a lower one, steps are hardly followed, and a
 # sine is nowhere faster than 1.6 times the mean. At 0.7 times a limit, backlash explains more.
 RATES = np.geomspace(0.5, 2.5, 6)
-# Share of half a step by which a delay that is due to a hold may differ from it. Its size is that
-# of first order: 3 to 9 % too large with square waves, steps and sweeps, and half as much again
-# where a fitted lag of few steps has taken a part of the delay. Both cures are named.
-NEAR_HALF = 0.6
 # Shares of the samples below stops and overflows, which act seldom.
 STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
@@ -266,19 +263,12 @@ JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
 # these, the likeliest ones, are simulated: that of all would take a fifth of the test's time.
 PARTS, BEGINNINGS = 20, 5
 LATER = {"offset": "jump", "constant": "load", "input offset": "input load"}  # kinds of these
-CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 KNOTS, FINE = 11, 41  # of functions, and of those of inputs, which an actuator may quantize
 DAMPING = 0.05  # of modes in records
 # And in responses: with the first alone, a notch of damping 0.3 is seen in half of the cases, and
 # with both in nine of ten.
 DAMPINGS = 0.05, 0.2
-MODES = 16  # frequencies of the modes that are tried in records
-FASTEST = 1.2  # rad, phase from sample to sample of the fastest one
-# Fewest periods of such a mode in the record: a slower one looks like a drift of the errors.
-PERIODS = 5
 LARGE = 10  # states and inputs beyond which an equation is tried with its own alone
-# Steps of the gain that are tried. With a step at a wrong point, errors would look correlated.
-EDGES = 32
 SMOOTH = "zero", "delay", "pole"  # kinds of terms of responses that change all of the band
 
 
@@ -358,7 +348,10 @@ class Term:
     def described(self, factor: float, error: float) -> StringPair:
         """Return the term in words for a factor with its error, and the code that adds it."""
         kind = "gain" if abs(factor) * self.scale > self.largest else self.kind
-        if kind == "timing" and abs(factor * self.scale / self.half_step - 1) < NEAR_HALF:
+        # A delay that is due to a hold is half a step, to first order: it is 3 to 9 % larger with
+        # square waves, steps and sweeps, and half as much again where a fitted lag of few steps has
+        # taken a part of the delay. Both cures are named.
+        if kind == "timing" and abs(factor * self.scale / self.half_step - 1) < 0.6:
             kind = "hold"
         if factor < 0 and f"negative {kind}" in TEXTS:
             kind = f"negative {kind}"
@@ -438,7 +431,7 @@ def _constants(record: DisturbedRecord) -> Iterator[Term]:
         yield Term("input offset", ones, partial(record.by_input, 0), b=part.system.inputs[0])
 
 
-def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
+def signals_of_record(record: DisturbedRecord) -> NamedArrays:
     """Return the states, inputs with their rates, and the time of a record, (samples,)."""
     part = record.part
     signals = by_name(part.system.states, record.states)
@@ -556,8 +549,10 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     # From a few periods in the record to what the input moves, by the power of its differences:
     # faster modes look like a delay.
     moved = np.cumsum(np.abs(np.fft.rfft(np.diff(u))) ** 2)
-    fastest = np.clip(np.pi * np.mean(moved < 0.95 * moved[-1]), 0.3, FASTEST)
-    for angle in np.geomspace(2 * np.pi * PERIODS / len(u), fastest, MODES).tolist():
+    fastest = np.clip(np.pi * np.mean(moved < 0.95 * moved[-1]), 0.3, 1.2)
+    # Angles from sample to sample; of fewer than five periods a mode looks like a drift of the
+    # errors.
+    for angle in np.geomspace(2 * np.pi * 5 / len(u), fastest, 16).tolist():
         # The poles of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, with ω where it is in the samples.
         w = 2 * float(np.tan(angle / 2))
         poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
@@ -665,7 +660,8 @@ def _formula(form: Callable[..., Any], *names: str) -> Formula:
 def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:
     """Return functions of a signal (samples,), also of its symbol, by their code."""
     # Where the model is wrong, its signal crosses zero too early or too late, or creeps.
-    creep = CREEP * np.abs(row).max() + 1e-300
+    # Below a fifth of the largest value its sign counts less.
+    creep = 0.2 * np.abs(row).max() + 1e-300
     return {
         name: lambda a: a,
         f"abs({name}) * {name}": lambda a: abs(a) * a,
@@ -764,5 +760,6 @@ def terms_of_response(*omega: float) -> tuple[Term, ...]:
             for shape in shapes(*levels)
         ]
     edges = np.sqrt(at[1:] * at[:-1])
-    steps = edges[:: max(len(edges) // EDGES, 1)]
+    # With a step at a wrong point, errors would look correlated.
+    steps = edges[:: max(len(edges) // 32, 1)]
     return *terms, *(Term("step", 1.0 * (at > edge), level=edge) for edge in steps)

@@ -13,7 +13,7 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import StringPair, all_finite
+from greybox.files.arrays import Fields, StringPair, all_finite
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import counted, number, percent, some, text_table, with_error
 from greybox.formulation.spectrum_criteria import EquationError
@@ -337,7 +337,7 @@ def data_names(parts: Iterable[Any], models: Iterable[str]) -> list[str]:
     )
 
 
-def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
+def summary(result: Any, level: float = 0.95) -> Fields:
     """Return the numbers of a `Fit`; None for one that is unknown or not finite."""
     parameters = [q for q in result.quantities if q.kind != "derived"]
     free = [q for q in parameters if q.kind == "free"]

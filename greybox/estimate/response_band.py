@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, frozen
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, frozen, real_root
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
@@ -64,7 +64,7 @@ class ResponseBand:
     @property
     def offset(self) -> Array:
         """Middle of the band less the response, (2, n): log magnitude, and phase in rad."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             away: ComplexArray = np.log(self._center / self.response.response)
         return np.array([away.real, away.imag])
 
@@ -91,7 +91,7 @@ class ResponseBand:
         turn = np.linspace(0, 2 * np.pi, 48)
         circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
         values, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
-        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        root = vectors * real_root(values)[:, None, :]
         around = root @ circle
         around[np.isnan(self.covariance).any(axis=(1, 2))] = np.nan
         return self._center[:, None] + around[:, 0] + 1j * around[:, 1]
@@ -148,7 +148,7 @@ def band_of(
     `known` is the covariance of these parameters, `bias` (k,) their bias.
     """
     # An undamped zero of the fitted response has no logarithm: its relative error is infinite.
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         relative = slope / response.response[:, None]
 
     components = np.stack([slope.real, slope.imag])

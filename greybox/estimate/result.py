@@ -36,6 +36,7 @@ from greybox.files.arrays import (
     AnyArray,
     Array,
     Fields,
+    FloatPair,
     Interval,
     Labels,
     NamedStrings,
@@ -49,7 +50,7 @@ from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.harmonic_balance import response_of_test
-from greybox.modeling.model import Model, require_known
+from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.rational import Rational, rational
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -185,13 +186,13 @@ class Fit(Printed):
     seconds: float
     versions: NamedStrings
     models: tuple[Model, ...] | None = field(default=None, metadata=NOT_STORED)
-    given: tuple[Model | type[Model], ...] = field(default=(), metadata=NOT_STORED)
+    given: tuple[AnyModel, ...] = field(default=(), metadata=NOT_STORED)
     white: Array | None = None
     independent: tuple[Array, float] | None = None
     notes: Strings = ()
     directions: KnownDirections | None = None
     profiles: Profiles | None = None
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, FloatPair] = field(default_factory=dict)
     prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = None
     command: Strings = ()

@@ -29,6 +29,7 @@ from greybox.files.arrays import (
     Values,
     all_finite,
     by_name,
+    column_lengths,
     frozen,
     positive_or_one,
 )
@@ -257,7 +258,7 @@ def _of_responses(
     if not (all_finite(seen) and np.any(seen)):
         return None
     jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]
-    return _Sensitivity(nlp, _directions(x, jacobian, np.linalg.norm(jacobian, axis=0)), {})
+    return _Sensitivity(nlp, _directions(x, jacobian, column_lengths(jacobian)), {})
 
 
 def _of_record(
@@ -308,7 +309,7 @@ def _of_trajectory(
     pairs = zip(*map(part.data.unpadded, (slopes.weighted, slopes.by_initial)), strict=True)
     rows = []
     for stretch in pairs:
-        jacobian, by_states = (J.swapaxes(1, 2).reshape(-1, J.shape[1]) for J in stretch)
+        jacobian, by_states = (J.mT.reshape(-1, J.shape[1]) for J in stretch)
         rows.append(beside(jacobian, by_states))
 
     scale = nlp.scaling.slope(x)

@@ -149,6 +149,9 @@ class Controller(ABC):
         return f"{type(self).__name__}({', '.join(arguments)})"
 
 
+Controllers = Controller | Sequence[Controller]  # in the order in which they run
+
+
 def updated(controller: Controller, x: ca.SX, u: Named) -> tuple[ca.SX, ca.SX]:
     """Evaluate `update` on expressions: the next states (n,) and the outputs (m,).
 
@@ -180,7 +183,7 @@ def outside_names(controllers: Sequence[Controller], *kinds: str) -> list[str]:
 
 
 def connected(
-    controller: Controller | Sequence[Controller] | None, plant: str, system: Dynamics
+    controller: Controllers | None, plant: str, system: Dynamics
 ) -> tuple[Controller, ...]:
     """Return the controllers of a loop, if they fit the system of this plant and one another.
 

@@ -3,14 +3,12 @@
 Begin with `drawn_loops`.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from greybox.estimate.draws import drawn_values
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
-from greybox.experiment.controller import Controller
+from greybox.experiment.controller import Controllers
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
 from greybox.files.arrays import Array, Labels, Values
 from greybox.modeling.model import Model
@@ -23,7 +21,7 @@ BESIDE = slice(DRAWN.stop, None)  # those that differ in what the data do not de
 
 def drawn_loops(
     plant: Fit | Model,
-    controller: Controller | Sequence[Controller],
+    controller: Controllers,
     values: Values | None = None,
     *,
     at: Values | None,

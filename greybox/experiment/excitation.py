@@ -84,7 +84,7 @@ def checked_band(omega: Sequence[float], rate: float) -> Array:
     """Return the frequencies, rad/s; ValueError if one is not above 0 and far below the rate."""
     values = np.asarray(omega, dtype=float)
     # With five samples per period a held signal has 94 % of the amplitude.
-    limit = 2 * math.pi * rate / 5
+    limit = math.tau * rate / 5
     bad = values[~((values > 0) & (values <= limit))]
     if values.size == 0 or bad.size:
         raise ValueError(
@@ -144,7 +144,7 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     schedule = []
     clock = pause
     for w, eta, count in np.column_stack([frequencies, amplitudes, counts]).tolist():
-        period = 2 * math.pi / w
+        period = math.tau / w
         # Whole periods of settling keep the phase of the analyzed sine at zero.
         lead = round_up(lead_in / period) * period
         length = max(count, round_up(least / period)) * period
@@ -217,7 +217,7 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     finite_numbers("amplitude", amplitude)
     if low >= high:
         raise ValueError(f"a sweep from {low:g} to {high:g} rad/s: the frequency must rise.")
-    hold = dwell * 2 * math.pi / low
+    hold = dwell * math.tau / low
     # NaN fails every comparison.
     is_long = duration >= fade_in + fade_out and duration > hold
     if not (is_long and min(fade_in, fade_out) >= 0):
@@ -302,7 +302,7 @@ def multisine(
             "whole number."
         )
     # The harmonics in the band are assigned to the signals in turn.
-    step = 2 * math.pi / period
+    step = math.tau / period
     harmonics = np.arange(round_up(low / step), math.floor(high / step + 1e-9) + 1)
     if not 0 < 2 * len(signals) <= harmonics.size:
         raise ValueError(
@@ -365,11 +365,11 @@ def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
     k = int(np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0])
 
     def value(shift: float) -> float:
-        return float(np.sum(np.sin(2 * math.pi * harmonics * shift + phases)))
+        return float(np.sum(np.sin(math.tau * harmonics * shift + phases)))
 
     # Between samples, so that the signal starts exactly at zero.
     crossing: Any = brentq(value, k / count, (k + 1) / count, xtol=1e-16)
-    return phases + 2 * math.pi * harmonics * float(crossing)
+    return phases + math.tau * harmonics * float(crossing)
 
 
 def _sum(harmonics: IntArray, phases: Array, count: int) -> Array:

@@ -17,6 +17,7 @@ from greybox.files.arrays import (
     ArrayPair,
     BoolArray,
     ComplexArray,
+    FloatPair,
     IntArray,
     frozen,
 )
@@ -24,7 +25,6 @@ from greybox.files.arrays import (
 POINTS = 400  # in four decades below the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
 LARGEST = math.log(1e4)  # gain; the phase of two integrators, near rest, is rounding above it
-STEPS = 2**14  # most points of a step response: 70 MB for all draws
 
 
 class Located(NamedTuple):
@@ -37,7 +37,7 @@ class Located(NamedTuple):
     omega: Array
 
     @property
-    def first(self) -> tuple[float, float]:
+    def first(self) -> FloatPair:
         """The value and the frequency of the first plant."""
         return float(self.value[0]), float(self.omega[0])
 
@@ -179,8 +179,8 @@ def margin_numbers(
 
     # Where the gain is one, and how far the phase is from -180 degrees there.
     unity = crossings(size, omega)
-    lag = np.mod(unity.between(phase) + math.pi, 2 * math.pi)
-    angle = np.degrees(np.minimum(lag, 2 * math.pi - lag))
+    lag = np.mod(unity.between(phase) + math.pi, math.tau)
+    angle = np.degrees(np.minimum(lag, math.tau - lag))
 
     # Where the gain is real and negative.
     real = crossings(gain.imag, omega)
@@ -223,8 +223,8 @@ def _mirrored(gain: ComplexArray, omega: Array, period: float) -> tuple[ComplexA
     first, last = gain[:, :1], gain[:, -1:]
     is_integrator = np.abs(first.imag) > np.abs(first.real)
     before = np.where(is_integrator, first, first.conj())
-    at = np.r_[-omega[0], omega, 2 * math.pi / period - omega[-1]]
-    return np.concatenate([before, gain, last.conj()], axis=1), at
+    at = np.r_[-omega[0], omega, math.tau / period - omega[-1]]
+    return np.hstack([before, gain, last.conj()]), at
 
 
 def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
@@ -348,23 +348,24 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair
     """
     size = np.abs(loop.first.poles)
     count = max(int(math.log(1e-4) / math.log(size[size < 1 - 1e-7].max(initial=0.5))), 100)
-    stride = -(-count // STEPS)
+    # So many points of a step response take 70 MB for all draws.
+    stride = -(-count // 2**14)
     length = math.isqrt(count // stride) + 1
     A, B, C, D = loop.closed(setpoint, response)
 
     # With the constant input as a state, sample k is the last entry of the row [C D] M^k.
     M = np.zeros((len(A), len(A[0]) + 1, len(A[0]) + 1))
     M[:, :-1, :-1], M[:, :-1, -1], M[:, -1, -1] = A, B, 1
-    rows = [np.concatenate([C, D[:, None]], axis=1)[:, None]]
+    rows = [np.hstack([C, D[:, None]])[:, None]]
     columns = [np.broadcast_to(np.eye(M.shape[1])[:, -1:], (len(M), M.shape[1], 1))]
-    with np.errstate(over="ignore", invalid="ignore"):  # unstable loops
+    with np.errstate(all="ignore"):  # unstable loops
         between = np.linalg.matrix_power(M, stride)
         across = np.linalg.matrix_power(between, length)
         for _ in range(length - 1):
             rows.append(rows[-1] @ between)
             columns.append(across @ columns[-1])
-        steps = np.concatenate(rows, axis=1) @ np.concatenate(columns, axis=2)
-        steps = steps.swapaxes(1, 2)
+        steps = np.hstack(rows) @ np.concatenate(columns, axis=2)
+        steps = steps.mT
     final = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)
     # Both begin at zero, before the step.

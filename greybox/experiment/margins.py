@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
-from greybox.experiment.controller import Controller
+from greybox.experiment.controller import Controller, Controllers
 from greybox.experiment.drawn_loops import BESIDE, DRAWN, DRAWS, drawn_loops
 from greybox.experiment.loop_numbers import (
     LoopNumbers,
@@ -26,7 +26,16 @@ from greybox.experiment.loop_numbers import (
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.arrays import Array, ComplexArray, Fields, StringPair, Strings, Values, frozen
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    Fields,
+    FloatPair,
+    StringPair,
+    Strings,
+    Values,
+    frozen,
+)
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Model
@@ -59,7 +68,6 @@ LEAST = ("modulus margin", "disturbance rejection peak")
 
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
 MAIN = ("phase margin", "gain margin", "delay margin", "crossover")  # of a table of many loops
-SPARSE = 3.0  # ratio of neighboring frequencies; sines at 0.6, 1.7 and 4.5 rad/s stay below it
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
@@ -211,7 +219,7 @@ class Margins(Printed):
 
 def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     plant: Fit | Model | FrequencyResponse,
-    controller: Controller | Sequence[Controller] | None = None,
+    controller: Controllers | None = None,
     values: Values | None = None,
     *,
     broken_at: str = "",
@@ -219,7 +227,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     at: Values | None = None,
     part: int = 0,
     level: float = 0.95,
-    boundary: Sequence[tuple[float, float]] = (),
+    boundary: Sequence[FloatPair] = (),
 ) -> Margins:
     """Return margins and closed-loop numbers of a plant with sampled controllers, with intervals.
 
@@ -521,7 +529,8 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     if "phase margin 2" in numbers:
         notes.append("The gain is one at several frequencies; the smallest margin counts.")
     widest = math.exp(np.diff(points).max(initial=0.0))
-    if widest > SPARSE:
+    # Sines at 0.6, 1.7 and 4.5 rad/s stay below this ratio.
+    if widest > 3.0:
         notes.append(
             f"Neighboring points differ by up to a factor of {number(widest, 2)} in frequency, and "
             "lines are assumed between them: measure more of them near the crossings."

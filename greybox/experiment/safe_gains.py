@@ -16,7 +16,7 @@ from greybox.data.checked_array import number_pair
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit, Fits
-from greybox.experiment.controller import Controller
+from greybox.experiment.controller import Controller, Controllers
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
@@ -156,7 +156,7 @@ class SafeGains(Printed):
 
 def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     fits: Fit | Fits,
-    controller: Controller | Sequence[Controller],
+    controller: Controllers,
     gains: Mapping[str, Interval | None] | Labels,
     *,
     phase_margin: float = 45.0,

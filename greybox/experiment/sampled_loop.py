@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from greybox.data.checked_array import finite_numbers
 from greybox.experiment.controller import (
     Controller,
+    Controllers,
     connected,
     outside_names,
     run_controllers,
@@ -217,7 +218,7 @@ class SampledLoop:
         # Every past control becomes the next older one.
         following[:, controls:] = np.eye(size - controls, size + 1, controls - 1)
         following[:, newest] = u
-        read = np.concatenate([y, total], axis=1)[:, self.signals.index(signal)]
+        read = np.hstack([y, total])[:, self.signals.index(signal)]
         return following[..., :-1], following[..., -1], read[:, :-1], read[:, -1]
 
     @cached_property
@@ -235,7 +236,7 @@ class SampledLoop:
 def sampled_loop(
     model: Model,
     values: Array,
-    controller: Controller | Sequence[Controller] | None,
+    controller: Controllers | None,
     *,
     at: Values | None = None,
     measured: Labels = (),
@@ -272,12 +273,12 @@ def sampled_loop(
     whole, part = in_periods(delay, period, system.inputs)
 
     # Before a control arrives the one before it acts: exp(A t) and its integral.
-    columns = B.swapaxes(1, 2)[..., None]
+    columns = B.mT[..., None]
     alike = np.repeat(A[:, None], B.shape[2], axis=1)  # for each input, whose delay is its own
     before, first = held_response(alike, columns, part * period)
     decay, second = held_response(alike, columns, (1 - part) * period)
     transition = (decay @ before)[:, 0]
-    early, late = (block[..., 0].swapaxes(1, 2) for block in (decay @ first, second))
+    early, late = (block[..., 0].mT for block in (decay @ first, second))
     return SampledLoop(
         system.inputs,
         sensors,

@@ -127,8 +127,8 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
     values = {
         "AXIS": number,
         "MAGNITUDE": math.degrees(settings["amplitude"]) if angular else settings["amplitude"],
-        "F_START_HZ": settings["low"] / (2 * math.pi),
-        "F_STOP_HZ": settings["high"] / (2 * math.pi),
+        "F_START_HZ": settings["low"] / math.tau,
+        "F_STOP_HZ": settings["high"] / math.tau,
         "T_FADE_IN": settings["fade_in"],
         "T_REC": settings["duration"],
         "T_FADE_OUT": settings["fade_out"],

@@ -4,7 +4,6 @@ Begin with `plan_sines`.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import field
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.checked_array import require_band
 from greybox.data.record import Record
-from greybox.experiment.controller import Controller
+from greybox.experiment.controller import Controllers
 from greybox.experiment.excitation import NOTHING, Excitation, sine_schedule
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
@@ -144,7 +143,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     input: str = "u",
     output: str = "theta",
     excitation: str = "reference",
-    controller: Controller | Sequence[Controller] | None = None,
+    controller: Controllers | None = None,
     limits: Values = NOTHING,
     rate: float = 100.0,
     periods: int = 10,
@@ -184,7 +183,8 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         Flies the vehicle meanwhile; without one the plant is tested in open loop.
     limits : mapping of signal to float
         Largest amplitudes of signals of the loop: outputs, inputs, states, and derivatives such as
-        ``theta_dot``. They hold for settled sines; at the beginning of a sine, signals overshoot them.
+        ``theta_dot``. They hold for settled sines; at the beginning of a sine, signals overshoot
+        them.
     rate : float, Hz
         Sampling rate of the log.
     periods : int
@@ -270,7 +270,7 @@ def _gains(
     omega: Array,
     signals: Labels,
     excitation: str,
-    controller: Controller | Sequence[Controller] | None,
+    controller: Controllers | None,
     rate: float,
 ) -> dict[str, ComplexArray]:
     """Return the gains (n,) from excitation to signals, with the sampling of the controller."""
@@ -322,7 +322,7 @@ def noise_density(
     for stretch in uniform_stretches(noise, [input, output]):
         count = stretch.values.shape[1]
         length = stretch.step * count
-        window = 1 - np.cos(2 * np.pi * (np.arange(count) + 0.5) / count)  # Hann
+        window = 1 - np.cos(math.tau * (np.arange(count) + 0.5) / count)  # Hann
         # A spectrum of wind changes little over a sixth of its frequency.
         reach = np.maximum(omega / 6, 2 * HZ / length)
         lines = HZ / length * np.arange(1, min(count // 2, int(max(omega + reach) * length / HZ)))

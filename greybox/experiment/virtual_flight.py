@@ -4,7 +4,7 @@ Begin with `virtual_flight`.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +18,7 @@ from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
 from greybox.experiment.controller import (
     Controller,
+    Controllers,
     connected,
     outside_names,
     run_controllers,
@@ -47,7 +48,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     values: Values | None,
     excitation: Excitation | Mapping[str, ArrayLike],
     *,
-    controller: Controller | Sequence[Controller] | None = None,
+    controller: Controllers | None = None,
     noise: Values = NOTHING,
     process_noise: Values = NOTHING,
     initial: Values = NOTHING,

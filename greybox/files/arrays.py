@@ -19,9 +19,12 @@ Named = Mapping[str, Any]  # by the names of parameters, signals, settings or fa
 Fields = dict[str, Any]  # by the names of columns, options or attributes
 ArrayPair = tuple[Array, Array]
 ArrayTriple = tuple[Array, Array, Array]
+ComplexPair = tuple[ComplexArray, ComplexArray]
 StringPair = tuple[str, str]  # such as a text and its cure
 Arrays = Sequence[Array]
-Interval = tuple[float, float]  # its low and its high end
+FloatPair = tuple[float, float]  # such as a value and its standard error
+Interval = FloatPair  # its low and its high end
+Indices = tuple[int, ...]  # of parameters, states, rows or runs
 Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 Labels = Sequence[str]  # the same, in a list or a tuple
 
@@ -58,6 +61,11 @@ def positive_or_one(sizes: Array) -> Array:
     return np.where(sizes > 0, sizes, 1.0)
 
 
+def real_root(squares: Array) -> Array:
+    """Return square roots: zero of those that rounding left below zero."""
+    return np.sqrt(np.maximum(squares, 0.0))
+
+
 def as_arrays(matrices: Iterable[Any]) -> list[Array]:
     """Return matrices of CasADi as dense arrays."""
     return [matrix.full() for matrix in matrices]
@@ -66,6 +74,16 @@ def as_arrays(matrices: Iterable[Any]) -> list[Array]:
 def evenly_spread(count: int, most: int) -> IntArray:
     """Return at most this many of `count` places, evenly from the first to the last."""
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+
+
+def sum_of_squares(values: AnyArray) -> float:
+    """Return the sum of the squared magnitudes of an array."""
+    return float(np.sum(np.abs(values) ** 2))
+
+
+def column_lengths(columns: Any) -> Array:
+    """Return the lengths of the columns of a matrix."""
+    return np.linalg.norm(columns, axis=0)
 
 
 def unit_length(vectors: Array, axis: int) -> Array:
@@ -80,7 +98,7 @@ def real_and_imaginary(values: ComplexArray, axis: int = 0) -> Array:
 
 def of_diagonal(matrices: Array) -> Array:
     """Return the diagonals (..., k) of matrices (..., k, k)."""
-    return np.diagonal(matrices, axis1=-2, axis2=-1)
+    return np.linalg.diagonal(matrices)
 
 
 def complex_array(real: Array, imaginary: Array) -> ComplexArray:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.files.arrays import Array, Labels, NamedStrings, Strings, by_name, frozen
+from greybox.files.arrays import Labels, NamedArrays, NamedStrings, Strings, by_name, frozen
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, is_number
 
@@ -92,7 +92,7 @@ class DelimitedText:
                 f"{self.path} is not a table of numbers ({problem}): save it as plain CSV."
             ) from None
 
-    def numbers(self, places: Mapping[str, int], texts: NamedStrings) -> dict[str, Array]:
+    def numbers(self, places: Mapping[str, int], texts: NamedStrings) -> NamedArrays:
         """Return columns of numbers, (n,) arrays, by name from their places, from 0.
 
         Rows in which only the first of these columns has a value are left out, and rows without

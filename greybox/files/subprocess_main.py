@@ -26,8 +26,6 @@ SMALL = 2**24
 # Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into
 # gigabytes; compressed flights reach 10, and files of mostly constant signals stay below this.
 EXPANSION = 100
-# Bytes that the process may use beyond those of its libraries and of the arrays.
-MEMORY = 2**27
 MOST = 20_000  # arrays; even an empty one costs a header
 LINKS = 50_000  # in all groups of a file
 DEEPEST = 8  # structs within structs, groups within groups
@@ -261,8 +259,9 @@ def limit_resources(size: int, room: int) -> None:
     # Processor time, at 4 MB/s: HDF5 and MATLAB files of arrays run at 200 MB/s, compressed ones
     # and those of many small objects at 10 MB/s.
     signal.setitimer(signal.ITIMER_PROF, 0.6 + size / 4e6)
-    # An array is in memory as it is stored, as it is written, and once more on the way.
-    most = _memory() + MEMORY + 3 * room
+    # Beside its libraries, the process has 128 MB of its own. An array is in memory as it is
+    # stored, as it is written, and once more on the way.
+    most = _memory() + 2**27 + 3 * room
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     most = most if hard == resource.RLIM_INFINITY else min(most, hard)
     resource.setrlimit(resource.RLIMIT_AS, (most, hard))

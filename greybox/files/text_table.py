@@ -7,11 +7,13 @@ import difflib
 import math
 import re
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from typing import Any
 
 from greybox.files.arrays import Labels, StringPair, Strings
+
+Sentences = Iterator[str]
 
 # Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
 # follows), halves of characters (no terminal takes them), line and paragraph separators.

@@ -21,7 +21,6 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.functions import exp, log, sqrt
 
 _DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
-_PHASE_WEIGHT = 0.01745  # of squared degrees, relative to squared dB
 
 
 class Criterion(AnyCriterion):
@@ -371,7 +370,8 @@ class MagnitudePhase(Criterion):
         """Return the roots of the weights of log magnitude and phase, units and 20/n included."""
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
         common = math.sqrt(20 / len(data)) * 1.58 * (1 - exp(-coherence))
-        return common * _DB_PER_NEPER, np.degrees(common * math.sqrt(_PHASE_WEIGHT))
+        # The weight of squared degrees, relative to squared dB.
+        return common * _DB_PER_NEPER, np.degrees(common * math.sqrt(0.01745))
 
 
 @frozen

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, NamedStrings, Strings, by_name, frozen
+from greybox.files.arrays import Array, FloatPair, NamedStrings, Strings, by_name, frozen
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters, normal_prior
 
-Knowledge = tuple[float, float] | HeldEstimate
+Knowledge = FloatPair | HeldEstimate
 """Mean and standard deviation of a parameter, or an earlier fit with estimate and covariance."""
 
 
@@ -47,7 +47,7 @@ class NormalPrior:
     covariance: Array
 
     @property
-    def stated(self) -> dict[str, tuple[float, float]]:
+    def stated(self) -> dict[str, FloatPair]:
         """Mean and standard deviation by name."""
         sigma = np.sqrt(np.diag(self.covariance))
         return by_name(self.names, zip(self.mean.tolist(), sigma.tolist(), strict=True))

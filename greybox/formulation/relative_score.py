@@ -52,7 +52,7 @@ def relative_score(
     size = min(max(noise, 1e-4), 0.3)
     # Means over a circle that comes as close as 0.4 to zero are exact to 3e-4 with 16 angles.
     # Errors reach 2.4 to 3.3 σ, for 8 to 100 points.
-    angles = 2 * np.pi * (np.arange(16) + 0.5) / 16
+    angles = math.tau * (np.arange(16) + 0.5) / 16
     node, share = NODES
     radius = (node + 1) / 2 * math.sqrt(2 * math.log(2 * min(max(points, 8), 100)))
     share = share * radius * np.exp(-(radius**2) / 2)

@@ -57,7 +57,7 @@ def between_samples(
     return tuple(intersample(hold, record.step) for hold in holds)
 
 
-def described_inputs(inputs: Inputs, names: Labels, record: Record) -> dict[str, str]:
+def described_inputs(inputs: Inputs, names: Labels, record: Record) -> NamedStrings:
     """Return how every input varies between its samples, in words, and who states it."""
     if not record.has_time:
         return {}

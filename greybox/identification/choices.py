@@ -3,15 +3,14 @@
 Begin with `choose`.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.data.test_segment import Segment
-from greybox.files.arrays import Fields, Labels, StringPair
+from greybox.data.test_segment import Segment, Segments
+from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair
 from greybox.files.text_table import some
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
@@ -112,7 +111,7 @@ def _first(recording: Recording, signals: Labels) -> str:
     return next(iter(present(recording, signals)), "")
 
 
-def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
+def _body_axis(recording: Recording, tests: Segments) -> str:
     """Return the axis that tests excite: by their name, or the one whose setpoint moves most."""
     name = tests[0].axis
     # The axis in a System Identification log is certain, even if it is not one of the three.
@@ -130,7 +129,7 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
     return ""
 
 
-def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
+def motion(recording: Recording, signal: str, tests: Segments) -> float:
     """Return the largest standard deviation of a signal in a test; 0 if the log lacks it."""
     # Stretches of a heading have no jumps by a whole turn at north, which are no motions.
     parts = stretches(recording, signal)[1] if present(recording, [signal]) else []
@@ -143,7 +142,7 @@ def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float
     return max(spreads, default=0.0)
 
 
-def _chosen_axis(usable: Sequence[Segment], axes: dict[str, str], wanted: str) -> str:
+def _chosen_axis(usable: Segments, axes: NamedStrings, wanted: str) -> str:
     """Return the axis as its tests name it: the wanted one, or that of the longest tests."""
     if wanted:
         for raw, axis in axes.items():
@@ -162,7 +161,7 @@ def _why_axis(test: Segment) -> str:
     return f"{test.axis} moves" if axis_of(test.axis) else "its setpoint moves most"
 
 
-def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> StringPair:
+def _output(recording: Recording, axis: str, used: Segments) -> StringPair:
     """Return the best-sampled angle of the axis, or else its rate, with a name, and the reason."""
     own = AXES.get(axis)
     kinds = ("angle", "rate")
@@ -179,7 +178,7 @@ def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> StringP
     )
 
 
-def _rate(recording: Recording, signal: str, used: Sequence[Segment]) -> float:
+def _rate(recording: Recording, signal: str, used: Segments) -> float:
     """Return the sampling rate during the tests, Hz."""
     time = recording.locate(signal)[0].time
     samples = [

@@ -16,7 +16,7 @@ from greybox.data.checked_array import require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment, segment_table
+from greybox.data.test_segment import Segment, Segments, segment_table
 from greybox.data.units import known_unit
 from greybox.files.arrays import Interval, Labels, NamedStrings, StringPair, Strings, frozen
 from greybox.files.text_table import counted, number, one_line
@@ -166,7 +166,7 @@ def named_signal(text: str) -> StringPair:
     return (name, signal) if equals else (text.rpartition(".")[2], text)
 
 
-def named_signals(texts: Labels) -> dict[str, str]:
+def named_signals(texts: Labels) -> NamedStrings:
     """Return signals by name; raise ValueError if two have the same name."""
     signals = dict(map(named_signal, texts))
     if len(signals) < len(texts):
@@ -383,7 +383,7 @@ def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]
     return tuple(segment for segment in segments if segment.source not in measured)
 
 
-def _chosen(segments: Sequence[Segment], settings: Settings) -> list[Segment]:
+def _chosen(segments: Segments, settings: Settings) -> list[Segment]:
     chosen = list(segments)
     if settings.tests:
         chosen = [segments[k - 1] for k in _numbers(settings.tests, len(segments))]
@@ -415,7 +415,7 @@ def _numbers(text: str, count: int) -> list[int]:
     return result
 
 
-def _require_one_axis(used: Sequence[Segment]) -> None:
+def _require_one_axis(used: Segments) -> None:
     axes = list(dict.fromkeys(segment.axis for segment in used))
     if len(axes) > 1:
         raise ValueError(
@@ -424,7 +424,7 @@ def _require_one_axis(used: Sequence[Segment]) -> None:
         )
 
 
-def _within_band(sines: Sequence[Segment], band: Interval) -> list[Segment]:
+def _within_band(sines: Segments, band: Interval) -> list[Segment]:
     inside = [segment for segment in sines if band[0] <= segment.omega <= band[1]]
     if not inside:
         listed = ", ".join(f"{segment.omega:.4g}" for segment in sines)
@@ -435,7 +435,7 @@ def _within_band(sines: Sequence[Segment], band: Interval) -> list[Segment]:
     return inside
 
 
-def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment]) -> str:
+def _instrument(recording: Recording, settings: Settings, used: Segments) -> str:
     """Return the injected signal of sweeps and noise: stated, or where the tests were found."""
     # With an open loop as stated, there is no instrument.
     if settings.instrument or settings.open_loop:
@@ -451,7 +451,7 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
     return used[0].source.removeprefix("setpoint ").removeprefix(INJECTED)
 
 
-def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> float | None:
+def _rate(recording: Recording, settings: Settings, used: Segments) -> float | None:
     """Return the stated rate, or that of input and output if a signal is injected."""
     if settings.rate is not None or not used or not used[0].source.startswith(INJECTED):
         return settings.rate
@@ -460,7 +460,7 @@ def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> 
 
 
 def _estimated(
-    record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
+    record: Record, pieces: Sequence[Record], sines: Segments, settings: Settings
 ) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
     (u, _), (y, _) = settings.names
     if sines:
@@ -526,7 +526,7 @@ def _on_points(points: FiniteFrequency | None) -> Findings:
         yield Finding("sines", "note", math.nan, f"{text}.")
 
 
-def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Findings:
+def _beyond_sweep(response: FrequencyResponse, used: Segments) -> Findings:
     """Yield a warning on the points beyond the sweeps, which only their transients excite."""
     # A test that is not a sweep may excite any frequency.
     bands = [segment.band for segment in used if segment.kind == "sweep"]
@@ -561,9 +561,9 @@ def _about(
     response: FrequencyResponse,
     signals: NamedStrings,
     filters: KnownFilters,
-    used: Sequence[Segment],
+    used: Segments,
     settings: Settings,
-) -> dict[str, str]:
+) -> NamedStrings:
     """Return the origin of a response, for its file."""
     about = {
         "log": recording.source,
@@ -587,7 +587,7 @@ def _about(
     return {key: text for key, text in about.items() if text}
 
 
-def _kind(signals: NamedStrings, used: Sequence[Segment], settings: Settings) -> str:
+def _kind(signals: NamedStrings, used: Segments, settings: Settings) -> str:
     if used and used[0].kind == "sine":
         return "single sines"
     way = "periodic" if settings.period else "spectral"
@@ -598,7 +598,7 @@ def _kind(signals: NamedStrings, used: Sequence[Segment], settings: Settings) ->
     )
 
 
-def _excitation(used: Sequence[Segment]) -> str:
+def _excitation(used: Segments) -> str:
     if not used:
         return ""
     low, high = min(s.band[0] for s in used), max(s.band[1] for s in used)

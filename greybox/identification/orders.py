@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray, Named, Strings, Values
+from greybox.files.arrays import Array, ComplexArray, Named, Strings, Values, sum_of_squares
 from greybox.files.text_table import counted
 from greybox.identification.selection import (
     UNSTABLE,
@@ -265,7 +265,7 @@ def _at_delays(
         error = (ratio(*fraction[:2], data.omega) - turned) / size
         lag = {"T_delay": float(delay)} if orders.delay else {}
         values = {**coefficients(*fraction[:2], orders.integrators), **lag}
-        fits.append((float(np.sum(np.abs(error) ** 2)), values))
+        fits.append((sum_of_squares(error), values))
     return fits
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, ComplexArray, Interval, frozen
+from greybox.data.test_segment import Segments
+from greybox.files.arrays import Array, ComplexArray, Interval, column_lengths, frozen, real_root
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
@@ -41,7 +41,7 @@ def systematic_errors(
     record: Record,
     response: FrequencyResponse,
     control: str,
-    used: Sequence[Segment],
+    used: Segments,
     amplitudes: Array | None = None,
 ) -> list[SystematicError]:
     """Return the errors of a response from a control that follow from the log.
@@ -139,7 +139,7 @@ def _thinned(
         finding = Finding("logging", "warning", thinned.logged, text)
         return SystematicError("thinned log", np.zeros(len(response)), finding)
     common = thinning_error(thinned, recording, axis, response)
-    relative = np.linalg.norm(common, axis=0)
+    relative = column_lengths(common)
     text = (
         f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all "
         f"frequencies and a fitted gain have in common; to log every pass, {thinned.cure}."
@@ -153,7 +153,7 @@ def _rounded(
     recording: Recording,
     record: Record,
     response: FrequencyResponse,
-    used: Sequence[Segment],
+    used: Segments,
     spans: Sequence[Interval],
     amplitudes: Array | None,
 ) -> SystematicError | None:
@@ -178,7 +178,7 @@ def _rounded(
             [int(np.argmin([abs(s.omega - omega) for s in used])) for omega in response.omega]
         ]
     # The sine itself is part of the motion, and is taken out of it: a²/2 is its variance.
-    relative = rounding_error(a, np.sqrt(np.maximum(moved**2 - a**2 / 2, 0)))
+    relative = rounding_error(a, real_root(moved**2 - a**2 / 2))
     # Below one step, the error is no longer small noise: the finding leaves these points out.
     below = response.omega[(a < 1.0) & (relative > NEGLIGIBLE)]
     text = f"motor outputs are whole µs: {_size(relative)} are added to the standard errors"

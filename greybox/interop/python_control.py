@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
-from greybox.files.arrays import Labels, Strings, Values
+from greybox.files.arrays import Labels, NamedStrings, Strings, Values
 from greybox.files.optional_package import required
 from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
@@ -170,7 +170,7 @@ def from_control(
     return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y)
 
 
-def _named(name: str) -> dict[str, str]:
+def _named(name: str) -> NamedStrings:
     """Return the name of a system as python-control accepts it."""
     # It refuses dots, and brackets mark the names that it generates.
     plain = re.sub(r"\W+", "_", name).strip("_")

@@ -87,7 +87,7 @@ def _segment(
 
 def _band(time: Array, phase: Array) -> tuple[float, float, int]:
     """Return the first and the last frequency of a chirp, rad/s, and its number of samples."""
-    steps = np.diff(phase) % (2 * math.pi)
+    steps = np.diff(phase) % math.tau
     # Beyond half the sampling rate, steps of the phase are over half a turn.
     beyond = np.flatnonzero(np.convolve(steps > math.pi, np.ones(3), "valid") == 3)
     last = int(beyond[0]) if beyond.size else time.size

@@ -25,7 +25,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording, median_step
-from greybox.files.arrays import Array, ComplexArray, Values
+from greybox.files.arrays import Array, ComplexArray, FloatPair, Values
 from greybox.logs.ardupilot.filters import CONTROLLERS
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"
@@ -130,7 +130,7 @@ def thinning_error(
     )
 
 
-def _differences(per_pass: float, stride: int) -> tuple[float, float]:
+def _differences(per_pass: float, stride: int) -> FloatPair:
     """Return how far logged passes differ from all passes, in gyro samples and in their age."""
     # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass
@@ -149,7 +149,7 @@ def remaining_alternation(parameters: Values, axis: str, loop: float) -> float:
     """Return the share of an alternation from pass to pass that the filter of the D term leaves."""
     cutoff = _of_controller(parameters, axis, "FLTD")
     # The gain of a first-order low-pass filter at half of the rate of the loop.
-    alpha = 1 / (1 + loop / (2 * math.pi * cutoff)) if cutoff > 0 else 1.0
+    alpha = 1 / (1 + loop / (math.tau * cutoff)) if cutoff > 0 else 1.0
     return alpha / (2 - alpha)
 
 
@@ -159,7 +159,7 @@ def low_pass(order: int, cutoff: float, omega: Array) -> ComplexArray:
 
     if cutoff <= 0:
         return np.ones(omega.size, dtype=complex)
-    polynomials = butter(order, 2 * math.pi * cutoff, analog=True)
+    polynomials = butter(order, math.tau * cutoff, analog=True)
     return freqs(*polynomials, omega)[1]  # type: ignore[arg-type]
 
 

@@ -163,8 +163,8 @@ def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) ->
     if kind == "step":
         x = np.diff(x)
     # Up to the share of the sampling rate in `greybox.spectral.transients`.
-    low, high = 2 * math.pi / (t[-1] - t[0]), 0.4 * 2 * math.pi / step
-    omega = 2 * math.pi * np.fft.rfftfreq(FINER * t.size, step)
+    low, high = math.tau / (t[-1] - t[0]), 0.4 * math.tau / step
+    omega = math.tau * np.fft.rfftfreq(FINER * t.size, step)
     inside = (omega >= low) & (omega <= max(high, 2 * low))
     # A manoeuvre of a few samples has no frequency below the limit.
     if not inside.any():

@@ -21,10 +21,6 @@ from greybox.logs.flight_controllers import passed_filters
 PASS = 0.35
 STOP = 0.5
 
-# Share of rows with a value: a table has those of a slower sensor in fewer, and lost samples leave
-# more.
-SPARSE = 0.5
-
 
 @dataclass(frozen=True)
 class Derived:
@@ -233,7 +229,8 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
         values, unit = conversion.apply(values), conversion.si
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
 
-    if finite.mean() < SPARSE:
+    # A table has values of a slower sensor in fewer rows, and lost samples leave more.
+    if finite.mean() < 0.5:
         findings += (
             f"fewer than half of the rows have a value of {signal}, and the others are "
             "interpolated: for a fit, take the rows as they are, record = gb.read(FILE, "

@@ -1,7 +1,7 @@
 """Finds the tests in a flight: those of System Identification mode, and sines and sweeps."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
@@ -16,7 +16,7 @@ from greybox.data.record import (
     require_time,
     runs_between_gaps,
 )
-from greybox.data.test_segment import Segment
+from greybox.data.test_segment import Segment, Segments
 from greybox.data.units import known_unit
 from greybox.files.arrays import (
     Array,
@@ -131,7 +131,7 @@ def _one_run(data: Recording, start: float, until: float, setting: Values) -> Se
     """Return one run from its settings; the waveform lasts TR, fades included."""
     planned_end = start + setting["TR"]
     axis = int(setting["Ax"])
-    low, high = sorted((2 * math.pi * setting["FSt"], 2 * math.pi * setting["FSp"]))
+    low, high = sorted((math.tau * setting["FSt"], math.tau * setting["FSp"]))
     segment = Segment(
         start,
         planned_end,
@@ -180,7 +180,7 @@ def _announced(
 
     columns = {key: record[name] for key, name in chosen.items()}
     if "frequency" in columns:
-        columns["omega"] = 2 * np.pi * columns.pop("frequency")
+        columns["omega"] = math.tau * columns.pop("frequency")
     segments = []
     for rows in _tests(record.time, columns):
         value: Fields = {key: float(x[rows[0]]) for key, x in columns.items()}
@@ -204,7 +204,7 @@ def _tests(time: Array, columns: NamedArrays) -> list[IntArray]:
     return [rows for rows in groups if rows.size > 1 and columns["omega"][rows[0]] > 0]
 
 
-def _checked(segment: Segment, data: Recording | Record, sines: Sequence[Segment]) -> Segment:
+def _checked(segment: Segment, data: Recording | Record, sines: Segments) -> Segment:
     """Refuse a test that is too short, not excited, flown by hand, or cut by a change of mode.
 
     Refuse a sine also if it is much shorter, or much weaker, than the others of the flight.
@@ -293,7 +293,7 @@ def stretches(
     values = record[field][finite]
     # A whole turn in the unit of an angle, the jump of a heading at north.
     conversion = known_unit(unit)
-    turn = 2 * math.pi / conversion.factor if conversion and conversion.si == "rad" else 0.0
+    turn = math.tau / conversion.factor if conversion and conversion.si == "rad" else 0.0
     return unit, [
         (time[run], np.unwrap(values[run], period=turn) if turn else values[run])
         for run in runs_between_gaps(time, max(longest_gap, GAP * record.step))

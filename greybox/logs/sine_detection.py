@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import median_step
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, ArrayPair, IntArray
+from greybox.files.arrays import Array, ArrayPair, FloatPair, IntArray
 
 # `benchmarks/signal_constants.py` shows what these constants decide. Below, "of 20" means pairs of
 # noisy sines; "of 15", schedules that are clean, offset, quantized or held; "of 24", sweeps; and
@@ -295,7 +295,7 @@ def _sweep(
     return replace(piece, start=start, end=stop, band=(min(slow), max(fast)))
 
 
-def _end_frequency(crossings: Array) -> tuple[float, float]:
+def _end_frequency(crossings: Array) -> FloatPair:
     """Return the frequency half a wave beyond the first of these crossings, and at it, rad/s."""
     frequency = math.pi / np.abs(np.diff(crossings))
     beyond = float(BEYOND @ frequency)
@@ -345,7 +345,7 @@ def _part_of(sine: Segment, sweep: Segment) -> bool:
 
 def _factors(t: Array, x: Array, omega: float, columns: int) -> Array:
     """Return the factors on these waves whose sum is closest to x (n,)."""
-    return np.linalg.lstsq(_waves(t, omega, columns), x, rcond=None)[0]
+    return np.linalg.lstsq(_waves(t, omega, columns), x)[0]
 
 
 def _waves(x: Array, omega: float, columns: int) -> Array:

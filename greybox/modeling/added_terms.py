@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Fields, Labels, Named
+from greybox.files.arrays import Array, Fields, Labels, Named, sum_of_squares
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
@@ -73,7 +73,7 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
     for i, slopes in enumerate(derivatives):
         used = slopes.any(axis=1)
         rate, changes = slopes[used], outputs[:, used]
-        factor = np.einsum("cs,kcs->k", rate, changes) / max(float(np.sum(rate**2)), 1e-300)
+        factor = np.einsum("cs,kcs->k", rate, changes) / max(sum_of_squares(rate), 1e-300)
         difference = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
         alike = np.all(difference <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
         factors[:, i] = np.where(alike, np.round(factor, 12), 0.0)

@@ -383,7 +383,7 @@ def _harmonics(
     waves, products, to_series = transforms(harmonics, points)
     slope, size = (ca.SX.sym(name, z.numel()) for name in ("slope", "size"))
     if switches:
-        formulas = interval_means(formulas, z, slope, size, 2 * np.pi / points)
+        formulas = interval_means(formulas, z, slope, size, math.tau / points)
 
     inputs = [z, slope, size, parameters]
     partials = ca.jacobian(formulas, ca.vertcat(*inputs))
@@ -426,7 +426,7 @@ def transforms(harmonics: int, points: int) -> tuple[ArrayPair, list[ca.DM], Arr
     without aliasing.
     """
     # The samples cover one period evenly, so that the waves are orthogonal and need no inverse.
-    phase = 2 * np.pi * np.arange(points) / points
+    phase = math.tau * np.arange(points) / points
     waves = [wave(k * phase) for k in range(1, 2 * harmonics + 1) for wave in (np.cos, np.sin)]
     double = np.array([np.ones(points), *waves])
     to_series = double * 2 / points

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, StringPair, Values, all_finite, as_arrays
+from greybox.files.arrays import Array, Indices, StringPair, Values, all_finite, as_arrays
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -60,7 +60,7 @@ def frequency_response(
     input, output = pick_signals(model, input, output)
     pade = delay_order(delay)
     # At a pole the response is infinite, which is refused below with its frequency.
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         # Plain complex numbers if possible: tests compare them with those of `Complex`.
         s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
         if isinstance(model, TransferFunction):
@@ -170,7 +170,7 @@ def _beside(undelayed: Callable[[Any], Any], s: Complex, hold: float, delay: Any
     return ramp * rate + (step * at_once if ca.SX(delay).is_zero() else 0)
 
 
-def _elimination_order(model: StateSpace, matrix: Trimmed, omega: Array) -> tuple[int, ...]:
+def _elimination_order(model: StateSpace, matrix: Trimmed, omega: Array) -> Indices:
     """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters does so at any few values.
     random = np.random.default_rng(0)

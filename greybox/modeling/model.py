@@ -296,12 +296,15 @@ def merged_parameters(owners: Iterable[Any]) -> dict[str, Parameter]:
     return result
 
 
-def equation(model: Model | type[Model]) -> str:
+AnyModel = Model | type[Model]
+
+
+def equation(model: AnyModel) -> str:
     """Return the docstring of a model: its equation and source."""
     return inspect.cleandoc(class_of(model).__doc__ or "")
 
 
-def class_of(model: Model | type[Model]) -> type[Model]:
+def class_of(model: AnyModel) -> type[Model]:
     """Return the class of a model, or the class itself."""
     return model if isinstance(model, type) else type(model)
 

@@ -3,13 +3,14 @@
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from greybox.files.arrays import Fields, Named
 from greybox.files.text_table import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
-from greybox.modeling.model import Model, class_of
+from greybox.modeling.model import AnyModel, Model, class_of
 from greybox.modeling.model_file import models_of
 from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, SeriesConnection
 
@@ -28,7 +29,7 @@ class UnknownModelError(LookupError):
         self.missing = missing
 
 
-def reference(model: Model) -> dict[str, Any]:
+def reference(model: Model) -> Fields:
     """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``."""
     positional, named = model.arguments
     return {
@@ -38,7 +39,7 @@ def reference(model: Model) -> dict[str, Any]:
     }
 
 
-def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()) -> Model:
+def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
     """Return the model that a reference names: one of those `given`, or one of greybox's own.
 
     A reference comes from a file, and a file must not choose what is imported: only `given` models
@@ -71,9 +72,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         ) from None
 
 
-def _given(
-    module_name: str, class_name: str, given: Sequence[Model | type[Model]]
-) -> Model | type[Model] | None:
+def _given(module_name: str, class_name: str, given: Sequence[AnyModel]) -> AnyModel | None:
     """Return the given model of this class, if possible of the same module."""
     named = [model for model in given if class_of(model).__qualname__ == class_name]
     # The same file has the module ``__main__`` when it is run.
@@ -117,7 +116,7 @@ def _plain(value: Any) -> Any:
     return {"text": repr(value)}
 
 
-def _alive(value: Any, given: Sequence[Model | type[Model]]) -> Any:
+def _alive(value: Any, given: Sequence[AnyModel]) -> Any:
     if isinstance(value, dict) and "model" in value:
         return resolve(value["model"], given)
     if isinstance(value, dict):

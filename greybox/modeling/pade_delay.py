@@ -17,9 +17,6 @@ import numpy as np
 
 from greybox.modeling.function_of_s import polynomial_value
 
-# Beyond this order, rounding errors of `pade_step` exceed 1e-7 where a delay is 8000 steps long.
-MOST_EXACT = 6
-
 
 def delay_order(delay: str) -> int | None:
     """Return the Padé order in ``"pade:n"``, or None for ``"exact"``."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.checked_array import number_pair
-from greybox.files.arrays import Array, Interval
+from greybox.files.arrays import Array, FloatPair, Interval
 from greybox.files.text_table import number, require_kind, text_table
 
 
@@ -60,7 +60,7 @@ class Parameter:
     fixed: bool = False
     starts: Interval | None = None
     scale: str = "linear"
-    prior: tuple[float, float] | None = None
+    prior: FloatPair | None = None
 
     def __post_init__(self) -> None:
         """Check the types, and the numbers against one another."""
@@ -175,7 +175,7 @@ def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> 
         raise ValueError(f"{name} is {value!r}: give a whole number {limits}.")
 
 
-def normal_prior(value: object, what: str) -> tuple[float, float]:
+def normal_prior(value: object, what: str) -> FloatPair:
     """Return mean and standard deviation; ValueError for anything else."""
     mean, sigma = number_pair(value, what)
     if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):

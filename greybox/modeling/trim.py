@@ -163,7 +163,7 @@ def _presolve(model: StateSpace, at: Values, residual: ca.Function) -> tuple[Arr
         # steps than the size of the point would leave the nearest root.
         for _ in range(60):
             derivative, jacobian = (np.nan_to_num(np.asarray(v)) for v in residual(root, start))
-            step = np.linalg.lstsq(jacobian, derivative.ravel(), rcond=None)[0]
+            step = np.linalg.lstsq(jacobian, derivative.ravel())[0]
             root = root - step / max(1.0, np.linalg.norm(step) / (1 + np.linalg.norm(root)))
         derivative = np.asarray(residual(root, start)[0])
         if not np.abs(derivative).max(initial=0) <= TOLERANCE * (1 + np.abs(root).max(initial=0)):

@@ -122,7 +122,7 @@ def _error_panels(
     fitted = [item for item in fits if isinstance(item, Fit)]
     for number, fit in enumerate(fitted):
         for part in fit.responses if fit.converged else ():
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(all="ignore"):
                 error = part.data.response / part.response
             same_data = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
             data = next(drawn for drawn in same_data if drawn.is_measured)

@@ -1,12 +1,11 @@
 """Signals of a flight log over time: a whole log with its tests, and the traces of one test."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from greybox.data.record import Record, Recording, median_step, runs_between_gaps
-from greybox.data.test_segment import Segment, checked_segments
+from greybox.data.test_segment import Segment, Segments, checked_segments
 from greybox.files.arrays import Array, Labels
 from greybox.files.grouping import grouped
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
@@ -17,7 +16,6 @@ from greybox.plotting.signals import shown_unit
 # Setpoint and angle of each axis, as ArduPilot logs them.
 ATTITUDE = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.DesYaw", "ATT.Yaw"))
 ORANGE = 1  # color of tests that are not usable
-PANELS = 6  # signals of a log without attitudes: more would not fit a page
 
 
 def traces(
@@ -57,7 +55,7 @@ def traces(
     # The last periods: transients have decayed, and the controller has reached the amplitude.
     if segment is not None:
         (segment,) = checked_segments([segment])
-        span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
+        span = min(segment.duration, periods * math.tau / segment.band[0])
         record = record.between(segment.end - span, segment.end)
 
     # One color for each signal: a panel may contain several.
@@ -78,7 +76,7 @@ def traces(
 
 def recording(
     recording: Recording,
-    segments: Sequence[Segment] = (),
+    segments: Segments = (),
     *,
     axes: GivenAxes | None = None,
 ) -> AxesArray:
@@ -107,9 +105,10 @@ def recording(
     require_drawable(recording, Recording, "the Recording that gb.read returns")
     segments = checked_segments(segments)
     signals = recording.signal_names
+    # Without attitudes, more signals would not fit a page.
     names = [
         [name for name in pair if name in signals] for pair in ATTITUDE if pair[1] in signals
-    ] or [[name] for name in signals[:PANELS]]
+    ] or [[name] for name in signals[:6]]
     if not names:
         raise ValueError(f"{recording.source or 'the recording'} has no signal to draw.")
 

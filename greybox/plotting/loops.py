@@ -8,7 +8,7 @@ from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
-from greybox.files.arrays import Array, Fields
+from greybox.files.arrays import Array, Fields, FloatPair
 from greybox.plotting.bode import BARS, error_bars
 from greybox.plotting.figure import (
     ANGLES,
@@ -117,7 +117,7 @@ def _banded(margins: Margins, x: Array, values: Array) -> list[Series]:
     return [band("", x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)), *curve]
 
 
-def _plane(x: Array, y: Array, critical: tuple[float, float]) -> list[Series]:
+def _plane(x: Array, y: Array, critical: FloatPair) -> list[Series]:
     """Return the curve of the estimate over those of draws, and the critical point."""
     # Draws in the Nichols and Nyquist diagrams, where a band has no direction
     return [

@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, Fields
+from greybox.files.arrays import Array, Fields, FloatPair
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, in_hertz, outlined
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
@@ -69,7 +69,7 @@ def draw(
     *,
     legend: bool = True,
     columns: int = 1,
-    size: tuple[float, float] = (6.4, 2.5),
+    size: FloatPair = (6.4, 2.5),
     title: str = "",
     hz: bool = False,
 ) -> AxesArray:

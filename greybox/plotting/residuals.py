@@ -153,7 +153,7 @@ def _coherence(part: FittedRecord, output: str, inputs: NamedArrays) -> Figure:
         f, values = coherence(
             np.nan_to_num(u[piece]), e, 1 / part.data.step, nperseg=2 * len(e) // PARTS
         )
-        series.append(Series(in_greek(name), "line", 2 * np.pi * f[1:], values[1:], color))
+        series.append(Series(in_greek(name), "line", math.tau * f[1:], values[1:], color))
     return Figure(
         f"Coherence of the residuals of {in_greek(output)} with inputs",
         "Frequency, rad/s",

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Array, StringPair, Values
+from greybox.files.arrays import Array, StringPair, Values, sum_of_squares
 from greybox.files.text_table import number, p_text, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series, require_drawable
 from greybox.plotting.matplotlib_figure import draw
@@ -93,7 +93,7 @@ def _line(model: str, x: Array, y: Array, error: Array, color: int) -> Series:
 
     (slope, intercept), covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
     dof = len(x) - 2
-    scatter = float(np.sum(((y - intercept - slope * x) / error) ** 2)) / dof
+    scatter = sum_of_squares((y - intercept - slope * x) / error) / dof
     slope_error = math.sqrt(covariance[0, 0] * max(scatter, 1.0))
     p_value = 2 * float(t.sf(abs(slope) / slope_error, dof))
     ends = np.array([x.min(), x.max()])

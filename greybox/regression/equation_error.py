@@ -22,6 +22,7 @@ from greybox.files.arrays import (
     Values,
     by_name,
     frozen,
+    sum_of_squares,
 )
 from greybox.files.text_table import Printed, number, require_kind, text_table
 from greybox.formulation.problem import Problem
@@ -201,7 +202,7 @@ def equation_error(
         of = rows.equation == k
         share = explained(rows.target[of], errors[of])
         count = int(of.sum())
-        band_hz = band / (2 * math.pi)
+        band_hz = band / math.tau
         left, names = equation.left, equation.parameters
         used.append(UsedEquation(left, names, share, count, band_hz, float(residuals[k])))
     return EquationErrorEstimate(
@@ -263,7 +264,7 @@ def _solved(rows: Rows, count: int, low: Array, high: Array) -> ArrayPair:
 
 def explained(target: Array, errors: Array) -> float:
     """Return the explained share of the variance of an equation; NaN if it is constant."""
-    variance = float(np.sum((target - np.mean(target)) ** 2)) if target.size else 0.0
+    variance = sum_of_squares(target - np.mean(target)) if target.size else 0.0
     return 1 - float(errors @ errors) / variance if variance > 0 else math.nan
 
 

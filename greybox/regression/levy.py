@@ -273,7 +273,7 @@ def reweighted(
         # Powers of ω differ by decades: without scaling, the rank would depend on the units.
         scale = positive_or_one(np.linalg.norm(matrix, axis=-2, keepdims=True))
         normalized = matrix / scale
-        inverse = np.linalg.pinv(normalized, RANK) / np.swapaxes(scale, -1, -2)
+        inverse = np.linalg.pinv(normalized, RANK) / scale.mT
         solution = inverse @ real_and_imaginary(factor * measured[..., :1], -2)
         numerator, lower = np.split(solution[..., 0], [m + 1], axis=-1)
         return numerator, np.concatenate([highest, lower, zeros], axis=-1), normalized

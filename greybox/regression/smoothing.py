@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from greybox.data.record import GAP, median_step, runs_between_gaps
-from greybox.files.arrays import Array, ArrayPair, IntArray
+from greybox.files.arrays import Array, ArrayPair, IntArray, sum_of_squares
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
@@ -63,7 +63,7 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = map(np.concatenate, zip(*sines, strict=True))
     # A straight line leaves nothing but rounding errors.
-    is_line = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))
+    is_line = sum_of_squares(amplitude) <= 1e-24 * float(np.nansum(values**2))
     cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
     smoothed = np.full(values.size, np.nan)

@@ -16,7 +16,16 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen, selected
+from greybox.files.arrays import (
+    Array,
+    FloatPair,
+    IntArray,
+    Labels,
+    Strings,
+    by_name,
+    frozen,
+    selected,
+)
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
@@ -36,7 +45,7 @@ def with_own_values(
     windows: Windows,
     integrator: Integrator | None,
     own: Labels,
-) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], Strings]:
+) -> tuple[ModelAtEstimate, dict[str, FloatPair], Strings]:
     """Return the model with the values `own` estimated from the windows.
 
     Also returned are these values with their standard errors, which include those of the model's
@@ -90,7 +99,7 @@ def with_own_values(
 
 
 def _note(
-    values: Mapping[str, tuple[float, float]],
+    values: Mapping[str, FloatPair],
     parameters: Parameters,
     numbers: int,
     record: str,
@@ -273,10 +282,10 @@ def _linearized(
     deviation = np.where(used.any(axis=(1, 2))[:, None], initial.states - initial.mean, 0.0)
     prior = np.zeros((w, n, n + a + 1))
     prior[..., -1] = -root * deviation
-    by_state = np.concatenate([columns[..., :n], np.broadcast_to(np.diag(root), (w, n, n))], axis=1)
-    columns = np.concatenate([columns, prior], axis=1)
+    by_state = np.hstack([columns[..., :n], np.broadcast_to(np.diag(root), (w, n, n))])
+    columns = np.hstack([columns, prior])
     basis = np.linalg.qr(by_state)[0]
-    columns = columns - basis @ (basis.swapaxes(1, 2) @ columns)
+    columns = columns - basis @ (basis.mT @ columns)
 
     # The deviations of single windows were eliminated above; now the mean is.
     flat = columns.reshape(-1, n + a + 1)

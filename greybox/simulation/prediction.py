@@ -13,7 +13,16 @@ import numpy as np
 
 from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, Labels, Strings, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    BoolArray,
+    FloatPair,
+    IntArray,
+    Labels,
+    Strings,
+    frozen,
+)
 from greybox.files.text_table import Printed, counted, number, text_table
 from greybox.modeling.parameter import is_finite_number
 from greybox.statistics.metrics import fit_percent, rms
@@ -82,7 +91,7 @@ class Prediction(Printed):
     trajectory: Array
     one_step: Array
     notes: Strings = ()
-    own: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    own: Mapping[str, FloatPair] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)

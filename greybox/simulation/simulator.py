@@ -22,6 +22,7 @@ from greybox.files.arrays import (
     by_name,
     evenly_spread,
     frozen,
+    real_root,
 )
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -372,10 +373,10 @@ def with_implied_states(
     J = (whitening(noise) @ informing).reshape(w, -1, slopes.shape[-1])
     prior = np.broadcast_to(np.diag(np.sqrt(precision)), (w, n, n))
     # Without finite slopes, an output has no finite error either.
-    by_state = np.nan_to_num(np.concatenate([J[..., :n], prior], axis=1), posinf=0.0, neginf=0.0)
+    by_state = np.nan_to_num(np.hstack([J[..., :n], prior]), posinf=0.0, neginf=0.0)
     size = np.maximum(np.linalg.norm(by_state, axis=1, keepdims=True), TINY)
-    inverse = np.linalg.pinv(by_state / size, 1e-10) / np.swapaxes(size, 1, 2)
-    covariance = inverse @ np.swapaxes(inverse, 1, 2)
+    inverse = np.linalg.pinv(by_state / size, 1e-10) / size.mT
+    covariance = inverse @ inverse.mT
 
     outputs_by_state = slopes[..., :n]
     variance = np.sum(outputs_by_state @ covariance[:, None] * outputs_by_state, axis=-1)
@@ -407,7 +408,7 @@ def _standard_errors(
             unknown = tuple(model.names[i] for i in model.uncertain[involved])
 
     # Rounding may make a variance negative.
-    return np.sqrt(np.maximum(variance, 0.0)), unknown
+    return real_root(variance), unknown
 
 
 def _depends(by_value: Array, q: Array) -> BoolArray:

@@ -119,7 +119,7 @@ def _halved(
     weight = whitening(R)
 
     def cost(e: Array, x: Array) -> Array:
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(all="ignore"):
             squares = ((e @ weight.T) ** 2).sum(axis=(1, 2))
         squares = np.where(np.isfinite(squares), squares, np.inf)
         return squares + (precision * (x - mean) ** 2).sum(axis=1)
@@ -187,7 +187,7 @@ def information_of(e: Array, S: Array, R: Array) -> ArrayPair:
     w, samples, k, n = S.shape
     J = (weight @ S).reshape(w, samples * k, n)
     r = (e @ weight.T).reshape(w, -1)
-    return J.swapaxes(1, 2) @ J, np.einsum("wmn,wm->wn", J, r)
+    return J.mT @ J, np.einsum("wmn,wm->wn", J, r)
 
 
 def whitening(covariance: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ArrayPair, all_finite, frozen, positive_or_one
+from greybox.files.arrays import Array, ArrayPair, all_finite, frozen, positive_or_one, real_root
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
@@ -33,9 +33,6 @@ NEGLIGIBLE_SHIFT = 0.1
 # Shift to which steps are refined where that is cheap: estimates then agree in six digits with
 # those of an exact integration. With 0.1 they differed by up to 8e-4 of their values.
 INVISIBLE_SHIFT = 1e-5
-# Operations of a simulation, some 10 ms, up to which it is cheap. The records of fewer than 1000
-# samples that need it take up to twice the time.
-CHEAP = 5e6
 
 
 @frozen
@@ -150,7 +147,9 @@ def _cheap_growth(nlp: CompiledProblem, error: DiscretizationError) -> int:
         part.samples * part.substeps * part.step.substep.n_instructions()
         for part in nlp.parts_of(RecordPart)
     )
-    return growth if growth * operations <= CHEAP else 1
+    # Such a simulation takes some 10 ms. Records of fewer than 1000 samples that need it take up to
+    # twice the time.
+    return growth if growth * operations <= 5e6 else 1
 
 
 def _refined(nlp: CompiledProblem, growth: int) -> CompiledProblem:
@@ -258,7 +257,7 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
         return np.full(len(change), math.inf)
 
     inverse = pseudo_inverse(hessian, 1e-12)
-    errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    errors = real_root(np.diag(inverse))
     return -(inverse @ change) / positive_or_one(errors)
 
 

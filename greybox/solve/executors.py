@@ -42,7 +42,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Fields
 from greybox.modeling.one_thread import Stored
 from greybox.modeling.parameter import require_whole
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
@@ -53,13 +53,11 @@ Batch = list[tuple[int, Array]]
 Made = Iterator[tuple[int, Array, Outcome]]
 """Number, start and outcome of runs."""
 
-FIRST = 128  # starts; a batch of a thousand takes a second
 # Work of one task, s: two hundred times the overhead of a distributed scheduler, and short enough
 # to show progress and to obey Ctrl-C.
 TASK_SECONDS = 0.3
-# Tasks that are handed out and not done yet, at most, and their solvers' bytes: a scheduler holds
+# Bytes of the solvers in all tasks that are handed out and not done yet, at most: a scheduler holds
 # all of them.
-MOST_WAITING = 128
 MOST_BYTES = 1 << 28
 
 LOST = "the executor gave up its tasks: its workers or its scheduler are gone."
@@ -87,8 +85,9 @@ def run_all(
         If the stored runs began from other starts.
     """
     memory = memory or Memory()
-    # If there are more starts than one batch, few come first: Ctrl-C soon has an answer.
-    first = min(FIRST if count > solver.together else count, solver.together)
+    # If there are more starts than one batch, few come first: Ctrl-C soon has an answer. A batch of
+    # a thousand takes a second.
+    first = min(128 if count > solver.together else count, solver.together)
     batches = _batches(numbered, first, solver.together)
     remaining = count
     for batch in batches:
@@ -188,7 +187,8 @@ def _on_workers(
 ) -> Made:
     """Yield the runs of all tasks in order; some tasks at a time are handed out."""
     payload = pickle.dumps(solver)
-    most = min(max(MOST_BYTES // len(payload), 2), MOST_WAITING)
+    # The scheduler holds all tasks that are handed out.
+    most = min(max(MOST_BYTES // len(payload), 2), 128)
     waiting: deque[tuple[Batch, Future[Outcomes]]] = deque()
 
     def submitted(batch: Batch, recalled: Outcomes | None = None) -> tuple[Batch, Future[Outcomes]]:
@@ -354,7 +354,7 @@ class WorkerPool(Executor):
             process.shutdown(wait)
 
     def _call(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]
+        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: Fields
     ) -> Any:
         """Call a function in the process of this thread, or in the next one if that is killed."""
         thread = threading.get_ident()

@@ -15,12 +15,6 @@ from greybox.solve.runs import STAGNATED
 
 CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
-# From a located minimum this status means that only rounding errors remain, as where the logarithm
-# of nearly nothing is minimized.
-ROUNDED = "Search_Direction_Becomes_Too_Small"
-INVALID = "Invalid_Number_Detected"
-STOPPED = "User_Requested_Stop"
-
 # The fits of the paper take some 30 iterations; a run of 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 
@@ -184,7 +178,7 @@ class Ipopt:
         status = stats["return_status"]
 
         # At a stop, IPOPT returns its current point, which may be anywhere.
-        if status == STOPPED:
+        if status == "User_Requested_Stop":
             status = self._check.reason
             end = end if self._check.best is None else self._check.best
         return np.asarray(end).ravel(), status, int(stats["iter_count"])

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, Arrays, IntArray, frozen
+from greybox.files.arrays import Array, Arrays, Indices, IntArray, frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Outcome, Outcomes, Runs
@@ -74,7 +74,7 @@ class LocalSolver(Runner):
 
     nlp: CompiledProblem
     starts: ClassVar[int] = 20
-    promising: ClassVar[tuple[int, ...]] = (4, 3)
+    promising: ClassVar[Indices] = (4, 3)
 
     @abstractmethod
     def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:

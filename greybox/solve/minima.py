@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, Indices, IntArray, frozen
 from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import cost_of_zero
 from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
@@ -41,7 +41,7 @@ class Minimum:
 
     cost: float
     estimate: Array
-    runs: tuple[int, ...]
+    runs: Indices
     variants: int
 
     def __repr__(self) -> str:
@@ -105,9 +105,7 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
     return tried[int(np.argmin(tried.cost))] if tried else None
 
 
-def agreeing_runs(
-    nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
-) -> tuple[int, ...]:
+def agreeing_runs(nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]) -> Indices:
     """Return the indices of runs whose cost the data cannot distinguish from the lowest.
 
     None agree if the lowest is nearly that of a response of zero: such a model explains nothing,

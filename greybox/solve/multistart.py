@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array, Named, by_name, frozen
+from greybox.files.arrays import Array, Indices, Named, by_name, frozen
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -72,7 +72,7 @@ def multistart(
     movable: bool = True,
     executor: Executor | None = None,
     storage: RunStorage | None = None,
-    promising: tuple[int, ...] = (),
+    promising: Indices = (),
     beside: bool = False,
 ) -> Multistart:
     """Run the solver from all `starts` (r, p) and group the runs into minima.

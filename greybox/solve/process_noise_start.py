@@ -22,12 +22,6 @@ import numpy as np
 from greybox.compiled.shared_response import resolvents
 from greybox.files.arrays import Array, ArrayTriple, ComplexArray, positive_or_one
 
-# Noise over the derivatives of the states, with relative errors of one in the responses: at first,
-# for every second pair of starts, and over that, stage by stage. Starts with much noise and starts
-# with less miss different minima of two flexible modes.
-FIRST = 30.0, 3.0
-STAGES = 1.0, 0.1, 0.01
-
 
 class ProcessNoise:
     """The mean squared error with process noise, with gradient and Gauss-Newton Hessian."""
@@ -54,7 +48,7 @@ class ProcessNoise:
             with np.errstate(all="ignore"):
                 states = resolvents(S[:, :n, :n], system.omega) @ S[:, None, :n, n:]
                 sizes = np.median(np.abs(states), axis=0) * system.omega[:, None, None]
-            sizes = np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)[places]
+            sizes = np.nan_to_num(sizes, posinf=0.0).mT[places]
             self._terms.append((system, places, measured, weight, sizes))
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
@@ -73,7 +67,7 @@ class ProcessNoise:
             lag = np.exp(-s * delays[:, inputs])
             with np.errstate(all="ignore"):
                 errors, left, x = _whitened(term, S, lag, noise)
-                by_input = S[:, :, system.states :].swapaxes(1, 2)[:, inputs, :, None]
+                by_input = S[:, :, system.states :].mT[:, inputs, :, None]
                 by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
                 by_delay = own.T[:, None, :, None] * by_delay
             right = np.concatenate([x, lag[..., None] * own], axis=-1)
@@ -81,7 +75,7 @@ class ProcessNoise:
             # Only the entries that depend on z; rows (entry, frequency and input, output).
             moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
             i, j = system.rows[moving].T
-            slopes = np.concatenate([slopes[:, moving], delay_slopes], axis=1)
+            slopes = np.hstack([slopes[:, moving], delay_slopes])
             left, right = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)[..., None]
             for c in range(k):
                 rows = np.concatenate([-left[i, c] * right[j, c], by_delay[:, c]])
@@ -103,9 +97,9 @@ def _whitened(
     system, (at, inputs), measured, weight, _ = term
     n, outputs = system.states, system.outputs
     inverse = resolvents(S[:, :n, :n], system.omega)
-    states = lag[..., None] * (inverse @ S[:, None, :n, n:]).swapaxes(2, 3)[:, at, inputs]
-    C, D = S[:, n:, :n], S[:, n:, n:].swapaxes(1, 2)[:, inputs]
-    errors = weight * (measured - states @ C.swapaxes(1, 2) - lag[..., None] * D)
+    states = lag[..., None] * (inverse @ S[:, None, :n, n:]).mT[:, at, inputs]
+    C, D = S[:, n:, :n], S[:, n:, n:].mT[:, inputs]
+    errors = weight * (measured - states @ C.mT - lag[..., None] * D)
     by_noise = weight[..., None] * (C[:, None] @ inverse)[:, at]
     scaled = by_noise * noise[..., None, :]
     # A pole at a frequency: such trials are refused, since the sum of noise and errors is not
@@ -113,9 +107,9 @@ def _whitened(
     refused = ~(np.abs(scaled).max(axis=(-2, -1)) < 1e7)
     scaled[refused], errors[refused] = 0, np.nan
 
-    root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().swapaxes(-1, -2))
+    root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().mT)
     whitening = np.linalg.inv(root)
     errors = (whitening @ errors[..., None])[..., 0]
     left = np.concatenate([whitening @ by_noise, whitening * weight[..., None, :]], axis=-1)
-    driven = noise**2 * (left[..., :n].conj().swapaxes(-1, -2) @ errors[..., None])[..., 0]
+    driven = noise**2 * (left[..., :n].conj().mT @ errors[..., None])[..., 0]
     return errors, left, states + (inverse[:, at] @ driven[..., None])[..., 0]

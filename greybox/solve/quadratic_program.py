@@ -43,7 +43,7 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
         return step
     active = weights > 0
     # Least squares on the active limits has more digits.
-    nearest = np.linalg.lstsq(rows[active], least[active], rcond=None)[0]
+    nearest = np.linalg.lstsq(rows[active], least[active])[0]
     if np.any(rows @ nearest < least - 1e-9 * reach):
         nearest = -residual[:p] / residual[p] * reach
     return mapping @ (free + nearest)

@@ -24,7 +24,7 @@ from greybox.files.arrays import Array, ArrayPair, Arrays, Named, as_arrays
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
-from greybox.solve.ipopt import CONFIRMING, CONVERGED, ROUNDED, WITHOUT_BARRIER, Ipopt
+from greybox.solve.ipopt import CONFIRMING, CONVERGED, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import (
     AT_ONCE,
@@ -127,7 +127,10 @@ class ResponseSolver(LocalSolver):
                 break
 
         # IPOPT respects bounds to a tolerance only.
-        converged = status in CONVERGED or (located and status == ROUNDED)
+        # From a located minimum, small steps mean that only rounding errors remain, as where the
+        # logarithm of nearly nothing is minimized.
+        is_rounded = located and status == "Search_Direction_Becomes_Too_Small"
+        converged = status in CONVERGED or is_rounded
         seconds = time.perf_counter() - began
         return Outcome(nlp.estimate_at(z), status, iterations, seconds, converged)
 

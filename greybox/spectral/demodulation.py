@@ -23,7 +23,7 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
     """
     if not 0 < omega < math.inf:
         raise UnusableSegmentError(f"the frequency is {omega:g} rad/s: it must be above 0")
-    period = 2 * math.pi / omega
+    period = math.tau / omega
     # The least squares have eight unknowns: a constant, a trend and three harmonics.
     if time.size < 8:
         raise UnusableSegmentError(f"only {counted(time.size, 'sample')}")
@@ -85,7 +85,7 @@ def spectral_line(t: Array, x: Array, omega: float) -> ComplexArray:
 
 def _coefficients(columns: Array, x: Array) -> Array:
     # The columns are few and well scaled, so that normal equations are as accurate as QR.
-    return np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
+    return np.linalg.lstsq(columns @ columns.T, columns @ x.T)[0]
 
 
 def sine_and_cosine(time: Array, omega: float, origin: float) -> Array:

@@ -13,7 +13,7 @@ from greybox.files.arrays import Array, BoolArray, ComplexArray, Fields
 from greybox.files.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
 
-HZ = 2 * math.pi  # rad/s
+HZ = math.tau  # rad/s
 EPS = np.finfo(float).eps
 
 # Least ratio of the power of the input that the instrument explains to that of its noise. Below,
@@ -22,10 +22,6 @@ EPS = np.finfo(float).eps
 STRONG = 10
 
 COHERENT = 0.6  # least coherence of an automatic point: Tischler and Remple, section 5.5
-
-# Largest condition number of the normal equations with columns of length one. Rounding errors of
-# the solution reach this times 2e-16.
-WORST_CONDITION = 1e6
 
 
 class EstimatedPoints(NamedTuple):

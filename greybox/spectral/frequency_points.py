@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, Strings, frozen
+from greybox.files.arrays import Array, FloatPair, Strings, frozen
 from greybox.files.text_table import Printed, number, text_table
 
 # Change of trim over the amplitude, and standard error over the response: an error of the gain
@@ -52,8 +52,8 @@ class FrequencyPoint:
     end: float
     u: complex
     y: complex
-    distortion: tuple[float, float]
-    drift: tuple[float, float]
+    distortion: FloatPair
+    drift: FloatPair
     saturation: float
     findings: Strings = ()
     notes: Strings = ()

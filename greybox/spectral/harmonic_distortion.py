@@ -46,7 +46,7 @@ def harmonics_of(
     lines = [
         [spectral_line(t, residual[:2], omega * (k + place)) for place in places] for k in orders
     ]
-    beside = np.array(lines, dtype=complex).reshape(len(orders), len(places), 2).swapaxes(1, 2)
+    beside = np.array(lines, dtype=complex).reshape(len(orders), len(places), 2).mT
     return Harmonics(omega, complex(amplitudes[1, 0]), amplitudes[0, 1:], amplitudes[1, 1:], beside)
 
 

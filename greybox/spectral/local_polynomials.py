@@ -34,8 +34,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.files.arrays import AnyArray, Array, ComplexArray, IntArray, all_finite
-from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoints
+from greybox.files.arrays import (
+    AnyArray,
+    Array,
+    ComplexArray,
+    ComplexPair,
+    FloatPair,
+    IntArray,
+    all_finite,
+    column_lengths,
+    sum_of_squares,
+)
+from greybox.spectral.estimated_points import HZ, STRONG, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
 
 # Order of the response in a band. The error of order R in a band of half-width b at the distance ρ
@@ -48,7 +58,6 @@ NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
 # order less leaves an error as small as that of the response.
 TRANSIENT_ORDER = 1
 
-EXTRA = 2  # additional orders in the check of the polynomials
 DOUBLED = 2  # width of the band of that check over the width of the band
 GROWTH = DOUBLED ** (ORDER + 2)  # growth of the error at the nodes in that wider band
 
@@ -58,17 +67,7 @@ GROWTH = DOUBLED ** (ORDER + 2)  # growth of the error at the nodes in that wide
 VISIBLE = 4.6
 CERTAIN = 9.2
 
-# Relative error of the polynomials that never matters: a thousandth of a dB.
-NEGLIGIBLE = 1e-4
-
-# Share of the squared error that remains after the correction by a pole, and enters the variance.
-UNCORRECTED = 0.01
-
 LEAST_RESIDUALS = 3  # complex residuals in the narrowest band of a point: six degrees of freedom
-
-# Largest share of the lines of the narrowest band that transients may use; several short stretches
-# need many of them.
-TRANSIENT_SHARE = 0.5
 
 # Residuals from which the noise is estimated: 24 degrees of freedom. A band with fewer residuals
 # uses those of the bands beside it, up to an octave away.
@@ -192,7 +191,8 @@ class Band(NamedTuple):
 
     def corrected(self, error: ComplexArray) -> "Band":
         """Subtract an error (k,) that is known for a response near the true one."""
-        remaining = self.squared_error + UNCORRECTED * np.abs(error) ** 2
+        # A hundredth of the squared error remains after the correction by a pole.
+        remaining = self.squared_error + 0.01 * np.abs(error) ** 2
         return self._replace(correction=self.correction + error, squared_error=remaining)
 
 
@@ -209,7 +209,7 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
 
     together = np.concatenate(omega)
     order = np.argsort(together, kind="stable")
-    together, signals = together[order], np.concatenate(values, axis=1)[:, order]
+    together, signals = together[order], np.hstack(values)[:, order]
     return Lines(
         together,
         signals,
@@ -276,10 +276,8 @@ def _narrowest(lines: Lines, omega: float) -> float:
             fit_band(lines, center + shift * lines.spacing, half, residuals=LEAST_RESIDUALS)
             for shift in (0.0, 0.25, 0.5)
         ]
-        if all(
-            fit is not None and fit.transients.shape[1] <= TRANSIENT_SHARE * fit.rows.size
-            for fit in fits
-        ):
+        # Transients may use half of the lines; several short stretches need many of them.
+        if all(fit is not None and fit.transients.shape[1] <= 0.5 * fit.rows.size for fit in fits):
             return 2 * half
         half_lines += 1
 
@@ -357,18 +355,17 @@ def _in_band(
     return rows, (omega - center) / half, y, inputs, instruments, transients
 
 
-def _solved(
-    regressors: ComplexArray, instruments: ComplexArray
-) -> tuple[ComplexArray, ComplexArray] | None:
+def _solved(regressors: ComplexArray, instruments: ComplexArray) -> ComplexPair | None:
     """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None if ill conditioned."""
-    x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
+    x_length, z_length = (column_lengths(columns) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):
         return None
     # With an orthonormal basis of the instruments, the condition number is that of the problem, not
     # that of its units.
     basis, _ = np.linalg.qr(instruments / z_length)
     square = basis.conj().T @ (regressors / x_length)
-    if not np.linalg.cond(square) < WORST_CONDITION:
+    # Rounding errors of the solution reach this condition number times 2e-16.
+    if not np.linalg.cond(square) < 1e6:
         return None
     return basis, np.linalg.solve(square, basis.conj().T) / x_length[:, None]
 
@@ -433,11 +430,11 @@ def _beside(
 
 def _judged(lines: Lines, fitted: Fitted, omega: Array) -> Band:
     """Return the band evaluated at `omega`, with an error if its polynomials are visibly wrong."""
-    squares = float(np.sum(np.abs(fitted.residuals(lines.values[1, fitted.rows])) ** 2))
+    squares = sum_of_squares(fitted.residuals(lines.values[1, fitted.rows]))
     squares *= fitted.number / fitted.trace()
     plain = Band(fitted, omega, 0j * omega, 0 * omega, squares, fitted.number)
     quadratic, quartic = (
-        fit_band(lines, fitted.center, DOUBLED * fitted.half, extra=extra) for extra in (0, EXTRA)
+        fit_band(lines, fitted.center, DOUBLED * fitted.half, extra=extra) for extra in (0, 2)
     )
     if quadratic is None or quartic is None or not np.array_equal(quadratic.rows, quartic.rows):
         return plain
@@ -449,8 +446,9 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> Band:
     squared = np.abs(weights @ y) ** 2
     variance = noise * np.sum(np.abs(weights) ** 2, axis=1)
     response = fitted.weights(omega) @ lines.values[1, fitted.rows]
+    # A relative error of 1e-4, a thousandth of a dB, never matters.
     if not np.any(
-        (squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * NEGLIGIBLE * np.abs(response))
+        (squared > VISIBLE * variance) & (np.sqrt(squared) > GROWTH * 1e-4 * np.abs(response))
     ):
         return plain
 
@@ -499,7 +497,7 @@ def _with_pole(lines: Lines, band: Band) -> Band | None:
     numerator = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1]
     response = numerator * (center / omega) / (1 + pole * at)
     correction = fitted.weights(omega) @ output[places] - response
-    squares = float(np.sum(np.abs(y - output) ** 2))
+    squares = sum_of_squares(y - output)
     if not all_finite(correction, squares):
         return None
     return band._replace(squares=squares, number=number).corrected(correction)
@@ -544,7 +542,7 @@ def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Ar
     return np.clip(change, -limit, limit)
 
 
-def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
+def _noise(band: Band, bands: Sequence[Band]) -> FloatPair:
     """Return the noise density in a band, by its residuals and those beside, and its dof."""
     table = np.array(
         [(math.log(b.fitted.center / band.fitted.center), b.squares, b.number) for b in bands]
@@ -562,7 +560,7 @@ def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
     return float(np.exp(-slope * away[used]) @ squares[used] / total), 2 * float(total)
 
 
-def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float]:
+def _coherence(lines: Lines, fitted: Fitted, noise: float) -> FloatPair:
     """Return the partial γ² of instrument and output, and the noise density of the input.
 
     Transients and conditioned inputs are removed. With an instrument, the coherence is the lower of
@@ -576,7 +574,7 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
 
     def unexplained(signal: ComplexArray, basis: AnyArray) -> float:
         residual = _without(basis, signal)
-        return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
+        return sum_of_squares(residual) / (n - basis.shape[1])
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
     if lines.direct:

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ComplexArray, Labels
+from greybox.files.arrays import Array, ComplexArray, Labels, column_lengths
 from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import (
     EPS,
@@ -63,7 +63,7 @@ def periodic_response(
     """
     stretches, spectra = period_spectra(records, period, (input, output, instrument or input))
     # The instrument has no noise of the loop, so its lines are the clearest.
-    amplitude = np.linalg.norm(spectra[:, 2], axis=0)
+    amplitude = column_lengths(spectra[:, 2])
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
     points = _estimates((1 + lines) * (HZ / period), *np.moveaxis(spectra[:, :, lines], 1, 0))
     return without_incoherent(response_at(points, (input, output, name), stretches))
@@ -133,7 +133,7 @@ def _estimates(omega: Array, u: ComplexArray, y: ComplexArray, r: ComplexArray) 
         return np.sum(np.abs(signal) ** 2, axis=0)
 
     # A line without excitation has no estimate: 0 / 0 makes its variance NaN.
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):
         a = r.conj() / np.sum(r.conj() * u, axis=0)
         response = np.sum(a * y, axis=0)
         spread = power(a)

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Arrays, ComplexArray, Labels
+from greybox.files.arrays import Arrays, ComplexArray, Labels, column_lengths
 from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import measured_in
 from greybox.spectral.multisine_lines import EXCITED, period_spectra
@@ -121,13 +121,11 @@ def response_matrix(
 
 def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Arrays) -> ComplexArray:
     """Return the responses (lines, outputs) from inputs (m, lines) and outputs (k, lines)."""
-    system = np.concatenate(
-        [u[:, None] * matrix for u, matrix in zip(inputs, between, strict=True)], axis=1
-    )
+    system = np.hstack([u[:, None] * matrix for u, matrix in zip(inputs, between, strict=True)])
     # Inputs have different units and lines different amplitudes, which would decide the condition
     # number without scaling.
     rows = np.linalg.norm(system, axis=1, keepdims=True)
-    columns = np.linalg.norm(system / rows, axis=0)
+    columns = column_lengths(system / rows)
     scaled = system / rows / columns
     condition = np.linalg.cond(scaled)
     # With rows and columns of length one, an error of 0.1 % in the inputs then becomes 10 % in the

@@ -155,7 +155,7 @@ def _point(
         error = frequency_error(time[rows], signals[2, rows], omega)
         # Below a phase of 0.05 rad over a window, the amplitude is low by less than 0.05² / 24 =
         # 1e-4.
-        if abs(error) * 2 * math.pi * q / omega > 0.05:
+        if abs(error) * math.tau * q / omega > 0.05:
             omega += error
             notes.append(f"the setpoint runs at {omega:.5g} rad/s, which was used")
             rows, q = whole_periods(time, omega, settle)
@@ -193,7 +193,7 @@ def _point(
         saturation=saturation(x[0]),
         notes=tuple(notes),
     )
-    missing = 1 - t.size * median_step(t) * omega / (q * 2 * math.pi)
+    missing = 1 - t.size * median_step(t) * omega / (q * math.tau)
     return with_findings(point, missing), harmonics_of(t, amplitudes, residual, omega, q)
 
 

@@ -1,7 +1,7 @@
 """Judges whether a test is worth a fit: findings on the record and on the measured response."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import GAP, Record, require_time
-from greybox.data.test_segment import Segment
+from greybox.data.test_segment import Segments
 from greybox.files.arrays import Array, Interval, Labels, Strings
 from greybox.files.text_table import Printed, counted, some
 from greybox.spectral.saturation import at_limit
@@ -89,7 +89,7 @@ class Quality(Printed):
 def check(
     record: Record,
     response: FrequencyResponse | None = None,
-    segments: Sequence[Segment] = (),
+    segments: Segments = (),
     *,
     input: str = "u",
     output: str = "theta",
@@ -159,7 +159,7 @@ def _filters(record: Record, names: Labels) -> Findings:
             yield Finding("filters", "note", math.nan, text)
 
 
-def _gaps(record: Record, segments: Sequence[Segment]) -> Findings:
+def _gaps(record: Record, segments: Segments) -> Findings:
     spans = [(s.start, s.end) for s in segments] or [(-math.inf, math.inf)]
     # Gaps between tests lose nothing.
     time = record.time
@@ -195,7 +195,7 @@ def jitter(record: Record) -> Findings:
         yield Finding("jitter", "note", jitter, text)
 
 
-def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Findings:
+def _saturation(record: Record, segments: Segments, name: str) -> Findings:
     within = [record.during(s.start, s.end) for s in segments]
     rows = np.flatnonzero(np.any(within, axis=0))
     # Without segments, the whole record is judged.
@@ -225,7 +225,7 @@ def _amplitude(record: Record, control: str, output: str) -> Findings:
             )
 
 
-def _segments(segments: Sequence[Segment]) -> Findings:
+def _segments(segments: Segments) -> Findings:
     for segment in segments:
         if not segment.usable:
             reasons = "; ".join(segment.findings).rstrip(".")
@@ -254,7 +254,7 @@ def _spread(high: float, low: float) -> Findings:
         yield Finding("spread", "warning", high / low, text)
 
 
-def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Findings:
+def _length(record: Record, lowest: float, segments: Segments) -> Findings:
     if segments:
         # The shortest test has the largest errors.
         fewest = min(segments, key=lambda s: s.periods)
@@ -262,7 +262,7 @@ def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Findi
         lowest = fewest.band[0]
     else:
         # Nothing is estimated across a gap.
-        periods = max(piece.duration for piece in record.pieces) * lowest / (2 * math.pi)
+        periods = max(piece.duration for piece in record.pieces) * lowest / math.tau
     yield from graded(
         "length",
         periods,
@@ -276,9 +276,9 @@ def _rate(
     record: Record,
     highest: float,
     response: FrequencyResponse | None,
-    segments: Sequence[Segment],
+    segments: Segments,
 ) -> Findings:
-    reach = 2 * math.pi * record.rate / SAMPLES[1]
+    reach = math.tau * record.rate / SAMPLES[1]
     bands = [segment.band for segment in segments]
     if response is None and any(low < reach for low, _ in bands):
         # Sweeps are cut off at this frequency, and sines above it are left out.
@@ -292,7 +292,7 @@ def _rate(
         )
         yield Finding("rate", "note", swept, text)
 
-    samples = 2 * math.pi * record.rate / highest
+    samples = math.tau * record.rate / highest
     text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} "
     yield from graded(
         "rate",

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from greybox.files.arrays import Array, Arrays, IntArray
+from greybox.files.arrays import Array, Arrays, IntArray, column_lengths
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance
 
@@ -37,9 +37,6 @@ ORDER = 20
 SAMPLES = 15
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
-UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
-# Factors on a smooth term, fitted with errors that drift, converge in up to seven rounds.
-ROUNDS = 7
 # Samples in a mean. Means of 16 would excuse few more right models, and more wrong ones.
 MEANS = 4
 TINY = 1e-300
@@ -80,7 +77,7 @@ def _shared(columns: Array, filters: Arrays, outputs: Outputs, width: int) -> Ar
     signals = np.append(signals, signals[:1] != 0, axis=0)
     terms, shared = signals[1:-1], 0.0
     for lag in range(min(ORDER + 1, signals.shape[1])):
-        sums = signals[:, lag:].swapaxes(1, 2) @ signals[:, : signals.shape[1] - lag]
+        sums = signals[:, lag:].mT @ signals[:, : signals.shape[1] - lag]
         covariances = (1 - np.eye(width)) * sums[0] / np.maximum(sums[-1], 1)
         # Either output may be the later one.
         shared += (2 if lag else 1) * np.tensordot(sums[1:-1], covariances)
@@ -118,7 +115,7 @@ def autoregressive_p_values(
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
     values = np.column_stack([residuals, basis, outside(terms, basis)])
-    values /= np.linalg.norm(values, axis=0) + TINY
+    values /= column_lengths(values) + TINY
     # Each test is fitted with the parameters, without the others; the last fit has no term.
     first, size = 1 + basis.shape[1], np.array(sizes or [1] * terms.shape[1], dtype=int)
     tests = np.repeat(np.eye(len(size) + 1, len(size)), size, axis=1)
@@ -133,8 +130,9 @@ def autoregressive_p_values(
 
     def p_values(counts: Sequence[int], filters: Arrays) -> Array:
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
-        # A probability near one depends on the root of the decrease, which may be all rounding.
-        decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0) / shared
+        # A probability near one depends on the root of the decrease, which may be all rounding,
+        # 1e-9.
+        decrease = np.maximum(scores[-1] - scores[:-1] - 1e-9, 0.0) / shared
         remaining = sum(counts) - lost - first - sum(w.shape[1] for w in filters) + 1 - size
         return chance(np.exp(-decrease / sum(counts)), remaining, size)
 
@@ -171,7 +169,8 @@ def _fits(
     sums = [np.diff(np.diff(each[i, j], times), times, axis=1) for each in whole]
     squares = np.zeros(used.shape)
     factors = _least(values.T @ values + TINY * np.eye(values.shape[1]), used)
-    for _ in range(ROUNDS):
+    # Factors on a smooth term, fitted with errors that drift, converge in up to seven rounds.
+    for _ in range(7):
         filters = map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)
         added = [
             np.tensordot(w[..., None] * w[:, None], each, ((1, 2), (1, 2)))

@@ -48,7 +48,7 @@ def disturbed_errors(
     size = SIZES / positive_or_one(power.mean(axis=1, keepdims=True))
     excess = size * power
     weighted = reached.conj() * (size / (1 + excess))[..., None]
-    moments = columns.T @ columns - (weighted.swapaxes(2, 3) @ reached).real
+    moments = columns.T @ columns - (weighted.mT @ reached).real
     # What remains of the first column's square without the others is a ratio of determinants.
     information = np.linalg.slogdet(moments[..., 1:, 1:])[1]
     squares = np.linalg.slogdet(moments)[1] - information

@@ -82,7 +82,7 @@ class ErrorSpectrum:
 
     def _roots(self, power: float) -> ComplexArray:
         size, vectors = self._principal
-        return (vectors * size[:, None] ** power) @ vectors.conj().swapaxes(1, 2)
+        return (vectors * size[:, None] ** power) @ vectors.conj().mT
 
     @cached_property
     def _principal(self) -> tuple[Array, ComplexArray]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
+from greybox.files.arrays import Array, ComplexArray, ComplexPair, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
@@ -55,7 +55,7 @@ class FrequencyGrid:
         # Low edges coincide. np.unique would import masked arrays, which takes 8 ms.
         starts = starts[np.flatnonzero(np.diff(starts, prepend=-1))]
         band_weight = np.add.reduceat(weight, starts)
-        omega = np.add.reduceat(weight * 2 * np.pi * np.arange(count) / size, starts) / band_weight
+        omega = np.add.reduceat(weight * math.tau * np.arange(count) / size, starts) / band_weight
 
         return cls(size, longest, starts, weight, band_weight, omega)
 
@@ -65,7 +65,7 @@ class FrequencyGrid:
 
     def spread_out(self, values: NDArray, part: slice = slice(None)) -> NDArray:
         """Interpolate values (..., b) of the bands at the frequencies of a part: (..., f)."""
-        omega = 2 * np.pi * np.arange(len(self.weight))[part] / self.size
+        omega = math.tau * np.arange(len(self.weight))[part] / self.size
         return np.apply_along_axis(lambda row: np.interp(omega, self.omega, row), -1, values)
 
     @cached_property
@@ -90,9 +90,7 @@ class FrequencyGrid:
             result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
         return result
 
-    def covariances(
-        self, factors: Sequence[tuple[ComplexArray, ComplexArray]], order: int
-    ) -> tuple[Array, ComplexArray]:
+    def covariances(self, factors: Sequence[ComplexPair], order: int) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
         It is the sum of the products a bᵀ of its factors, (k, p, frequencies) each, and of their
@@ -145,7 +143,7 @@ def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
 
 def products(a: Array, b: Array) -> Array:
     """Return the sums (p, q) over k and n of the products of arrays (k, p, n) and (k, q, n)."""
-    return (a @ b.swapaxes(1, 2)).sum(axis=0)
+    return (a @ b.mT).sum(axis=0)
 
 
 def fast_length(count: int) -> int:

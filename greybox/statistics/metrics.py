@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, ArrayPair, Arrays, frozen
+from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -160,7 +160,7 @@ def size_test(squares: Array, dof: Array | float) -> float:
     return math.exp(-np.sum((score @ trends[:, 1:]) ** 2) / 2)
 
 
-def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
+def mean_test(stretches: Sequence[ArrayLike]) -> FloatPair:
     """Return the mean of a correlated series and its standard error.
 
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 2.2; for

@@ -31,6 +31,7 @@ from greybox.files.arrays import (
     Array,
     ArrayPair,
     ComplexArray,
+    FloatPair,
     all_finite,
     frozen,
     real_and_imaginary,
@@ -234,7 +235,7 @@ def averaged_meat(
     return meat * (variance / (known.weight @ variances or 1.0)), dof
 
 
-def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
+def student_of_average(weight: Array, variance: Array, dof: float) -> FloatPair:
     """Return variance and degrees of freedom of a Student's t that replaces an average of several.
 
     These have variances (m,) and the same degrees of freedom; the result has the same intervals as

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Arrays
+from greybox.files.arrays import Arrays, sum_of_squares
 
 # Ratio below which a signal is smooth. For a smooth signal plus white noise it is twice the share
 # of the noise in the variance: at 1, both are equally strong.
@@ -50,9 +50,9 @@ def noise_ratio(stretches: Arrays) -> NoiseRatio:
     series = [s for s in measured if s.size > 1]
     samples = sum(s.size for s in series)
     # No difference is taken across the end of a stretch.
-    squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)
+    squares = sum(sum_of_squares(s - s.mean()) for s in series)
 
     if samples < 4 or not squares > 0:
         return NoiseRatio(math.nan, samples)
-    changes = sum(float(np.sum(np.diff(s) ** 2)) for s in series)
+    changes = sum(sum_of_squares(np.diff(s)) for s in series)
     return NoiseRatio(changes / squares, samples - len(series) + 1)

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, frozen
+from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, ComplexPair, frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
@@ -446,7 +446,7 @@ class ResidualSpectra:
         """White sensor noise with white process noise, which does not depend on corrections."""
         return self.process_noise(0.0)
 
-    def noise_parts(self, correlation: float) -> tuple[ComplexArray, ComplexArray] | None:
+    def noise_parts(self, correlation: float) -> ComplexPair | None:
         """Return white noise of every sensor and process noise of every state, of variance one.
 
         They are the spectra (c, k, k, b) of these c parts, and the periodograms (c, b, k, k) of the
@@ -624,7 +624,7 @@ class ResidualSpectra:
         scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
         stretches = []
         for J, X in zip(self.weighted, self.initial, strict=True):
-            A = np.concatenate([self.directions.T @ J, X], axis=1)
+            A = np.hstack([self.directions.T @ J, X])
             transform = self.grid.transform(A, np.eye(A.shape[1]), self.deviation)
             first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
             stretches.append((A, transform, first, taken))
@@ -634,7 +634,7 @@ class ResidualSpectra:
 def _positive(matrices: ComplexArray) -> ComplexArray:
     """Return Hermitian matrices (k, k, b) without the negative parts that approximations leave."""
     values, vectors = np.linalg.eigh(matrices.T)
-    return ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().swapaxes(1, 2)).T
+    return ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().mT).T
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:

@@ -17,14 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayTriple, of_diagonal
+from greybox.files.arrays import Array, ArrayTriple, column_lengths, of_diagonal, real_root
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.neighbor_correlation import slow_errors
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
 # integration, or the effect of another parameter.
 REMAINS = 0.01
-PRINCIPAL = 0.2  # of the longest direction of terms that are tested together
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
@@ -99,9 +98,10 @@ def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Arr
     # The product of the effects with themselves takes a third of the time of their singular values,
     # and only those beyond a fifth of the largest matter.
     squares, axes = np.linalg.eigh(effects.T @ effects)
-    lengths = np.sqrt(np.maximum(squares, 0.0))
-    longest = max(np.linalg.norm(terms, axis=0), default=0.0)
-    kept = lengths > max(PRINCIPAL * max(lengths, default=0.0), REMAINS * longest)
+    lengths = real_root(squares)
+    longest = max(column_lengths(terms), default=0.0)
+    # Directions shorter than a fifth of the longest are not tested.
+    kept = lengths > max(0.2 * max(lengths, default=0.0), REMAINS * longest)
     directions = axes[:, kept] / lengths[kept]
     share = np.sum((residuals @ effects @ directions) ** 2) / (residuals @ residuals + TINY)
     remaining = len(residuals) - basis.shape[1] - np.sum(kept)
@@ -152,7 +152,7 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         first = basis.shape[1]
         triangles = np.linalg.cholesky(products)
         # The product of its last rows is what the first columns leave of the others.
-        rest = triangles[:, first:, first:] @ triangles[:, first:, first:].swapaxes(1, 2)
+        rest = triangles[:, first:, first:] @ triangles[:, first:, first:].mT
         left = of_diagonal(rest)
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
         logarithms = (

@@ -21,11 +21,6 @@ import numpy as np
 
 from greybox.files.arrays import Array
 
-# Shifts of the residuals. What exceeds all of them happens by chance in 2 to 5 % of fits.
-SHIFTS = 49
-# Frequencies of a response below which the shifts hardly differ.
-FEWEST = 8
-
 
 def shared_covariance(
     responses: Iterable[tuple[Array, Array, Array, float]], size: int
@@ -44,7 +39,8 @@ def shared_covariance(
     """
     rows = []
     for omega, errors, slopes, variance in responses:
-        if np.unique(omega).size >= FEWEST:
+        # With fewer frequencies, the shifts hardly differ.
+        if np.unique(omega).size >= 8:
             order = np.argsort(omega, kind="stable")
             # The errors get a mean square of one, then the variance of the response.
             norm = np.linalg.norm(errors) * np.linalg.norm(slopes) / errors.size**0.5
@@ -60,16 +56,17 @@ def shared_covariance(
     places = np.arange(1 + max(row[-1] for row in bins))
 
     random = np.random.default_rng(0)
-    # Two responses that are shifted alike would show what they share.
-    apart = [(random.permutation(k) + random.uniform(0.25, 0.75, k)) / k for _ in range(SHIFTS)]
+    # Two responses that are shifted alike would show what they share. What exceeds all of 49 shifts
+    # happens by chance in 2 to 5 % of fits.
+    apart = [(random.permutation(k) + random.uniform(0.25, 0.75, k)) / k for _ in range(49)]
     shifts = np.array([np.zeros(k), *apart]).T
     total = alone = np.zeros(())
     for at, (_, errors, slopes), shift in zip(bins, rows, shifts, strict=True):
         moved = errors[:, np.arange(at.size) - (shift[:, None] * at.size).astype(int)]
         sums = (at == places[:, None]) @ np.einsum("csn,cnr->snr", moved, slopes)
-        total, alone = total + sums, alone + sums.swapaxes(1, 2) @ sums
+        total, alone = total + sums, alone + sums.mT @ sums
 
-    products = total.swapaxes(1, 2) @ total - alone
+    products = total.mT @ total - alone
     by_chance = np.linalg.eigvalsh(products[1:]).max()
     values, vectors = np.linalg.eigh(products[0])
     return (vectors * values * (values > by_chance)) @ vectors.T, float(places.size)

@@ -40,7 +40,7 @@ def whittle_score(
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
     inverse, logarithm = np.linalg.inv(spectrum), np.linalg.slogdet(spectrum)[1]
     ratio = inverse @ periodogram
-    terms = logarithm + np.trace(ratio, axis1=1, axis2=2).real
+    terms = logarithm + np.linalg.trace(ratio).real
     most = numbers.max(0)
     repeated = (most - numbers).T
     mean, power = np.einsum("abii->abi", [spectrum, periodogram]).real
@@ -86,10 +86,10 @@ def variance_components(
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.
         rows = (numbers.max(0)[:, None, None] * parts).reshape(len(parts), -1)
-        gradient = (rows @ (np.eye(k) - ratio).swapaxes(1, 2).ravel()).real * variance
+        gradient = (rows @ (np.eye(k) - ratio).mT.ravel()).real * variance
         # Repetitions make the information too large, which only shortens the steps.
         gradient -= np.einsum("cbii,bi->c", expected, repeated).real * variance
-        information = (rows @ parts.swapaxes(2, 3).reshape(len(parts), -1).T).real
+        information = (rows @ parts.mT.reshape(len(parts), -1).T).real
         return gradient, information * variance * variance[:, None]
 
     score, *products = whittle_score(spectrum(variance), periodogram, numbers)

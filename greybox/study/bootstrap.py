@@ -22,7 +22,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
-from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
+from greybox.files.arrays import Array, Fields, Interval, NamedArrays, Strings, by_name, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.progress import bar
 from greybox.files.text_table import (
@@ -88,7 +88,7 @@ class Bootstrap(Printed):
         return tuple(q.name for q in self.quantities)
 
     @cached_property
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> NamedArrays:
         """Return the values of every quantity in the replicates that did not fail."""
         return by_name(self.names, self._successful.T)
 

@@ -22,7 +22,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
-from greybox.files.arrays import Array, Arrays, ComplexArray, frozen
+from greybox.files.arrays import Array, Arrays, ComplexArray, frozen, real_root, sum_of_squares
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -275,7 +275,7 @@ def response_draws(accuracy: Accuracy, seed: int) -> Draws:
     covariance = sum((earlier for earlier, _ in known_covariances(nlp)), nothing)
     # Cholesky needs a definite matrix, and constants without errors make this one singular.
     eigenvalues, vectors = np.linalg.eigh(covariance[free:, free:])
-    root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
+    root = (vectors * real_root(eigenvalues))[:, eigenvalues > 0]
     return Draws(seed, tuple(parts), nlp.constant_values, root, about)
 
 
@@ -296,7 +296,7 @@ def _drawn_part(part: ResponsePart, values: Array, errors: PartAccuracy) -> Draw
         # infinite.
         size = size * np.sqrt(np.maximum(part.data.independent_share, 0.1))
 
-    variance = float(np.sum(np.abs((part.data.response - response) / size) ** 2)) / errors.numbers
+    variance = sum_of_squares((part.data.response - response) / size) / errors.numbers
     if not variance > np.finfo(float).eps:
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
     if has_variances:  # given variances are believed, unless the residuals are larger

@@ -25,7 +25,7 @@ from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
-from greybox.files.arrays import Array, Fields, Labels, Named, Strings, frozen
+from greybox.files.arrays import Array, Fields, Labels, Named, NamedStrings, Strings, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
@@ -150,7 +150,7 @@ class StudyMember:
         return self.error
 
     @property
-    def factors(self) -> dict[str, str]:
+    def factors(self) -> NamedStrings:
         """What members are selected and grouped by: status, model, data and the like, as texts."""
         texts = {"status": str(self.status)}
         for name in FACTORS:

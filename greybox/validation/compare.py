@@ -105,7 +105,8 @@ def compare(
         )
     require_lengths(window=window, lead=lead)
     names = tuple(map(str, labels)) or labels_of(fits)
-    held_out = _as_records(records)
+    of_records = "a Record or a list of them"
+    held_out = [] if records is None else checked_items("records", records, Record, of_records)
 
     different = data_difference(fits, names)
     if different and not held_out:
@@ -183,9 +184,3 @@ def _known(measure: str, rows: Sequence[Row]) -> list[float]:
     """Return a measure of all fits; empty if a fit lacks it."""
     values = next(row.values for row in rows if (row.data, row.measure) == ("fit", measure))
     return [] if None in values else [value for value in values if value is not None]
-
-
-def _as_records(records: Any) -> list[Record]:
-    if records is None:
-        return []
-    return [*checked_items("records", records, Record, "a Record or a list of them")]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Labels, StringPair, frozen
+from greybox.files.arrays import FloatPair, Labels, StringPair, frozen
 from greybox.files.text_table import Printed, counted, listed, probability, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT
@@ -31,8 +31,8 @@ class Difference:
 
     name: str
     unit: str
-    values: tuple[float, float]
-    errors: tuple[float, float]
+    values: FloatPair
+    errors: FloatPair
     p_value: float
     p_of_all: float
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import BoolArray, Labels, Strings
+from greybox.files.arrays import BoolArray, FloatPair, Labels, Strings
 from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Prediction, cut, default_length
@@ -20,7 +20,7 @@ Predictions = tuple[tuple[Prediction, ...], ...]
 
 def window_lengths(
     fits: Fits, records: Sequence[Record], window: float | None, lead: float | None
-) -> tuple[float, float]:
+) -> FloatPair:
     """Return the lengths of window and lead in s for these records; NaN without time."""
     records = [record for record in records if record.has_time]
     if not records:
@@ -42,7 +42,7 @@ def predict_same_windows(
     fits: Fits,
     labels: Labels,
     data: Sequence[Sequence[Record]],
-    lengths: tuple[float, float],
+    lengths: FloatPair,
     *,
     fitted: bool,
 ) -> tuple[Predictions, list[str]]:

@@ -21,7 +21,7 @@ from greybox.solve.multistart import multistart
 from greybox.statistics.metrics import fit_percent, rms, whiteness
 from greybox.validation.comparison import Row
 from greybox.validation.held_out import Predictions
-from greybox.validation.same_data import LIKELIHOOD, count_unknowns, is_likelihood
+from greybox.validation.same_data import count_unknowns, is_likelihood
 
 
 @frozen
@@ -105,7 +105,7 @@ def fit_rows(
     """
     likelihoods = common_likelihood(fits, comparable=comparable) if same_data else None
     names = list(dict.fromkeys(fit.criterion for fit in fits))
-    criterion = names[0] if len(names) == 1 else LIKELIHOOD
+    criterion = names[0] if len(names) == 1 else "negative log-likelihood"
     costs = [fit.cost for fit in fits]
     numbers = [sum(part.compared_numbers for part in fit.parts) for fit in fits]
     unknown = [math.nan] * len(fits)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, StringPair, Strings, Values, all_finite, by_name
+from greybox.files.arrays import Array, FloatPair, StringPair, Strings, Values, all_finite, by_name
 from greybox.files.text_table import Printed, listed, number, p_text
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -32,8 +32,6 @@ from greybox.validation.same_data import (
     labels_of,
     other_samples,
 )
-
-LEAST_DOF = 3  # with fewer, F of one term is significant only above 18
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,7 +62,7 @@ class NestedTest(Printed):
     likelihood_ratio: float
     scale: float
     statistic: float
-    dof: tuple[float, float]
+    dof: FloatPair
     p_value: float
 
     def __str__(self) -> str:
@@ -72,10 +70,8 @@ class NestedTest(Printed):
         rejected = f"rejected by the test against {self.large}"
         if self.p_value < SIGNIFICANT:
             verdict = f"{verb} needed: {self.small} is {rejected}"
-        elif (
-            self.dof[1] < LEAST_DOF
-            or f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT
-        ):
+        # With fewer than three degrees of freedom, F of one term is significant only above 18.
+        elif self.dof[1] < 3 or f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT:
             # The same ratio would be significant with more degrees of freedom.
             verdict = (
                 f"may be needed: the residuals are too correlated, or too few, to tell "

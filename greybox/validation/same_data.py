@@ -4,8 +4,6 @@ from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Labels, Strings
 from greybox.files.text_table import number, numbered_where_alike, require_kind
 
-LIKELIHOOD = "negative log-likelihood"
-
 
 def check_fits(fits: Fits) -> None:
     """Raise TypeError or ValueError for other things, a single fit, or one without an estimate."""

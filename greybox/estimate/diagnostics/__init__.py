@@ -5,8 +5,7 @@ Begin with `general`.
 | file | question |
 | --- | --- |
 | `general` | all warnings of a fit, the most serious first |
-| `identifiability` | Which parameters do the data determine, alone or in combination? |
-| `prior_conflict` | Do the data contradict the a-priori knowledge? |
+| `identifiability` | Which parameters do the data determine? Do they contradict what is known? |
 | `global_minimum` | Is this the global minimum, and the only one? What came closest to it? |
 | `noise_level` | Is the noise as large as stated, and independent? Are there gusts? |
 | `outlying_points` | Which points of a response or samples of a record are outliers? |

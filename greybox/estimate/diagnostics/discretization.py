@@ -10,7 +10,7 @@ whole response in multiples of the noise of a point.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from greybox.estimate.covariance import Accuracy
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Values, by_name
-from greybox.files.text_table import counted
+from greybox.files.text_table import Sentences, counted
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.linear_response import frequency_response
@@ -35,7 +35,7 @@ from greybox.statistics.metrics import rms
 def discretization_warnings(
     accuracy: Accuracy,
     error: DiscretizationError | None = None,
-) -> Iterator[str]:
+) -> Sentences:
     """Warn where twice the number of steps would move the estimate noticeably."""
     nlp = accuracy.nlp
     count = nlp.substeps
@@ -72,7 +72,7 @@ def pade_error(part: Problem, values: Values) -> float | None:
     return float(np.degrees(np.abs(np.angle(approximate.response * exact.response.conj()))).max())
 
 
-def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
+def coarse_pade(responses: Sequence[FittedResponse]) -> Sentences:
     """Warn of a phase error beyond one degree, the effect of noise of 1.7 % in each component."""
     for part in responses:
         if part.pade_error is not None and part.pade_error > 1.0:
@@ -82,7 +82,7 @@ def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
             )
 
 
-def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
+def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Sentences:
     """Name held responses of outputs that a delayed input reaches at once.
 
     Along this path, all delays between two samples lead to the same samples: the model has the
@@ -106,7 +106,7 @@ def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Iterator[str]:
             )
 
 
-def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
+def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Sentences:
     """Warn if more harmonics would change the estimate `x` (p,) noticeably, or cannot be tried."""
     values = nlp.all_values(x)
     named = by_name(nlp.names, values.tolist())

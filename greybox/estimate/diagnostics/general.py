@@ -21,6 +21,7 @@ from greybox.estimate.diagnostics.identifiability import (
     held_without_error,
     no_degrees_of_freedom,
     not_determined,
+    prior_conflicts,
 )
 from greybox.estimate.diagnostics.noise_level import (
     correlated_frequencies,
@@ -31,7 +32,6 @@ from greybox.estimate.diagnostics.noise_level import (
 )
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points, outlying_samples
-from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import (
     finding_warnings,
     record_warnings,

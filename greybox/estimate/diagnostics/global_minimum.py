@@ -4,7 +4,6 @@ What came closest where no run converged, what blocks it, and what to try.
 """
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -12,14 +11,14 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.files.arrays import Array
-from greybox.files.text_table import counted, listed, number
+from greybox.files.text_table import Sentences, counted, listed, number
 from greybox.solve.gauss_newton.kinks import AT_KINK
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import RIVAL, Multistart, best_unfinished, likelihood_unit
 from greybox.solve.runs import CUT_SHORT, Run
 
 
-def few_agreeing_starts(search: Multistart, agreeing: int) -> Iterator[str]:
+def few_agreeing_starts(search: Multistart, agreeing: int) -> Sentences:
     """Warn where fewer than a tenth of the starts reached the best minimum, or most runs failed."""
     count = len(search.brought)
     if not agreeing:  # as `agreeing_runs` counts where the best is a response of zero
@@ -40,7 +39,7 @@ def few_agreeing_starts(search: Multistart, agreeing: int) -> Iterator[str]:
         yield f"only {search.converged} of {count} runs converged ({search.failures})."
 
 
-def unfinished_runs(search: Multistart) -> Iterator[str]:
+def unfinished_runs(search: Multistart) -> Sentences:
     """Name the run that ended at the lowest cost below the answer, but did not converge."""
     best = search.minima[0].cost
     lowest = best_unfinished(search.brought)
@@ -52,7 +51,7 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
         )
 
 
-def minimum_at_kink(search: Multistart) -> Iterator[str]:
+def minimum_at_kink(search: Multistart) -> Sentences:
     """Warn where the cost has a kink at the minimum."""
     run = search.runs[search.minima[0].runs[0]]
     if run.status.startswith(AT_KINK):
@@ -62,7 +61,7 @@ def minimum_at_kink(search: Multistart) -> Iterator[str]:
         )
 
 
-def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
+def rival_minima(nlp: CompiledProblem, search: Multistart) -> Sentences:
     """Warn of another minimum with a different response and nearly the same likelihood."""
     best, *others = search.minima
     unit = likelihood_unit(nlp, best.cost)
@@ -75,7 +74,7 @@ def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
             )
 
 
-def several_estimates_of_one_response(search: Multistart, accuracy: Accuracy) -> Iterator[str]:
+def several_estimates_of_one_response(search: Multistart, accuracy: Accuracy) -> Sentences:
     """Warn where clearly different parameters give the best response, as two lags that swap."""
     best = search.minima[0]
     if best.variants < 2 or accuracy.combinations:
@@ -96,7 +95,7 @@ def _values(nlp: CompiledProblem, x: Array) -> str:
     return listed([f"{name} = {number(value)}" for name, value in zip(nlp.free, x, strict=True)])
 
 
-def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
+def discontinuous_costs(nlp: CompiledProblem) -> Sentences:
     """Warn where the cost jumps at whole samples of a delay."""
     delays = {
         name: pair
@@ -112,7 +111,7 @@ def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:
         )
 
 
-def failure_warnings(search: Multistart, solver: LocalSolver) -> Iterator[str]:
+def failure_warnings(search: Multistart, solver: LocalSolver) -> Sentences:
     """Say how close the best run came, which parameters block it, and what to try."""
     run = best_unfinished(search.runs)
     if run is None:

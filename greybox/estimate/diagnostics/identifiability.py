@@ -1,7 +1,6 @@
-"""Which parameters the data determine, alone or in combination."""
+"""Which parameters the data determine, alone or in combination; whether they contradict priors."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -9,10 +8,10 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
-from greybox.files.text_table import counted, listed
+from greybox.files.text_table import Sentences, counted, listed, number, with_error
 
 
-def not_determined(accuracy: Accuracy) -> Iterator[str]:
+def not_determined(accuracy: Accuracy) -> Sentences:
     """Name the combinations that the data determine poorly or not at all, the worst three first."""
     absent = accuracy.nlp.noise_sizes & set(accuracy.at_bound)
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
@@ -37,7 +36,7 @@ def not_determined(accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def determined_together(fit: Fit) -> Iterator[str]:
+def determined_together(fit: Fit) -> Sentences:
     """Say which combinations are determined although none of their members is."""
     combinations = () if fit.directions is None else fit.identifiability.combinations
     if not combinations:
@@ -73,7 +72,7 @@ def _not_determined(combination: Combination) -> str:
     )
 
 
-def held_without_error(accuracy: Accuracy) -> Iterator[str]:
+def held_without_error(accuracy: Accuracy) -> Sentences:
     """Name values fixed at an earlier fit that gives them no standard error."""
     nlp = accuracy.nlp
     variances = np.diag(accuracy.covariance)[len(nlp.free) :]
@@ -87,7 +86,7 @@ def held_without_error(accuracy: Accuracy) -> Iterator[str]:
         )
 
 
-def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
+def no_degrees_of_freedom(nlp: CompiledProblem) -> Sentences:
     """Warn where the data have no more numbers than the fit has unknowns."""
     numbers = nlp.numbers
     initial = sum(part.unknown_initial_states for part in nlp.parts)
@@ -103,7 +102,7 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     )
 
 
-def at_bounds(answer: Fit, accuracy: Accuracy) -> Iterator[str]:
+def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
     """Name parameters at bounds and active constraints: the standard errors treat both as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`
@@ -122,3 +121,25 @@ def at_bounds(answer: Fit, accuracy: Accuracy) -> Iterator[str]:
 
     for limit in accuracy.active:
         yield f"{limit} holds with equality: standard errors treat it as known."
+
+
+def prior_conflicts(fit: Fit) -> Sentences:
+    """Warn of parameters that the data moved further than their priors allow.
+
+    If prior and data agree, the shift of the mean is normal, and its variance is that of the prior
+    less that of the estimate. Source: Evans and Moshonov (2006), Checking for prior-data conflict,
+    Bayesian Analysis 1(4), for normal densities.
+    """
+    for name, (mean, sigma) in fit.priors.items():
+        q = fit.by_name[name]
+        moved = sigma**2 - q.standard_error**2
+        # An error beyond that of the prior has grown with the residuals that a conflict leaves.
+        spread = math.sqrt(moved) if moved > 0 else sigma
+        deviations = abs(q.value - mean) / spread
+        if deviations > 3:
+            value, deviation = with_error(mean, sigma)
+            yield (
+                f"the data contradict the prior of {name}, {value} ± {deviation}: the estimate "
+                f"{number(q.value)} is {number(deviations, 2)} standard deviations "
+                "away. Check the prior and the model."
+            )

@@ -11,7 +11,6 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array, all_finite, as_arrays
-from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import NOT_FINITE, Run, Runs
 
@@ -58,7 +57,8 @@ def not_finite_warnings(nlp: CompiledProblem, search: Multistart) -> Iterator[st
 
 
 def _not_finite(runs: Runs) -> Runs:
-    return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
+    is_lost = (runs.status == NOT_FINITE) | (runs.status == "Invalid_Number_Detected")  # by IPOPT
+    return runs[~runs.converged & is_lost]
 
 
 def _trouble(nlp: CompiledProblem, run: Run) -> Trouble | None:
@@ -103,7 +103,7 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     # A state is simulated to the next sample, also at the end of a segment.
     segments = len(trajectory.ends), sampled.segment_length, part.states
     within = x.T.reshape(segments)[:, 1:]
-    later = np.concatenate([within, trajectory.ends[:, None]], axis=1).reshape(x.T.shape).T
+    later = np.hstack([within, trajectory.ends[:, None]]).reshape(x.T.shape).T
 
     # Later values that are not finite follow from the first.
     lost = ~np.isfinite(np.vstack([slopes, residual, later]))

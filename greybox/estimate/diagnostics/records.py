@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -20,7 +20,7 @@ from greybox.estimate.missing_terms import dynamic_equations
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Strings
 from greybox.files.grouping import grouped
-from greybox.files.text_table import listed, some
+from greybox.files.text_table import Sentences, listed, some
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.model import Model
 from greybox.statistics.metrics import cross_correlation, is_resolved, whiteness
@@ -38,12 +38,9 @@ EVIDENCE = 4.0
 # Fourier frequencies with the information on the parameters, at least. Errors at fewer follow from
 # their spectrum at others: with 1/f noise, intervals of 95 % held in 90 % of such fits.
 FEWEST_LINES = 8.0
-# Share of the variance beyond which noise that feedback returns to an unstable model biases output
-# error: 10 to 14 % by 0.6 to 1.5 standard errors, and 1 to 4 % by less than the intervals leave.
-ANSWERED = 0.1
 
 
-def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
+def finding_warnings(nlp: CompiledProblem) -> Sentences:
     """Repeat the findings of the log reader: restarts of the clock, lost lines."""
     return once(
         # Findings of one kind differ in their numbers.
@@ -55,14 +52,14 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
     )
 
 
-def _misspelled_units(model: Model, data: Record) -> Iterator[str]:
+def _misspelled_units(model: Model, data: Record) -> Sentences:
     for name in (*model.input_names, *model.output_names):
         unit = data.units.get(name, "")
         if known_unit(unit) is None and (text := misspelled(unit)):
             yield f"{name}: {text}."
 
 
-def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
+def repeated_data(nlp: CompiledProblem) -> Sentences:
     """Name data that are fitted twice, such as a file that was given twice."""
     pairs = [
         (group[0].name, again.name, "points")
@@ -95,7 +92,9 @@ def record_warnings(answer: Fit, accuracy: Accuracy, *, noisy: bool) -> Strings:
     misfit, explained = answer.misfit, answer.is_explained
     pairs = accuracy.nlp.rows_of(RecordPart, answer.parts)
     unstable = bool(misfit and misfit.is_unstable)
-    answered = bool(misfit and unstable and (misfit.left > ANSWERED or not explained))
+    # Noise that feedback returns to an unstable model biases output error: with 10 to 14 % of the
+    # variance by 0.6 to 1.5 standard errors, with 1 to 4 % by less than the intervals leave.
+    answered = bool(misfit and unstable and (misfit.left > 0.1 or not explained))
 
     return (
         *(once(_slow(answer, accuracy)) if noisy and explained else ()),
@@ -228,7 +227,7 @@ def unexplained_outputs(part: RecordPart, fitted: FittedRecord) -> Findings:
         )
 
 
-def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Iterator[str]:
+def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Sentences:
     """Warn where prediction errors are correlated in time: another disturbance causes them.
 
     A free gain removes the correlation from one sample to the next, so that many lags are tested.
@@ -290,7 +289,7 @@ def _by_piece(fitted: FittedRecord, values: Array) -> list[Array]:
 
 def biased_by_feedback(
     pairs: Pairs, *, unstable: bool = False, answered: bool = False
-) -> Iterator[str]:
+) -> Sentences:
     """Warn where feedback responds to errors correlated in time: output error is then biased.
 
     Output error needs errors that are independent of past inputs. Feedback makes later inputs
@@ -365,7 +364,7 @@ def _place(fitted: FittedRecord, pairs: Pairs) -> str:
     return "" if len(pairs) == 1 else f" in {fitted.name!r}"
 
 
-def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:
+def resting_inputs(nlp: CompiledProblem) -> Sentences:
     """Note where no input changes in any record; a static model has no free response."""
     records = nlp.parts_of(RecordPart)
     names = ", ".join(dict.fromkeys(name for part in records for name in part.system.inputs))
@@ -374,7 +373,7 @@ def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:
         yield f"the inputs never change ({names}): only the free response is informative."
 
 
-def rounded_outputs(records: Sequence[FittedRecord]) -> Iterator[str]:
+def rounded_outputs(records: Sequence[FittedRecord]) -> Sentences:
     """Note outputs whose noise is smaller than half of their resolution."""
     return once(
         (

@@ -4,14 +4,14 @@ from collections.abc import Iterator
 from operator import itemgetter
 
 from greybox.files.grouping import grouped
-from greybox.files.text_table import some
+from greybox.files.text_table import Sentences, some
 
 Finding = tuple[str, str, str]
 """The kind of a finding, the name of the data, and the sentence."""
 Findings = Iterator[Finding]
 
 
-def once(findings: Findings) -> Iterator[str]:
+def once(findings: Findings) -> Sentences:
     """Yield up to three sentences of each kind; of more, the first and the other data by name."""
     for alike in grouped(findings, itemgetter(0)):
         if len(alike) <= 3:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, Interval, Values
+from greybox.files.arrays import Array, Interval, NamedArrays, Values
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
 DEFAULTS = {
@@ -67,14 +67,14 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     terms = (
         2
         / (math.pi * TERMS * a)
-        * j1(2 * math.pi * TERMS * a)
+        * j1(math.tau * TERMS * a)
         * np.exp(-2 * (math.pi * TERMS * sigma) ** 2)
     )
     # The mean of cos² over the offset.
     return np.sqrt(np.sum(terms**2, axis=-1) / 2)
 
 
-def motor_outputs(recording: Recording, start: float, end: float) -> dict[str, Array]:
+def motor_outputs(recording: Recording, start: float, end: float) -> NamedArrays:
     """Return the PWM of the motors from `start` to `end`, µs, by name; none without a log."""
     if "RCOU" not in recording:
         return {}

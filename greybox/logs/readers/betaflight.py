@@ -32,7 +32,7 @@ PHASE = 5000  # counts of debug[0] in a radian of the chirp's phase, which is be
 TURN = round(2 * np.pi * PHASE)
 
 
-def without_settings(raw: bytes) -> tuple[bytes, dict[str, float]]:
+def without_settings(raw: bytes) -> tuple[bytes, Values]:
     """Return a table whose lines before the header are comments, and the numbers in these lines.
 
     Line numbers remain correct. Several numbers are named ``rollPID[0]`` and so on.

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.data.time_column import seconds, tick, times_in_seconds
-from greybox.files.arrays import AnyArray, Array, NamedArrays, NamedStrings, Strings
+from greybox.files.arrays import AnyArray, NamedArrays, NamedStrings, Strings
 from greybox.files.text_table import some
 from greybox.logs.named_columns import BETWEEN, unit_and_hold
 from greybox.logs.readers.messages import Messages
@@ -79,7 +79,7 @@ def time_column(columns: Mapping[str, AnyArray], units: NamedStrings) -> str:
     return timer or (first if is_clock and np.all(np.diff(columns[first]) > 0) else "")
 
 
-def _split(name: str, values: AnyArray, size: int) -> dict[str, Array]:
+def _split(name: str, values: AnyArray, size: int) -> NamedArrays:
     """Return the signals of a variable of the right length: itself, or the columns of a matrix."""
     if values.shape[:1] != (size,):
         return {}

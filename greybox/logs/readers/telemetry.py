@@ -25,7 +25,17 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, BoolArray, Fields, IntArray, Labels, NamedArrays, by_name
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    Fields,
+    IntArray,
+    Labels,
+    NamedArrays,
+    NamedStrings,
+    Values,
+    by_name,
+)
 from greybox.files.progress import bar
 from greybox.logs.readers import time_stamps
 from greybox.logs.readers.ardupilot_metadata import mode_name, unit, vehicle_in
@@ -154,7 +164,7 @@ class Kind:
                 self._labels += [name] if first else []
 
     @property
-    def columns(self) -> dict[str, Array]:
+    def columns(self) -> NamedArrays:
         """The numeric fields, (n,) arrays; those of an array are ``name[0]``, ``name[1]``."""
         table = np.asarray(self._values).reshape(len(self.numbers), -1)
         return {label: table[:, k].copy() for k, label in enumerate(self._labels)}
@@ -222,7 +232,7 @@ def heartbeats(kinds: Mapping[str, Kind]) -> Heartbeats:
     return Heartbeats(sender, autopilot, {name: x[rows] for name, x in fields.items()}, rows)
 
 
-def _firmware(beats: Heartbeats, texts: Labels) -> dict[str, str]:
+def _firmware(beats: Heartbeats, texts: Labels) -> NamedStrings:
     for text in texts:
         if vehicle := vehicle_in(text):
             return {"vehicle": vehicle, "firmware": text}
@@ -234,7 +244,7 @@ def _firmware(beats: Heartbeats, texts: Labels) -> dict[str, str]:
     return {}
 
 
-def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
+def _parameters(sent: Kind | None, beats: Heartbeats) -> Values:
     """Return the last value of every parameter."""
     if sent is None:
         return {}

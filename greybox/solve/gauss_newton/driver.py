@@ -24,9 +24,7 @@ from greybox.solve.minima import Multistart, same_cost
 from greybox.solve.runs import NOT_FINITE, Outcome, spent
 
 # Trial steps may overflow; they are then shortened.
-DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
-
-CLOSE = 0.01  # share of the variance that predictions leave where they follow the outputs closely
+DIVERGING = np.errstate(all="ignore")
 
 # Samples of the excerpts on which a run of a record of more than four times as many begins. A fit
 # of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they fill
@@ -82,8 +80,9 @@ class GaussNewton(LocalSolver):
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             z = moved.z
             is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
-            # From a bound, a run seldom returns, unless that is nearly where it ends.
-            if parts.unexplained(moved) < (left if is_inside else CLOSE):
+            # From a bound, a run seldom returns, unless that is nearly where it ends: predictions
+            # then leave a hundredth of the variance.
+            if parts.unexplained(moved) < (left if is_inside else 0.01):
                 begin = moved
         nlp = self.nlp
         if max(part.samples for part in nlp.parts) > 4 * EXCERPT:

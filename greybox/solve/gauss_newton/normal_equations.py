@@ -90,4 +90,4 @@ def largest_multiplier(force: Array, normals: Array, slack: Array) -> float:
     active = slack <= 1e-9  # in scaled variables: what the quadratic program leaves of zero
     if not active.any():
         return 0.0
-    return float(np.abs(np.linalg.lstsq(normals[active].T, force, rcond=None)[0]).max())
+    return float(np.abs(np.linalg.lstsq(normals[active].T, force)[0]).max())

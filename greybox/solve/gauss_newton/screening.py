@@ -90,7 +90,7 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     ]
     whole_segments = [ShortSegments(p, r, most, p.data.segment_length) for p in chosen]
     with np.errstate(all="ignore"):  # points that overflow stay where they are
-        states = np.concatenate([record.states_from_data(z) for record in whole_segments], axis=1)
+        states = np.hstack([record.states_from_data(z) for record in whole_segments])
         short = descended(evaluated(z, states, short_segments), short_segments, limits, 4)
         drawn = evaluated(z, states, whole_segments)
         moved = evaluated(short.z, short.states, whole_segments)
@@ -108,7 +108,7 @@ def descended(
         gradient, hessian, follow = points.reduced(damping)
         step = np.linalg.solve(_damped(hessian, damping), -gradient[:, :, None])[:, :, 0]
         z = limits.clipped(points.z + step)
-        along = np.concatenate([np.ones((len(z), 1)), z - points.z], axis=1)
+        along = np.hstack([np.ones((len(z), 1)), z - points.z])
         trial = evaluated(z, points.states + np.einsum("rmnp,rp->rmn", follow, along), records)
         damping = np.where(trial.cost < points.cost, damping / 10, damping * 10)
         points = lower(points, trial)
@@ -160,9 +160,9 @@ class ShortSegments:
 
         slope = np.array([at.slope for at in placed])
         model = (
-            np.trace(errors, axis1=1, axis2=2) / 2,
+            np.linalg.trace(errors) / 2,
             np.einsum("rap,ra->rp", slope, b.parameter_gradient),
-            slope.swapaxes(1, 2) @ b.parameter_hessian @ slope,
+            slope.mT @ b.parameter_hessian @ slope,
             b.node_hessian.reshape(r, m, n, n),
             b.cross_hessian.reshape(r, m, n, -1) @ slope[:, None],
             b.node_gradient.reshape(r, m, n),
@@ -194,7 +194,7 @@ def evaluated(z: Array, states: Array, records: Sequence[ShortSegments]) -> Poin
         for record, begins in zip(records, np.split(states, ends, axis=1), strict=True)
     ]
     _, _, *columns = zip(*pieces, strict=True)
-    by_states = (np.concatenate(values, axis=1) for values in columns[3:])
+    by_states = (np.hstack(values) for values in columns[3:])
     model = [np.asarray(values) for values in (*map(sum, columns[:3]), *by_states)]
     finite = np.all([np.isfinite(a).reshape(len(z), -1).all(axis=1) for a in model], axis=0)
     cost, *flat = (_select(finite, values, np.zeros(1)) for values in model)
