@@ -183,8 +183,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         Flies the vehicle meanwhile; without one the plant is tested in open loop.
     limits : mapping of signal to float
         Largest amplitudes of signals of the loop: outputs, inputs, states, and derivatives such as
-        ``theta_dot``. They hold for settled sines; at the beginning of a sine, signals overshoot
-        them.
+        ``theta_dot``. They hold for settled sines; at the beginning of a sine, signals overshoot.
     rate : float, Hz
         Sampling rate of the log.
     periods : int
