@@ -185,7 +185,7 @@ def test_a_problem_with_a_record(own, capsys):
 
 
 def test_the_shipped_records(capsys):
-    command = ["fit", "sitl_drag", "--starts", "2"]
+    command = ["fit", "sitl_drag", "--starts", "1"]
     status, out, _ = run(capsys, *command)
     assert status == 0
     assert "7338 samples in 2 records" in out

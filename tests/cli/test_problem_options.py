@@ -160,7 +160,7 @@ def test_data_or_a_model_in_the_place_of_a_problem(capsys):
 
 def test_a_users_file_chooses_the_transcription_and_its_integrator(own, capsys):
     text = RECORD.replace(
-        '"starts": 3', '"starts": 3, "method": gb.SingleShooting(integrator=gb.Radau())'
+        '"starts": 3', '"starts": 1, "method": gb.SingleShooting(integrator=gb.Radau())'
     )
     assert run(capsys, "fit", own(text))[0] == 0
 

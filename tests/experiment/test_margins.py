@@ -153,6 +153,7 @@ def test_two_integrators_have_no_gain_reduction_margin():
     assert gb.margins(Position(), Gain())["gain reduction margin"].value == np.inf
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_resonance_narrower_than_the_spacing_of_frequencies_counts_in_every_draw():
     """A structural mode with 0.3 % of critical damping: its peak limits the gain."""
 

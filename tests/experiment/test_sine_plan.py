@@ -71,11 +71,11 @@ def test_repeated_flights_scatter_by_the_expected_errors(lag):
     clean = gb.simulate(Lag(), LAG, gb.Record(time, {"u": u}))["y"]
     random = np.random.default_rng(1)
     scores = []
-    for _ in range(6):
+    for _ in range(4):
         record = gb.Record(time, {"u": u, "y": clean + 0.05 * random.normal(size=time.size)})
         found = gb.fit(gb.Problem(Lag(), record), [LAG], progress=False)
         scores.append([(found.estimate[k] - LAG[k]) / lag.standard_error[k] for k in LAG])
-    # 12 numbers: their rms is known to 20 %. The record has the sines while they settle, too.
+    # 8 numbers: their rms is known to 25 %. The record has the sines while they settle, too.
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 

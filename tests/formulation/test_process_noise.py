@@ -310,7 +310,7 @@ def test_accelerations_without_noise_leave_errors_of_the_size_of_the_spread():
     """Almost all information is in the difference of outputs that the states and inputs give."""
     sensors, deviations = dict.fromkeys("xva", 1e-4), []
     rule = gb.PredictionError(process_noise=("v",), inputs="held")
-    for seed in range(6):
+    for seed in range(4):
         force = doublets(1, 200, 1.0, seed)
         record = disturbed(WithAcceleration(), TRUTH, force, STEP, {"v": 0.3}, sensors, seed)
         answer = fit(gb.Problem(WithAcceleration(), record, rule))
@@ -318,7 +318,7 @@ def test_accelerations_without_noise_leave_errors_of_the_size_of_the_spread():
             (answer.estimate[name] - value) / answer.standard_error[name]
             for name, value in TRUTH.items()
         ]
-    # The rms of 18 normal deviations, less and more three of its standard deviations.
+    # The rms of 12 normal deviations, less and more two and a half of its standard deviations.
     assert 0.5 < np.sqrt(np.mean(np.square(deviations))) < 1.5
 
 

@@ -45,7 +45,7 @@ def test_structures_are_fitted_on_request():
         Structure(DampedAngle(), "rate:DampedAngle", free),
         Structure(Tilt(), "tilt:Tilt", (*free, "a5")),
     ]
-    found = gb.identify(sitl_pitch.LOG, structures=listed, starts=8)
+    found = gb.identify(sitl_pitch.LOG, structures=listed, starts=4)
     assert found.selection.chosen.label == "rate:DampedAngle"
     for name, truth in sitl_pitch.published["values"].items():
         if name == "T_delay":  # the published one contains half of the hold of the control
@@ -56,7 +56,7 @@ def test_structures_are_fitted_on_request():
     held = gb.identify(
         sitl_pitch.LOG,
         structures=listed[1:2],
-        starts=4,
+        starts=2,
         fixed={"T_rotor": 0.05},
         bounds={"a": (0, 2)},
     )

@@ -71,7 +71,7 @@ def test_a_short_record_has_the_estimate_of_an_exact_integration():
 
 def test_runs_and_minima_tell_the_same_when_substeps_were_refined():
     """What the fit says of its runs is what a fit with as many substeps from the start says."""
-    problem = gb.Problem(Swing(), swung(), gb.OutputError(inputs="held"))
+    problem = gb.Problem(Swing(), swung(n=200), gb.OutputError(inputs="held"))
     starts = [{"k1": 90, "k2": 20}, {"k1": 20, "k2": 90}, {"k1": 95, "k2": 25, "c": 1.0}]
     fit = gb.fit(problem, starts=starts, progress=False, profiles=False)
     count = int(fit.records[0].method.split("RK4, ")[1].split()[0])
@@ -111,7 +111,7 @@ def test_the_numbers_of_substeps_that_are_proposed_lead_to_enough(few):
 
 def test_where_the_cap_is_reached_the_proposed_number_of_substeps_is_enough():
     """With hardly any noise, the number of substeps that the warning proposes is enough."""
-    record = swung(step=1.6, noise=1e-8, n=30)
+    record = swung(step=1.6, noise=1e-8, n=20)
     (said,) = coarse_warnings(record)
     assert "Radau()" in said
     assert not coarse_warnings(record, gb.RungeKutta(int(PROPOSED.search(said)[1])))

@@ -48,31 +48,28 @@ def by_numpy(values):
 
 
 def test_the_default_search_finds_the_minimum_in_wide_boxes():
-    costs, references = [], []
-    for seed in range(2):
-        random = np.random.default_rng(seed)
-        truth = random.choice([-1, 1], len(FREE)) * random.uniform(0.5, 4.0, len(FREE))
-        truth[[0, 3, 7]] = -random.uniform(0.3, 4.0, 3)  # damped
-        truth = np.concatenate([truth, random.uniform(0.01, 0.06, 3)])
-        exact = by_numpy(truth)
-        noise = random.standard_normal((2, *exact.shape)) * 0.05 / np.sqrt(2)
-        measured = exact * (1 + noise[0] + 1j * noise[1])
+    random = np.random.default_rng(0)
+    truth = random.choice([-1, 1], len(FREE)) * random.uniform(0.5, 4.0, len(FREE))
+    truth[[0, 3, 7]] = -random.uniform(0.3, 4.0, 3)  # damped
+    truth = np.concatenate([truth, random.uniform(0.01, 0.06, 3)])
+    exact = by_numpy(truth)
+    noise = random.standard_normal((2, *exact.shape)) * 0.05 / np.sqrt(2)
+    measured = exact * (1 + noise[0] + 1j * noise[1])
 
-        def residuals(values, measured=measured):
-            error = (by_numpy(values) / measured - 1).ravel()
-            return np.concatenate([error.real, error.imag])
+    def residuals(values):
+        error = (by_numpy(values) / measured - 1).ravel()
+        return np.concatenate([error.real, error.imag])
 
-        references.append(2 * least_squares(residuals, truth, x_scale=abs(truth)).cost)
-        matrix = [
-            [gb.FrequencyResponse(OMEGA, measured[:, k, i], input=u, output=y)
-             for i, u in enumerate(Axes.inputs)]
-            for k, y in enumerate(Axes.outputs)
-        ]  # fmt: skip
-        problem = gb.Problem(Axes(), matrix, criterion=gb.SquaredRelativeError())
-        fit = gb.fit(problem, profiles=False, progress=False)
-        costs.append(fit.cost)
-        assert fit.agreeing >= 4
-    assert_allclose(costs, references, rtol=1e-6)
+    reference = 2 * least_squares(residuals, truth, x_scale=abs(truth)).cost
+    matrix = [
+        [gb.FrequencyResponse(OMEGA, measured[:, k, i], input=u, output=y)
+         for i, u in enumerate(Axes.inputs)]
+        for k, y in enumerate(Axes.outputs)
+    ]  # fmt: skip
+    problem = gb.Problem(Axes(), matrix, criterion=gb.SquaredRelativeError())
+    fit = gb.fit(problem, profiles=False, progress=False)
+    assert fit.agreeing >= 4
+    assert_allclose(fit.cost, reference, rtol=1e-6)
 
 
 FLAPPING = {"Lp": -1.0, "La": 8.0, "Lb": 60.0, "Llat": 5.0, "Mq": -0.5, "Ma": 40.0, "Mb": -5.0}
@@ -121,23 +118,22 @@ def rotor_by_numpy(values):
 def test_the_default_search_finds_states_that_no_output_shows():
     truth = np.array([*FLAPPING.values()])
     exact = rotor_by_numpy(truth)
-    for seed in range(2):
-        noise = np.random.default_rng(seed).standard_normal((2, *exact.shape)) * 0.03
-        measured = exact * (1 + noise[0] + 1j * noise[1])
+    noise = np.random.default_rng(0).standard_normal((2, *exact.shape)) * 0.03
+    measured = exact * (1 + noise[0] + 1j * noise[1])
 
-        def residuals(values, measured=measured):
-            error = (rotor_by_numpy(values) / measured - 1).ravel()
-            return np.concatenate([error.real, error.imag])
+    def residuals(values):
+        error = (rotor_by_numpy(values) / measured - 1).ravel()
+        return np.concatenate([error.real, error.imag])
 
-        reference = 2 * least_squares(residuals, truth, x_scale=abs(truth)).cost
-        data = {
-            (output, input): gb.FrequencyResponse(OMEGA, measured[:, k, i])
-            for i, input in enumerate(Rotor.inputs)
-            for k, output in enumerate(Rotor.outputs)
-        }
-        problem = gb.Problem(Rotor(), data, criterion=gb.SquaredRelativeError())
-        fit = gb.fit(problem, profiles=False, progress=False)
-        assert_allclose(fit.cost, reference, rtol=1e-6)
+    reference = 2 * least_squares(residuals, truth, x_scale=abs(truth)).cost
+    data = {
+        (output, input): gb.FrequencyResponse(OMEGA, measured[:, k, i])
+        for i, input in enumerate(Rotor.inputs)
+        for k, output in enumerate(Rotor.outputs)
+    }
+    problem = gb.Problem(Rotor(), data, criterion=gb.SquaredRelativeError())
+    fit = gb.fit(problem, profiles=False, progress=False)
+    assert_allclose(fit.cost, reference, rtol=1e-6)
 
 
 def test_ties_and_constraints_keep_the_search_of_many_responses():

@@ -80,11 +80,9 @@ def test_starts_with_delays_of_many_turns_find_the_minimum():
     """From a box of delays up to 75 rad at the highest frequency."""
     truth, omega = {"K": 400.0, "a": 3.0, "T": 0.025, "tau": 0.004}, np.geomspace(4, 150, 349)
     exact = gb.frequency_response(Rate(), truth, omega, input="u", output="q").response
-    random = np.random.default_rng(3)
-    for _ in range(2):
-        errors = 0.05 * random.normal(size=(2, omega.size))
-        measured = exact * (1 + errors[0] + 1j * errors[1])
-        response = gb.FrequencyResponse(omega, measured, input="u", output="q")
-        fit = gb.fit(gb.Problem(Rate(), response), starts=16, progress=False)
-        assert abs(fit.estimate["K"] - 400) < 4 * fit.standard_error["K"]
-        assert sum(run.cost < 1.001 * fit.cost for run in fit.runs) > 1
+    errors = 0.05 * np.random.default_rng(3).normal(size=(2, omega.size))
+    measured = exact * (1 + errors[0] + 1j * errors[1])
+    response = gb.FrequencyResponse(omega, measured, input="u", output="q")
+    fit = gb.fit(gb.Problem(Rate(), response), starts=16, progress=False)
+    assert abs(fit.estimate["K"] - 400) < 4 * fit.standard_error["K"]
+    assert sum(run.cost < 1.001 * fit.cost for run in fit.runs) > 1
