@@ -76,8 +76,7 @@ def descend(
     end = _attempted(parts, iterate, progress, iterations, states_only=states_only)
     if end.status == CONVERGED or parts.is_gain.any():
         return end
-    nodes = [part.trajectory(iterate.z, simulated=True).nodes for part in parts.parts]
-    begin = parts.at(iterate.z, nodes)
+    begin = parts.simulated(iterate.z)
     has_failed = end.status in (NOT_FINITE, SINGULAR, STALLED)
     if not (has_failed or parts.cost(end.iterate) > parts.cost(begin)):
         return end
