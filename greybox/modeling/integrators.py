@@ -102,7 +102,7 @@ def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
     if undelayed:
         late, acting, ramp = system.delay_step(late, u, slope, p, h)
     result = integrator.advance(driven, result, acting, ramp, p, h)
-    options = {"always_inline": True} if integrator.implicit else {}
+    options = {"always_inline": integrator.implicit}
     return ca.Function("substep", [x, u, slope, p, h], [ca.vertcat(result, late)], options)
 
 
@@ -238,7 +238,7 @@ class ImplicitIntegrator(Integrator):
         # (Hairer and Wanner, IV.8).
         error = ca.solve(matrix, ca.solve(matrix, missed)) / size
         # It ends before a step of 1e-12, where stiff residuals may be a million times larger.
-        solution += ca.if_else(residual <= 1e-6, 0, ca.MX.nan(1))
+        solution += ca.if_else(residual <= 1e-6, 0, float("nan"))
         # Error of a step, in sizes of the states, above which it is halved. The estimate is that of
         # a scheme of order three: 1e-5 corresponds to a tolerance of 1e-6 in RADAU5. With 1e-4
         # estimates of nine stiff models are up to 5e-4 standard errors off, with 1e-5 up to 3e-5,
@@ -265,8 +265,9 @@ class ImplicitIntegrator(Integrator):
                 middle, *by_first = step.call([first, longer])
                 result = step.call([ca.vertcat(middle, second), longer])
                 if by_first:
-                    by_both = [by_first[0] @ ca.jacobian(first, v), ca.jacobian(second, v)]
-                    result[1] @= ca.vertcat(*by_both)
+                    result[1] @= ca.vertcat(
+                        by_first[0] @ ca.jacobian(first, v), ca.jacobian(second, v)
+                    )
                 halves = ca.Function("halves", [v, change, longer], result)
                 chosen = ca.Function.if_else("chosen", whole_step, halves)
                 step = ca.Function("step", [v, longer], chosen.call([is_short, v, solution, size]))
@@ -280,8 +281,7 @@ class ImplicitIntegrator(Integrator):
         )
         # A simulation needs no slopes, whose equations take most of the time of many states.
         options = {"custom_jacobian": jacobian, "jac_penalty": 0}
-        step = ca.Function("step", [v], [halved()(v, 0)], options)
-        return step(ca.vertcat(x, u, slope, p, h))
+        return ca.Function("step", [v], [halved()(v, 0)], options)(ca.vertcat(x, u, slope, p, h))
 
 
 @dataclass(frozen=True)
