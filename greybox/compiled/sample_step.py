@@ -125,7 +125,9 @@ def sample_step(
     symbols: Any = measurement.sx_in() if step.is_a("SXFunction") else measurement.mx_in()
     x, q, d = symbols
     corrected, mean, change, residual, simulated = measurement(x, q, d)
-    end = step(corrected, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
+    # The derivatives of a called function have no zeros: they fill a product of large matrices.
+    begin = corrected if criterion.corrects_states else x
+    end = step(begin, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
     # Outputs and derivatives of many models have terms in common.
     function = ca.Function("sample", [x, q, d], [end, residual, simulated], {"cse": True})
     return SampleStep(function, measurement, substep, substeps, system, d.numel())

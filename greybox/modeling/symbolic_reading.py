@@ -46,7 +46,8 @@ def as_column(entries: Iterable[Any]) -> ca.SX:
 
 def dense_jacobian(values: Any, by: Any) -> Any:
     """Return the Jacobian of expressions as a dense matrix."""
-    return ca.densify(ca.jacobian(values, by))
+    # By default CasADi repeats what it calls for every 64 columns.
+    return ca.densify(ca.jacobian(values, by, {"helper_options": {"max_num_dir": by.numel()}}))
 
 
 def symbols(model: Model) -> tuple[ca.SX, ca.SX]:

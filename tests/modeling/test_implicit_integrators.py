@@ -6,11 +6,13 @@ import pytest
 from numpy.testing import assert_allclose
 from sample_steps import stepped
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from spring_lag_tilt import HELD, SPRING, Spring, fit, spring
 
 import greybox as gb
 from greybox.modeling.integrators import Radau
 from greybox.modeling.realization import dynamics
+from greybox.modeling.symbolic_reading import dense_jacobian
 
 
 class Decay(gb.StateSpace):
@@ -110,6 +112,42 @@ def test_a_chosen_number_of_steps_stays():
         stepped(dynamics(Relaxing()), Radau(n), 1)((2, 0), 0, 0, 50, 39.0) for n in (1, None)
     )
     assert float(ca.norm_inf(chosen - automatic)) > 1e-3
+
+
+class Rod(gb.StateSpace):
+    """A rod of 70 cells, heated at one end."""
+
+    states = tuple(f"T{k}" for k in range(70))
+    inputs, outputs = ("power",), ("T69",)
+    k = gb.Parameter(100.0)
+
+    def derivative(self, x, u, p):
+        T = [x[name] for name in self.states]
+        wide = zip([T[0], *T[:-1]], T, [*T[1:], T[-1]], strict=True)
+        flows = [p.k * (before - 2 * here + after) for before, here, after in wide]
+        return (flows[0] + 10 * u.power, *flows[1:])
+
+    def output(self, x, u, p):
+        return (x.T69,)
+
+
+def test_a_front_from_rest_is_followed_and_so_are_many_derivatives():
+    """Far from the heater the states grow from zero by dozens of decades."""
+    # The states, the power, and what it changes by.
+    linear = np.zeros((72, 72))
+    linear[:70, :70] = 100 * (np.eye(70, k=1) + np.eye(70, k=-1) - 2 * np.eye(70))
+    linear[0, 0] = linear[69, 69] = -100
+    linear[0, 70], linear[70, 71] = 10, 1
+    exact = expm(linear)[:70, 71]
+    rest, warm, k, start = np.zeros(70), np.eye(70, 1), ca.MX.sym("k"), ca.MX.sym("start", 70)
+    end = stepped(dynamics(Rod()), Radau(), 1)(start, 0.5, 1.0, k, 1.0)
+    run = ca.Function("run", [start, k], [end, dense_jacobian(end, ca.vertcat(start, k))])
+    ends, slopes = (value.full() for value in run(rest, 100.0))
+    assert_allclose(ends[:, 0], exact, rtol=1e-6, atol=1e-8 * ends.max())
+    # The model is linear in its states.
+    assert_allclose(slopes[:, :1], run(warm, 100.0)[0].full() - ends, atol=1e-8)
+    difference = (run(rest, 100.01)[0] - run(rest, 99.99)[0]).full() / 0.02
+    assert_allclose(slopes[:, 70:], difference, atol=1e-8)
 
 
 class Draining(gb.StateSpace):

@@ -58,6 +58,10 @@ class AllParts:
         trajectories = [part.trajectory(z, n, simulated=flag) for part, n, flag in zipped]
         return Iterate(z, tuple(sharing(self.parts, trajectories)))
 
+    def simulated(self, z: Array) -> Iterate:
+        """Return the iterate at z with nodes that are simulated from the first ones."""
+        return self.at(z, [part.trajectory(z, simulated=True).nodes for part in self.parts])
+
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
         return zip(self.parts, iterate.trajectories, *others, strict=True)
@@ -117,7 +121,7 @@ class AllParts:
             return math.inf
         records = [(part, t) for part, t in self.along(iterate) if part.has_nodes]
         squares = sum(part.squared_cost(t, part.initial_weight()) for part, t in records)
-        return 2 * ASSUMED_ERROR**2 * squares / sum(part.numbers for part, _ in records)
+        return 2 * ASSUMED_ERROR**2 * squares / max(sum(part.numbers for part, _ in records), 1)
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse residual covariances at an iterate."""

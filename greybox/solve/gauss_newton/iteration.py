@@ -76,13 +76,11 @@ def descend(
     end = _attempted(parts, iterate, progress, iterations, states_only=states_only)
     if end.status == CONVERGED or parts.is_gain.any():
         return end
-    nodes = [part.trajectory(iterate.z, simulated=True).nodes for part in parts.parts]
-    begin = parts.at(iterate.z, nodes)
+    begin = parts.simulated(iterate.z)
     has_failed = end.status in (NOT_FINITE, SINGULAR, STALLED)
     if not (has_failed or parts.cost(end.iterate) > parts.cost(begin)):
         return end
-    remaining = iterations - end.iterations
-    later = _attempted(parts, begin, EXACT, remaining, states_only=states_only)
+    later = _attempted(parts, begin, EXACT, iterations - end.iterations, states_only=states_only)
     better = later if later.status.startswith(CONVERGED) else end
     return replace(better, iterations=end.iterations + later.iterations)
 
