@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
@@ -100,15 +101,13 @@ class Group:
         """An orthonormal basis (M, r) of what the parameters can take of white residuals."""
         return column_basis(self.white_fitted)
 
-    def score_tests(self, columns: Array) -> list[list[float]]:
-        """Return the tests of columns (N, c) one by one, see `score_tests`."""
-        return score_tests(self.white_residuals[:, 0], self.basis, self.white(columns)).T.tolist()
+    def score_tests(self, columns: Array) -> Array:
+        """Return the tests (c, 4) of columns (N, c) one by one, see `score_tests`."""
+        return score_tests(self.white_residuals[:, 0], self.basis, self.white(columns)).T
 
-    def chances(self, effects: Sequence[Array]) -> Array:
-        """Return the probabilities of terms of records, each with columns (N, q) of its effects.
-
-        See `autoregressive_p_values`.
-        """
+    def chances(self, tested: Sequence["Tested"]) -> Array:
+        """Return the probabilities of terms of records, see `autoregressive_p_values`."""
+        effects = [test.effects for test in tested]
         # Where records have unlike outputs, errors of outputs count as independent.
         widths = {len(part.outputs) for part in self.parts}
         return autoregressive_p_values(
@@ -211,11 +210,11 @@ def assessed_misfit(
     # At biased values, residuals follow the inputs although no term is missing. A missing term
     # biases them, too, perhaps until residuals follow hardly anything but their past.
     x, group = _with_autoregressive_errors(nlp, x, disturbed)
-    [(_, effects)] = answers
+    [(_, ranked)] = answers
     # Values at a bound are no better ones. Terms that residuals follow there for certain, also as
     # they act here, need no other test.
     is_held = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
-    is_certain = misfit.tried * min(group.chances(effects), default=1.0) < IN_GUSTS**2
+    is_certain = misfit.tried * min(group.chances(ranked), default=1.0) < IN_GUSTS**2
     if (is_certain and not misfit.explains) or is_held.any():
         return misfit
     other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates)
@@ -324,10 +323,10 @@ def _determined(groups: Sequence[Group]) -> list[Array]:
     return [unit @ axes[share**2 > 0.1].T for share, axes in pairs]
 
 
-def _of_group(group: Group, determined: Array) -> tuple[Misfit, Arrays]:
+def _of_group(group: Group, determined: Array) -> tuple[Misfit, list[Tested]]:
     """Return the misfit of a group, whose fit can change the columns of `determined` (d, k).
 
-    Also return the effects (N, q) of the best terms.
+    Also return the best terms.
     """
     group = replace(group, fitted=np.hstack([group.fitted @ determined, _known(group.parts)]))
     terms = _terms(group.parts, determined)
@@ -349,7 +348,7 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Arrays]:
     p_common = 1.0
     p_values = p_correlated = np.array([test.p_white for test in tested]) * tests
     if group.outputs:
-        p_correlated = p_values = tests * group.chances([test.effects for test in tested])
+        p_correlated = p_values = tests * group.chances(tested)
         if min(p_values, default=1.0) > FALSE_ALARMS:
             missing, p_of_functions = _functions(group, terms, tested)
             tested = missing + tested
@@ -391,7 +390,7 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Arrays]:
         _shape(group, zip(tested, causes, strict=True)),
         group.parts[0].level,
     )
-    return misfit, [test.effects for test in tested]
+    return misfit, tested
 
 
 def _terms(parts: Sequence[Regression], determined: Array) -> dict[Key, Term]:
@@ -501,29 +500,25 @@ def _ranked(group: Group, terms: Mapping[Key, Term]) -> tuple[Counter[Any], list
     """Return the number of terms that are no functions by family, and the best of each."""
     best = dict[Any, Tested]()
     likely = {key for part in group.parts for key, term in part.terms.items() if term.is_likely}
+    keys = [key for key, term in terms.items() if key in likely and not term.knots]
     tried = Counter(family for family, _ in terms.keys() - likely)
     # Both factors of a mode are tested together, for motions of any phase.
-    together = dict[Any, list[Key]]()
-    for key, term in terms.items():
-        if key in likely and not term.knots:
-            family, number = key
-            which = number // 2 if term.kind == "flexible" else number
-            together.setdefault((family, which), []).append(key)
-    keys = [*together.values()]
+    pairs = groupby(keys, lambda key: key[1] // 2 if key[0][0] == "flexible" else key)
+    together = [[*pair] for _, pair in pairs]
     # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
     # time and 370 MB.
     size = 100_000 // (len(group.residuals) + 1) + 1
-    for first in range(0, len(keys), size):
-        chosen = keys[first : first + size]
+    for first in range(0, len(together), size):
+        chosen = together[first : first + size]
         columns = group.columns(
             [part.terms.get(key) for pair in chosen for key in pair] for part in group.parts
         )
         ends = np.cumsum([*map(len, chosen)])[:-1]
-        tests = np.split(np.array(group.score_tests(columns)), ends)
+        tests = np.split(group.score_tests(columns), ends)
         for pair, effects, each in zip(chosen, np.split(columns, ends, 1), tests, strict=True):
             # The probability is NaN where nothing of a term is left.
             if np.all(each[:, 1] <= 1):
-                family, decrease = pair[0][0], float(np.sum(each[:, 0]))
+                family, decrease = pair[0][0], np.sum(each[:, 0])
                 tried[family] += len(pair)
                 # Of two records, either may have a value of its own: the first has, not rounding.
                 if family not in best or decrease > best[family].decrease * (1 + 1e-9):
@@ -547,7 +542,7 @@ def _together(group: Group, key: Key, columns: Array) -> tuple[float, Tested]:
     effects = columns @ directions
     factors = directions @ directions.T @ white.T @ outside(group.white_residuals, group.basis)
     column = columns @ factors / (np.linalg.norm(factors) + TINY)
-    return p_value, Tested(key, effects, column, *group.score_tests(column)[0])
+    return p_value, Tested(key, effects, column, *group.score_tests(column)[0].tolist())
 
 
 def _place(key: Key) -> str:
@@ -575,18 +570,16 @@ def _functions(
             part.terms[key].values if key in part.terms else np.zeros(0) for part in group.parts
         ]
         columns = group.columns(_on_knots(group, key, signals, min(terms[key].knots, most))[1])
-        test = _together(group, key, columns)
-        if test[1].effects.size:
-            tested.append(test)
+        tested.append(_together(group, key, columns))
     # A test of several numbers counts as that many terms, and so do those that are not made.
     numbers = sum(test.effects.shape[1] for _, test in tested)
     count = numbers * len(functions) / max(len(tried), 1)
     # Only the best two are tested together with the color of the errors, which takes most of the
     # time, and only if chance does not explain them.
-    best = [test for p, test in sorted(tested, key=itemgetter(0))[:2] if count * p < 1]
+    best = [test for p, test in sorted(tested, key=itemgetter(0))[:2] if max(count, 1) * p < 1]
     if not best:
         return [], np.array([])
-    p_values = count * group.chances([test.effects for test in best])
+    p_values = count * group.chances(best)
     is_missing = p_values < FALSE_ALARMS
     return [best[k] for k in np.flatnonzero(is_missing)], p_values[is_missing]
 
