@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
@@ -102,30 +103,36 @@ class Group:
         """An orthonormal basis (M, r) of what the parameters can take of white residuals."""
         return column_basis(self.white_fitted)
 
-    def score_tests(self, columns: Array) -> list[list[float]]:
-        """Return the tests of columns (N, c) one by one, see `score_tests`."""
-        return score_tests(self.white_residuals[:, 0], self.basis, self.white(columns)).T.tolist()
+    def score_tests(self, columns: Array) -> Array:
+        """Return the tests (c, 4) of columns (N, c) one by one, see `score_tests`."""
+        return score_tests(self.white_residuals[:, 0], self.basis, self.white(columns)).T
 
-    def chances(self, columns: Array, sizes: Sequence[int] = ()) -> Array:
-        """Return the probabilities of columns (N, c) of records, see `autoregressive_p_values`."""
+    def chances(self, tested: Sequence["Tested"]) -> Array:
+        """Return the probabilities of terms of records, see `autoregressive_p_values`."""
+        effects = [test.effects for test in tested]
         # Where records have unlike outputs, errors of outputs count as independent.
         widths = {len(part.outputs) for part in self.parts}
         return autoregressive_p_values(
             self.residuals[:, 0],
             self.fitted,
-            columns,
+            np.hstack([self.residuals[:, :0], *effects]),
             self.outputs,
             widths.pop() if len(widths) == 1 else 1,
             sum(part.lost for part in self.parts),
-            sizes,
+            [each.shape[1] for each in effects],
         )
 
 
 @frozen
 class Tested:
-    """A missing term after its test: the column (N, 1) of the unit term, and see `score_tests`."""
+    """A missing term after its test.
+
+    Its factor is that on the column (N, 1), which may combine the `effects` (N, q) of several
+    terms that are tested together; see `score_tests`.
+    """
 
     key: Key
+    effects: Array
     column: Array
     decrease: float
     p_white: float
@@ -205,11 +212,11 @@ def assessed_misfit(
     # At biased values, residuals follow the inputs although no term is missing. A missing term
     # biases them, too, perhaps until residuals follow hardly anything but their past.
     x, group = _with_autoregressive_errors(nlp, x, disturbed)
-    [(_, columns)] = answers
+    [(_, ranked)] = answers
     # Values at a bound are no better ones. Terms that residuals follow there for certain, also as
     # they act here, need no other test.
     is_held = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
-    is_certain = misfit.tried * min(group.chances(columns), default=1.0) < IN_GUSTS**2
+    is_certain = misfit.tried * min(group.chances(ranked), default=1.0) < IN_GUSTS**2
     if (is_certain and not misfit.explains) or is_held.any():
         return misfit
     other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates)
@@ -320,10 +327,10 @@ def _determined(groups: Sequence[Group]) -> list[Array]:
     return [unit @ axes[share**2 > 0.1].T for share, axes in pairs]
 
 
-def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
+def _of_group(group: Group, determined: Array) -> tuple[Misfit, list[Tested]]:
     """Return the misfit of a group, whose fit can change the columns of `determined` (d, k).
 
-    Also return the columns (N, c) of the best terms.
+    Also return the best terms.
     """
     group = replace(group, fitted=np.hstack([group.fitted @ determined, _known(group.parts)]))
     terms = _terms(group.parts, determined)
@@ -345,7 +352,7 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
     p_common = 1.0
     p_values = p_correlated = np.array([test.p_white for test in tested]) * tests
     if group.outputs:
-        p_correlated = p_values = group.chances(columns) * tests
+        p_correlated = p_values = tests * group.chances(tested)
         if min(p_values, default=1.0) > FALSE_ALARMS:
             missing, p_of_functions = _functions(group, terms, tested)
             tested = missing + tested
@@ -387,7 +394,7 @@ def _of_group(group: Group, determined: Array) -> tuple[Misfit, Array]:
         _shape(group, zip(tested, causes, strict=True)),
         group.parts[0].level,
     )
-    return misfit, columns
+    return misfit, tested
 
 
 def _terms(parts: Sequence[Regression], determined: Array) -> dict[Key, Term]:
@@ -499,21 +506,47 @@ def _ranked(group: Group, terms: Mapping[Key, Term]) -> tuple[Counter[Any], list
     likely = {key for part in group.parts for key, term in part.terms.items() if term.is_likely}
     keys = [key for key, term in terms.items() if key in likely and not term.knots]
     tried = Counter(family for family, _ in terms.keys() - likely)
+    # Both factors of a mode are tested together, for motions of any phase.
+    pairs = groupby(keys, lambda key: key[1] // 2 if key[0][0] == "flexible" else key)
+    together = [[*pair] for _, pair in pairs]
     # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
     # time and 370 MB.
     size = 100_000 // (len(group.residuals) + 1) + 1
-    for first in range(0, len(keys), size):
-        chosen = keys[first : first + size]
-        columns = group.columns([*map(part.terms.get, chosen)] for part in group.parts)
-        for k, (key, test) in enumerate(zip(chosen, group.score_tests(columns), strict=True)):
+    for first in range(0, len(together), size):
+        chosen = together[first : first + size]
+        columns = group.columns(
+            [part.terms.get(key) for pair in chosen for key in pair] for part in group.parts
+        )
+        ends = np.cumsum([*map(len, chosen)])[:-1]
+        tests = np.split(group.score_tests(columns), ends)
+        for pair, effects, each in zip(chosen, np.split(columns, ends, 1), tests, strict=True):
             # The probability is NaN where nothing of a term is left.
-            if test[1] <= 1:
-                tried[key[0]] += 1
+            if np.all(each[:, 1] <= 1):
+                family, decrease = pair[0][0], np.sum(each[:, 0])
+                tried[family] += len(pair)
                 # Of two records, either may have a value of its own: the first has, not rounding.
-                if key[0] not in best or test[0] > best[key[0]].decrease * (1 + 1e-9):
-                    best[key[0]] = Tested(key, columns[:, [k]], *test)
+                if family not in best or decrease > best[family].decrease * (1 + 1e-9):
+                    numbers = each[0, 1:].tolist()
+                    best[family] = Tested(pair[0], effects, effects, decrease, *numbers)
+    tested = [
+        _together(group, test.key, test.effects)[1] if test.effects.shape[1] > 1 else test
+        for test in best.values()
+    ]
     # The best twelve are tested together with the color of the errors.
-    return tried, sorted(best.values(), key=lambda test: -round(test.decrease, 9))[:12]
+    return tried, sorted(tested, key=lambda test: -round(test.decrease, 9))[:12]
+
+
+def _together(group: Group, key: Key, columns: Array) -> tuple[float, Tested]:
+    """Return the test of columns (N, c) together, and their best combination as one term.
+
+    The factors of the columns in it have unit length, so that its factor is as large as theirs.
+    """
+    white = group.white(columns)
+    p_value, directions = joint_test(group.white_residuals[:, 0], group.basis, white)
+    effects = columns @ directions
+    factors = directions @ directions.T @ white.T @ outside(group.white_residuals, group.basis)
+    column = columns @ factors / (np.linalg.norm(factors) + TINY)
+    return p_value, Tested(key, effects, column, *group.score_tests(column)[0].tolist())
 
 
 def _place(key: Key) -> str:
@@ -527,8 +560,7 @@ def _functions(
 ) -> tuple[list[Tested], Array]:
     """Return functions of any shape that are missing, and their probabilities.
 
-    The unit term is what fits best. Functions are tested where one of the other `tests` shows
-    anything.
+    Functions are tested where one of the other `tests` shows anything.
     """
     tested = []
     # More knots would fit the noise of short records, which lines and initial states leave.
@@ -544,27 +576,18 @@ def _functions(
             part.terms[key].values if key in part.terms else np.zeros(0) for part in group.parts
         ]
         columns = group.columns(_on_knots(group, key, signals, min(terms[key].knots, most))[1])
-        p_value, directions = joint_test(
-            group.white_residuals[:, 0], group.basis, group.white(columns)
-        )
-        if directions.size:
-            tested.append((p_value, key, columns @ directions))
+        tested.append(_together(group, key, columns))
     # A test of several numbers counts as that many terms, and so do those that are not made.
-    count = sum(columns.shape[1] for *_, columns in tested) * len(functions) / max(len(tried), 1)
+    numbers = sum(test.effects.shape[1] for _, test in tested)
+    count = numbers * len(functions) / max(len(tried), 1)
     # Only the best two are tested together with the color of the errors, which takes most of the
     # time, and only if chance does not explain them.
-    best = [test for test in sorted(tested, key=itemgetter(0))[:2] if count * test[0] < 1]
+    best = [test for p, test in sorted(tested, key=itemgetter(0))[:2] if max(count, 1) * p < 1]
     if not best:
         return [], np.array([])
-    _, best_keys, effects = zip(*best, strict=True)
-    p_values = count * group.chances(np.hstack(effects), [each.shape[1] for each in effects])
+    p_values = count * group.chances(best)
     is_missing = p_values < FALSE_ALARMS
-    residuals = outside(group.white_residuals, group.basis)
-    missing = []
-    for k in np.flatnonzero(is_missing).tolist():
-        column = effects[k] @ (group.white(effects[k]).T @ residuals)
-        missing.append(Tested(best_keys[k], column, *group.score_tests(column)[0]))
-    return missing, p_values[is_missing]
+    return [best[k] for k in np.flatnonzero(is_missing)], p_values[is_missing]
 
 
 def _p_of_responses(

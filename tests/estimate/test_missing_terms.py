@@ -144,6 +144,22 @@ def test_a_mode_of_the_input_is_named_whatever_its_phase():
         assert re.match(r"a lightly damped mode of u near (3.[5-9]|4.*)", misfit.likely[0].text)
 
 
+def test_a_mode_of_few_periods_is_no_drift():
+    u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 60), 10)
+    w = 2 * np.tan(np.pi * 2.5 / u.size)  # a phugoid of 2.5 periods with a damping of 0.1
+    poles = [4 + w * (0.4 + w), 2 * w**2 - 8, 4 + w * (w - 0.4)]
+    misfit = lagging(u - 0.3 * lfilter([w**2, 2 * w**2, w**2], poles, u), u=u)
+    assert not misfit.explains
+    assert re.match(r"a lightly damped mode of u near 0.[4-6]", misfit.likely[0].text)
+
+
+def test_a_clock_that_is_early_is_named():
+    u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 66), 10)
+    misfit = lagging(u[36:636], u=u[30:630])
+    # The fit takes a part of six samples of 50 ms by a faster pole.
+    assert re.fullmatch(r"a lead of u by 0\.[123]\d* s", misfit.likely[0].text)
+
+
 def test_a_logged_input_that_the_model_lacks_is_named_but_not_a_second_sensor():
     random = np.random.default_rng(3)
     u, second, gust = (np.repeat(random.uniform(-1, 1, 60), 10) for _ in range(3))
