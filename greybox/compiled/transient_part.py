@@ -59,6 +59,7 @@ from greybox.statistics.uneven_errors import uneven_errors
 # Probability of white errors below which a disturbance is named: in 1 % of 2500 fits with right
 # models, and in 91 % of those in gusts by output error.
 UNLIKELY = 0.2
+TINY = 1e-300
 
 
 @frozen
@@ -308,7 +309,7 @@ class TransientPart(Part):
         rows = np.einsum("ka,alx->klx", at.weight, mean).reshape(-1, mean.shape[-1])
         turned = np.einsum("ka,labx,bc->lkcx", at.weight, change, np.linalg.inv(at.weight))
         hermitian = turned + turned.conj().swapaxes(1, 2)
-        variance = np.stack([hermitian.real, hermitian.imag], axis=1)
+        variance = real_and_imaginary(hermitian, 1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
         reach = np.linalg.norm(np.vstack([rows, variance]), axis=0)
@@ -375,22 +376,19 @@ class TransientPart(Part):
         errors, taken = errors.reshape(shape), at.taken.reshape(*shape, -1)
         steady, by_time = louder_times(in_time(errors), in_time(fitted.reshape(*shape, -1)))
         # Before the data, louder times are as likely as disturbances. Either may be certain.
-        louder = calm * (1 - steady) / max(calm + steady - calm * steady, 1e-300)
-        shares, views = np.array([1 - louder, louder]), ((np.asarray, by_line), (in_time, by_time))
+        louder = calm * (1 - steady) / max(calm + steady - calm * steady, TINY)
+        views = (np.asarray, by_line), (in_time, by_time)
 
         def colored(root: Array) -> ColoredErrors:
             rows = (mean[:, : len(root)] @ root).reshape(*shape, -1)
             certain = variance[:, : len(root)] @ root
             known = certain.T @ certain
-            meats, dofs = zip(
-                *(
-                    uneven_errors(view(errors), view(rows), root, view(taken), known, covariance)
-                    for view, covariance in views
-                ),
-                strict=True,
+            (by_lines, dof), (by_times, other) = (
+                uneven_errors(view(errors), view(rows), root, view(taken), known, covariance)
+                for view, covariance in views
             )
-            spread = shares @ (1 / np.array(dofs))
-            return ColoredErrors(np.tensordot(shares, meats, 1), 1 / spread if spread else math.inf)
+            meat = by_lines + louder * (by_times - by_lines)
+            return ColoredErrors(meat, 1 / max((1 - louder) / dof + louder / other, TINY))
 
         return Information(
             self,

@@ -29,7 +29,7 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import KNOTS, Term, constants_of_record, terms_of_record
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, Arrays, Labels, Strings, frozen
+from greybox.files.arrays import Array, Arrays, Labels, Strings, frozen, unit_length
 from greybox.files.text_table import numbered_where_alike
 from greybox.modeling.added_terms import Formula
 from greybox.solve.local_solver import LocalSolver
@@ -482,7 +482,7 @@ def _on_knots(
 
 def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
     """Return for every term the texts of those whose effects (M, c) are nearly the same."""
-    unit = effects / np.linalg.norm(effects, axis=0)
+    unit = unit_length(effects, 0)
     is_alike = np.abs(unit.T @ unit) > 0.95
     names = np.array([name for name, _ in texts], dtype=object)
     # Terms of one name are one cause.

@@ -20,7 +20,13 @@ Science 14.
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, positive_or_one
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    diagonal,
+    positive_or_one,
+    real_and_imaginary,
+)
 
 # Mean power of a disturbance over that of the white errors; the first stands for none.
 SIZES = np.array([0.0, 1.0, 8.0, 64.0, 512.0, 4096.0])[:, None, None]
@@ -84,16 +90,15 @@ def louder_times(errors: Array, basis: Array) -> tuple[float, ComplexArray]:
     places = (np.arange(times) + 0.5) / times
     windows = np.exp(-(((places - np.linspace(0, 1, 9)[:, None]) / WIDTH) ** 2))
     # All outputs are louder, or one of them: at each time, a disturbance of every output.
-    disturbances = np.kron(np.vstack([np.ones(k), np.eye(k)]), windows)[:, None]
     steady, variances = disturbed_errors(
         errors.swapaxes(0, 1).reshape(1, -1),
         basis.swapaxes(0, 1).reshape(errors.size, -1),
-        disturbances,
+        np.kron(np.vstack([np.ones(k), np.eye(k)]), windows)[:, None],
     )
-    return steady, np.einsum("il,ij->lij", variances.reshape(k, times), np.eye(k))
+    return steady, diagonal(variances.reshape(k, times).T)
 
 
 def in_time(values: Array) -> Array:
     """Return values (k, 2, lines, ...) at as many times; white errors stay white."""
-    turned = np.fft.ifft(values[:, 0] + 1j * values[:, 1], axis=1, norm="ortho")
-    return np.stack([turned.real, turned.imag], axis=1)
+    turned = np.fft.ifft(values[:, :1] + 1j * values[:, 1:], axis=2, norm="ortho")
+    return real_and_imaginary(turned, 1)

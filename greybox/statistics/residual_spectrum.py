@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, frozen
+from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, diagonal, frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
@@ -385,7 +385,7 @@ class ResidualSpectra:
         total = float(taken.sum())
 
         return AveragedSpectrum(
-            density[:, None] * np.eye(len(density), dtype=complex)[..., None],
+            diagonal(density.T.astype(complex)).T,
             total,
             float(uncertainty @ taken**2) / max(total**2, TINY),
             float(score.sum()),
