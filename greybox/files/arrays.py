@@ -83,7 +83,7 @@ def of_diagonal(matrices: Array) -> Array:
     return np.diagonal(matrices, axis1=-2, axis2=-1)
 
 
-def diagonal(values: Array) -> Array:
+def diagonal(values: AnyArray) -> AnyArray:
     """Return diagonal matrices (..., k, k) of values (..., k)."""
     return values[..., None] * np.eye(values.shape[-1])
 

@@ -21,6 +21,7 @@ Science 14.
 import numpy as np
 
 from greybox.files.arrays import (
+    AnyArray,
     Array,
     ComplexArray,
     diagonal,
@@ -35,7 +36,7 @@ WIDTH = 0.15
 
 
 def disturbed_errors(
-    errors: Array, basis: Array, disturbances: ComplexArray
+    errors: Array, basis: Array, disturbances: AnyArray
 ) -> tuple[float, ComplexArray]:
     """Return the probability that there is no disturbance, and the mean covariance (lines, k, k).
 
