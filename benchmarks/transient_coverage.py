@@ -166,6 +166,12 @@ def lateral_in_turbulence(record, random):
     return disturbed(record, a, {"roll": 0.1, "yaw": 0.05}, random)
 
 
+def louder(record, random):
+    """Return the record with ten times the noise until 2.5 s, and trim values."""
+    size = np.where(record.time < 2.5, 1.0, 0.1)
+    return measured(record, {"roll": 0.05 * size, "yaw": 0.0125 * size}, random)
+
+
 def correlated(record, random):
     """Return the record with correlated noise on its outputs, and trim values."""
     shared = random.standard_normal(len(record))
@@ -215,6 +221,7 @@ def cases():
         "one 2-1-1 of 8 s": (*one, noisy(q=0.02), ["u"], ["q"], by_output),
         "2-1-1 and doublet": (*two, noisy(q=0.02), ["u"], ["q"], by_output),
         "two inputs, two outputs": (*both, noisy(roll=0.02, yaw=0.005), *pair, by_output),
+        "noise louder at the beginning": (*both, louder, *pair, by_output),
         "correlated noise": (*both, correlated, *pair, by_output),
         "correlated noise, full covariance": (
             *both,

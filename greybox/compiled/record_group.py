@@ -15,11 +15,11 @@ import numpy as np
 
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
+from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.files.arrays import Array, Arrays, IntArray, as_arrays, of_diagonal
+from greybox.files.arrays import Array, Arrays, IntArray, as_arrays, diagonal, of_diagonal
 from greybox.files.grouping import grouped
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 

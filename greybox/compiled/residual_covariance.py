@@ -11,6 +11,7 @@ from greybox.files.arrays import (
     IntArray,
     Strings,
     all_finite,
+    diagonal,
     frozen,
     of_diagonal,
     positive_or_one,
@@ -127,11 +128,6 @@ class ResidualCovariance:
         """Return the covariance for other measured values (k, samples) of the same outputs."""
         counts, spread = _counts_and_spread(measured)
         return replace(self, counts=counts, spread=spread)
-
-
-def diagonal(values: Array) -> Array:
-    """Return diagonal matrices (..., k, k) of values (..., k)."""
-    return values[..., None] * np.eye(values.shape[-1])
 
 
 def residual_covariance_of(

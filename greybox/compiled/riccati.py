@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.record_model import RecordModel
-from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
 from greybox.files.arrays import (
     Array,
@@ -22,6 +21,7 @@ from greybox.files.arrays import (
     IntArray,
     all_finite,
     as_arrays,
+    diagonal,
     frozen,
     of_diagonal,
 )

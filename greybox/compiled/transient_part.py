@@ -55,8 +55,10 @@ from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
 from greybox.statistics.column_space import column_basis, outside
-from greybox.statistics.disturbed_errors import disturbed_errors
+from greybox.statistics.disturbed_errors import disturbed_errors, in_time, louder_times
 from greybox.statistics.uneven_errors import uneven_errors
+
+TINY = 1e-300
 
 
 @frozen
@@ -306,7 +308,7 @@ class TransientPart(Part):
         rows = np.einsum("ka,alx->klx", at.weight, mean).reshape(-1, mean.shape[-1])
         turned = np.einsum("ka,labx,bc->lkcx", at.weight, change, np.linalg.inv(at.weight))
         hermitian = turned + turned.conj().swapaxes(1, 2)
-        variance = np.stack([hermitian.real, hermitian.imag], axis=1)
+        variance = real_and_imaginary(hermitian, 1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
         reach = column_lengths(np.vstack([rows, variance]))
@@ -364,27 +366,28 @@ class TransientPart(Part):
         mean, _, change = self.derivatives(at, slope.full())
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean, variance])
-        errors = at.weight @ at.errors
-        shape = len(self.outputs), 2, len(self.data)
-
+        fitted = column_basis(np.hstack([mean, at.taken]))
         # How errors follow slow gusts on each state and each output. Fast ones differ little.
         gusts = np.einsum("ij,ljk,lks->sil", at.weight, at.transform, at.to_outputs)
-        fitted = column_basis(np.hstack([mean, at.taken]))
-        calm, covariance = disturbed_errors(errors, fitted, gusts / self.data.omega)
+        errors = at.weight @ at.errors
+        calm, by_line = disturbed_errors(errors, fitted, gusts / self.data.omega)
+        shape = len(self.outputs), 2, len(self.data)
+        errors, taken = errors.reshape(shape), at.taken.reshape(*shape, -1)
+        steady, by_time = louder_times(in_time(errors), in_time(fitted.reshape(*shape, -1)))
+        # Before the data, louder times are as likely as disturbances. Either may be certain.
+        louder = calm * (1 - steady) / max(calm + steady - calm * steady, TINY)
+        views = (np.asarray, by_line), (in_time, by_time)
 
         def colored(root: Array) -> ColoredErrors:
-            # The errors may be larger at some frequencies than at others, as in turbulence.
-            rows, certain = mean[:, : len(root)] @ root, variance[:, : len(root)] @ root
-            return ColoredErrors(
-                *uneven_errors(
-                    errors.reshape(shape),
-                    rows.reshape(*shape, -1),
-                    root,
-                    at.taken.reshape(*shape, -1),
-                    certain.T @ certain,
-                    covariance,
-                )
+            rows = (mean[:, : len(root)] @ root).reshape(*shape, -1)
+            certain = variance[:, : len(root)] @ root
+            known = certain.T @ certain
+            (by_lines, dof), (by_times, other) = (
+                uneven_errors(view(errors), view(rows), root, view(taken), known, covariance)
+                for view, covariance in views
             )
+            meat = by_lines + louder * (by_times - by_lines)
+            return ColoredErrors(meat, 1 / max((1 - louder) / dof + louder / other, TINY))
 
         return Information(
             self,

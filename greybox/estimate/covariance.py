@@ -28,6 +28,7 @@ from greybox.files.arrays import (
     frozen,
     positive_or_one,
     real_root,
+    unit_length,
 )
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
@@ -301,8 +302,7 @@ def _with_covariance(
     bias = np.eye(k, p) @ inverse @ sum(part.share.pull for part in parts)
     # A quantity that depends on a constant without a standard error has no standard error either.
     unknown = np.isnan(sum((np.diag(covariance) for covariance, _ in earlier), np.zeros(k)))
-    lost = slope[:, unknown] / accuracy.size[:, None]
-    lost = lost / np.maximum(column_lengths(lost), 1e-300)
+    lost = unit_length(slope[:, unknown] / accuracy.size[:, None], 0)
 
     return replace(
         accuracy,

@@ -267,7 +267,7 @@ def _combinations(
     spanned = np.zeros((0, len(value)))
     for k in order[good[order]]:
         scaled = gradients[k] * directions.size
-        extended = np.vstack([spanned, scaled / np.linalg.norm(scaled)])
+        extended = np.vstack([spanned, unit_length(scaled, 0)])
         # Their number is limited by the directions that remain for the members.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended

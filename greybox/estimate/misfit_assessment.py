@@ -35,9 +35,9 @@ from greybox.files.arrays import (
     Arrays,
     Labels,
     Strings,
-    column_lengths,
     frozen,
     sum_of_squares,
+    unit_length,
 )
 from greybox.files.text_table import numbered_where_alike
 from greybox.modeling.added_terms import Formula
@@ -493,7 +493,7 @@ def _on_knots(
 
 def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
     """Return for every term the texts of those whose effects (M, c) are nearly the same."""
-    unit = effects / column_lengths(effects)
+    unit = unit_length(effects, 0)
     is_alike = np.abs(unit.T @ unit) > 0.95
     names = np.array([name for name, _ in texts], dtype=object)
     # Terms of one name are one cause.

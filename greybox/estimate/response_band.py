@@ -7,7 +7,15 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Values, frozen, real_root
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    ComplexArray,
+    Values,
+    frozen,
+    real_and_imaginary,
+    real_root,
+)
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
@@ -151,9 +159,9 @@ def band_of(
     with np.errstate(all="ignore"):
         relative = slope / response.response[:, None]
 
-    components = np.stack([slope.real, slope.imag])
+    components = real_and_imaginary(slope[None])
     covariance = np.einsum("ink,kl,jnl->nij", components, known.covariance, components)
-    lost = np.isnan(known.errors(slope.real)) | np.isnan(known.errors(slope.imag))
+    lost = np.isnan([*map(known.errors, components)]).any(axis=0)
     return ResponseBand(
         response=response,
         level=level,

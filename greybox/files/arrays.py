@@ -101,6 +101,11 @@ def of_diagonal(matrices: Array) -> Array:
     return np.linalg.diagonal(matrices)
 
 
+def diagonal(values: AnyArray) -> AnyArray:
+    """Return diagonal matrices (..., k, k) of values (..., k)."""
+    return values[..., None] * np.eye(values.shape[-1])
+
+
 def complex_array(real: Array, imaginary: Array) -> ComplexArray:
     """Return complex numbers, without the warnings and NaN of ``1j *`` infinity."""
     values = np.array(real, dtype=np.complex128)

@@ -206,7 +206,7 @@ class Prediction(Printed):
     def _row(self, name: str, shares: Sequence[float]) -> Labels:
         k = self._place(name)
         grown = [number(self.rms(name, share), 3) for share in shares]
-        standard_error = float(np.sqrt(np.mean(self.error[k] ** 2)))
+        standard_error = rms(self.error[k])
         values = [number(self.fit_percent(name), 4), number(self.rms(name), 3), *grown]
         return [
             name,

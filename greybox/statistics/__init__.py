@@ -18,6 +18,6 @@ time.
 | `neighbor_correlation` | the same for errors that are correlated along frequency |
 | `uneven_errors` | the same for errors that are larger at some frequencies than at others |
 | `shared_errors` | the same for errors that several responses share |
-| `disturbed_errors` | whether errors along frequency are those of a disturbance, such as a gust |
+| `disturbed_errors` | whether errors of a manoeuvre are those of a gust, or louder at times |
 | `column_space` | what fitted parameters can take from residuals |
 """

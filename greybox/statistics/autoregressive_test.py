@@ -20,7 +20,7 @@ Vogelsang (1999), Sources of nonmonotonic power when testing for a shift in mean
 series, Journal of Econometrics 88.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import repeat
 from typing import Any
 
@@ -169,19 +169,22 @@ def _fits(
     sums = [np.diff(np.diff(each[i, j], times), times, axis=1) for each in whole]
     squares = np.zeros(used.shape)
     factors = _least(values.T @ values + TINY * np.eye(values.shape[1]), used)
+
+    def filters() -> Iterator[Array]:
+        return map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)
+
     # Factors on a smooth term, fitted with errors that drift, converge in up to seven rounds.
     for _ in range(7):
-        filters = map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)
         added = [
             np.tensordot(w[..., None] * w[:, None], each, ((1, 2), (1, 2)))
-            for each, w in zip(sums, filters, strict=True)
+            for each, w in zip(sums, filters(), strict=True)
         ]
         squares[:, i, j] = np.sum(added, axis=0)
         earlier, factors = factors, _least(squares, used)
         # At a maximum, the likelihood changes with the square of a change of the factors.
         if np.allclose(factors, earlier, atol=1e-4):
             break
-    return counts, [*map(_filters, repeat(factors[:, i] * factors[:, j]), counts, sums)], factors
+    return counts, [*filters()], factors
 
 
 def _means(values: Array, m: int) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, column_lengths, positive_or_one
+from greybox.files.arrays import Array, positive_or_one, unit_length
 
 DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rounding errors
 
@@ -10,10 +10,7 @@ DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rou
 def column_basis(columns: Array) -> Array:
     """Return an orthonormal basis (n, r) of the space of columns (n, p), of any length."""
     # Parameters have different units: without scaling, the rank would depend on these.
-    length = column_lengths(columns)
-    vectors, singular, _ = np.linalg.svd(
-        columns[:, length > 0] / length[length > 0], full_matrices=False
-    )
+    vectors, singular, _ = np.linalg.svd(unit_length(columns, 0), full_matrices=False)
     return vectors[:, singular > DEPENDENT * max(singular, default=0.0)]
 
 

@@ -17,7 +17,7 @@ fits (six systems, seven inputs, two bands, output and equation error; white err
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, unit_length
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary, unit_length
 
 
 def uneven_errors(
@@ -87,5 +87,5 @@ def uneven_errors(
 
 def _turned(matrices: ComplexArray, values: Array) -> Array:
     """Return matrices (lines, k, k) times values (k, 2, lines, p), real parts first."""
-    products = np.einsum("lij,jlp->ilp", matrices, values[:, 0] + 1j * values[:, 1])
-    return np.stack([products.real, products.imag], axis=1)
+    products = np.einsum("lij,jclp->iclp", matrices, values[:, :1] + 1j * values[:, 1:])
+    return real_and_imaginary(products, 1)

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import null_space
 
 from greybox.statistics.column_space import column_basis
-from greybox.statistics.disturbed_errors import SIZES, disturbed_errors
+from greybox.statistics.disturbed_errors import SIZES, disturbed_errors, in_time, louder_times
 
 LINES = 10
 
@@ -76,3 +76,24 @@ def test_disturbances_are_recognized_and_white_errors_are_not_called_disturbed(s
 def test_a_disturbance_that_no_output_follows_is_neither_likely_nor_unlikely():
     errors, basis = fitted_errors(np.random.default_rng(4), 0.0)
     assert disturbed_errors(errors, basis, 0 * disturbance()[None])[0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("loud", "least", "most"), [(1.0, 0.0, 0.06), (6.0, 0.85, 1.0)])
+@pytest.mark.parametrize("outputs", [1, 3])
+def test_times_of_larger_errors_are_recognized(outputs, loud, least, most):
+    """White noise of a record that is louder in its first third, transformed to lines and back."""
+    random, samples, lines = np.random.default_rng(5), 200, 16
+    size = np.where(np.arange(samples) < samples / 3, loud, 1.0)
+    steady, ratios = [], []
+    for _ in range(100):
+        noise = np.fft.fft(size * random.normal(size=(outputs, samples)))[:, 5 : 5 + lines]
+        errors = np.stack([noise.real, noise.imag], axis=1)
+        basis = column_basis(random.normal(size=(errors.size, 4)))
+        errors -= (basis @ (basis.T @ errors.ravel())).reshape(errors.shape)
+        parts = in_time(errors), in_time(basis.reshape(*errors.shape, -1))
+        probability, covariance = louder_times(*parts)
+        steady.append(probability)
+        first, last = np.array_split(np.einsum("lii->l", covariance).real, [lines // 3])
+        ratios.append(first.mean() / last.mean())
+    assert least <= np.mean(np.array(steady) < 0.2) <= most
+    assert (0.8 < np.median(ratios) < 1.25) if loud == 1 else np.median(ratios) > 5

@@ -20,7 +20,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Course, Segments
 from greybox.compiled.transient_part import TransientPart
-from greybox.files.arrays import Array, ArrayTriple, BoolArray, evenly_spread, of_diagonal
+from greybox.files.arrays import Array, ArrayTriple, BoolArray, diagonal, evenly_spread, of_diagonal
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
 
@@ -213,8 +213,8 @@ def _select(flags: BoolArray, these: Array, others: Array) -> Array:
 
 def _damped(hessian: Array, damping: Array) -> Array:
     """Return regular Hessians (..., p, p), with damping (...) relative to their diagonal."""
-    diagonal = of_diagonal(hessian)
-    largest = np.max(np.abs(diagonal), axis=-1, keepdims=True, initial=0.0)
+    entries = of_diagonal(hessian)
+    largest = np.max(np.abs(entries), axis=-1, keepdims=True, initial=0.0)
     # The ridge, 1e-12 of the largest entry, is for what short segments do not show.
-    added = damping[..., None] * diagonal + 1e-12 * largest + (largest == 0)
-    return hessian + added[..., None] * np.eye(hessian.shape[-1])
+    added = damping[..., None] * entries + 1e-12 * largest + (largest == 0)
+    return hessian + diagonal(added)
