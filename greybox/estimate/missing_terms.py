@@ -562,7 +562,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     # faster modes look like a delay.
     moved = np.cumsum(np.abs(np.fft.rfft(np.diff(u))) ** 2)
     fastest = np.clip(np.pi * np.mean(moved < 0.95 * moved[-1]), 0.3, 1.2)
-    period = math.tau / len(u)
+    period = 2 * np.pi / len(u)
     fast = np.geomspace(PERIODS[-1] * period, fastest, 16)
     slow = itertools.product(PERIODS * period, DAMPINGS)
     for angle, damping in (*itertools.product(fast, DAMPINGS[:1]), *slow):
