@@ -161,7 +161,7 @@ def band_of(
 
     components = real_and_imaginary(slope[None])
     covariance = np.einsum("ink,kl,jnl->nij", components, known.covariance, components)
-    lost = np.isnan([*map(known.errors, components)]).any(axis=0)
+    lost = np.isnan(known.errors(slope.real) + known.errors(slope.imag))
     return ResponseBand(
         response=response,
         level=level,
