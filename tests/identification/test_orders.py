@@ -50,6 +50,14 @@ def test_the_structure_of_the_truth_is_chosen(found, data):
     assert found.fit.by_name["T_delay"].bounds == pytest.approx((0, 3 * 8 / OMEGA[-1]))
 
 
+def test_other_starts_of_the_chosen_structure_reach_its_minimum(found):
+    assert found.fit.agreeing > 1
+    assert not any("one start only" in text for text in found.fit.warnings)
+    others = [candidate.fit for candidate in found.candidates if candidate is not found.chosen]
+    # The others decide on the structure alone.
+    assert {fit.agreeing for fit in others} == {1}
+
+
 def test_the_table_has_every_structure_that_was_fitted(found):
     lines = str(found).splitlines()
     assert sum("<- chosen" in line for line in lines) == 1
