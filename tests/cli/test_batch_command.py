@@ -178,7 +178,7 @@ def test_usage(study, tmp_path, capsys):
             ["batch", tmp_path / "files" / "mine.py", "--out", "out"],
             "mine.py is missing or returns None",
         ),
-        (["compare", "none"], "none is not a study"),
+        (["compare", "none"], "there is no file none."),
     ]:
         status, result, _ = answer(capsys, *words)
         assert status == 2, words
