@@ -133,7 +133,8 @@ def select_orders(
     the best are fitted by maximum likelihood: `MaximumLikelihood` where the data have variances,
     otherwise `RelativeLikelihood`. A bound that a parameter touches is widened. A delay that ends
     at zero is left out and named: the errors are then those of a plant without a delay, whose
-    intervals contained 96 % of 239 coefficients of vehicles without one.
+    intervals contained 96 % of 239 coefficients of vehicles without one. The chosen structure is
+    fitted again from ten other starts, which show whether its minimum is the lowest.
 
     Parameters
     ----------
