@@ -522,7 +522,7 @@ def _ranked(group: Group, terms: Mapping[Key, Term]) -> tuple[Counter[Any], list
         for pair, effects, each in zip(chosen, np.split(columns, ends, 1), tests, strict=True):
             # The probability is NaN where nothing of a term is left.
             if np.all(each[:, 1] <= 1):
-                family, decrease = pair[0][0], np.sum(each[:, 0])
+                family, decrease = pair[0][0], float(each[:, 0].sum())
                 tried[family] += len(pair)
                 # Of two records, either may have a value of its own: the first has, not rounding.
                 if family not in best or decrease > best[family].decrease * (1 + 1e-9):

@@ -558,9 +558,10 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
             decay = np.exp(-step / T)  # of a lag; the input itself is taken off
             lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])
             yield term("lag", lagged, scale=T)
-    # From a few periods in the record to what the input moves, by the power of its differences:
-    # faster modes look like a delay.
-    moved = np.cumsum(np.abs(np.fft.rfft(np.diff(u))) ** 2)
+    # From a few periods in the record to what the input moves: faster modes look like a delay, and
+    # follow the noise that a controller returns. The power of steps is in their differences.
+    changes = np.diff(u) if _has_steps(u) else u - u.mean()
+    moved = np.cumsum(np.abs(np.fft.rfft(changes)) ** 2)
     fastest = np.clip(np.pi * np.mean(moved < 0.95 * moved[-1]), 0.3, 1.2)
     period = 2 * np.pi / len(u)
     fast = np.geomspace(PERIODS[-1] * period, fastest, 16)
