@@ -481,7 +481,7 @@ def _by_process_noise(
         # A size may be known better where it is larger, which is no reason for a smaller error.
         directions, sizes, _ = np.linalg.svd(np.linalg.pinv(root) @ other)
         # 0.0201 is the growth of the variance, 1.01² - 1.
-        added = root @ directions * np.sqrt(np.maximum(sizes**2 - 1, 0) / 0.0201)
+        added = root @ directions * real_root((sizes**2 - 1) / 0.0201)
         # Few numbers are no reason for a variance of more than twice the size.
         share = p / (numbers + p)
         yield np.pad(share * added @ added.T, (0, len(nlp.constants))), numbers * share**2

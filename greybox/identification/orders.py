@@ -219,9 +219,9 @@ def _confirmed(selection: Selection) -> Selection:
         profiles=False,
         progress=False,
     )
-    # A lower minimum may be one that the selection refused, such as an unstable plant. A tenth of a
-    # standard error changes a negative log-likelihood by 5e-3.
-    if abs(searched.cost - chosen.fit.cost) > 1e-2:
+    # The first run begins at the estimate. A lower minimum may be one that the selection refused,
+    # such as an unstable plant.
+    if not (searched.minima and 0 in searched.minima[0].runs):
         return selection
     confirmed = replace(chosen, fit=searched)
     candidates = [confirmed if c is chosen else c for c in selection.candidates]
