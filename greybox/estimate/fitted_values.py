@@ -165,7 +165,11 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         outputs=part.outputs,
         noise=noise,
         initial=by_name(part.system.states, nodes[part.data.begins_stretch].T),
-        method=model.method.described(part.data.segment_length, part.substeps),
+        method=(
+            "no integration, since the model is static"
+            if part.is_static
+            else model.method.described(part.data.segment_length, part.substeps)
+        ),
         inputs=model.criterion.inputs,
         biases=tuple(model.criterion.biases),
         gains=part.gains,

@@ -5,7 +5,7 @@ Begin with `batch`.
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import field, fields
@@ -23,7 +23,7 @@ from greybox.estimate.storage import to_bytes
 from greybox.files.arrays import Fields, Named, frozen
 from greybox.files.error_place import error_place
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, printable
+from greybox.files.text_table import counted, printable, require_kind
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in
@@ -163,6 +163,7 @@ def batch(
     >>> study
     <Study axes, 2 members: 2 done>
     """
+    require_kind("members", members, Iterable, "a list of problems, or of members")
     listed = [member if isinstance(member, Member) else Member(member) for member in members]
     require_distinct(listed)
     require_executor(executor)

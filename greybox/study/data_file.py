@@ -116,9 +116,11 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
     ]
     if len(records) != 1:
         available = "; ".join(f"{key}: {', '.join(r.signals)}" for key, r in log.items())
+        left_out = ""
         # A table can be described by options. A log has several messages with clocks of their own,
         # for which a record must be prepared.
         if len(log) == 1:
+            left_out = "".join(f"; {finding:.200}" for finding in log.findings).rstrip(".")
             columns = " ".join(f"{name}=COLUMN" for name in names)
             cure = (
                 f"name the columns, with units, columns=time=COLUMN:ms {columns}; or, if it is a "
@@ -134,7 +136,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         raise ValueError(
             f"{path} has {len(records) or 'no'} records with the signals of {model.label} "
             f"({', '.join((*inputs, ' or '.join(outputs)))}); it has "
-            f"{available:.200}. To fit it, {cure}."
+            f"{available:.200}{left_out}. To fit it, {cure}."
         )
 
     (record,) = records

@@ -105,7 +105,7 @@ def test_bounds_and_starts(capsys, own):
         ),
         (
             ["--columns", "u=Mag", "y=Note"],
-            "foreign.csv has no column 'Note'; it has Freq [Hz], Mag, Phase",
+            "foreign.csv has no numbers in the column 'Note': name another one",
         ),
         (["--columns", "u=Mag:furlong", "y=Phase"], "the unit 'furlong' is not known"),
         (

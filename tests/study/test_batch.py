@@ -284,6 +284,8 @@ def test_what_is_no_study_is_said(tmp_path):
         gb.batch([], tmp_path)
     with pytest.raises(TypeError, match="give a Problem"):
         gb.batch([3], tmp_path)
+    with pytest.raises(TypeError, match="give a list of problems"):
+        gb.batch(RESPONSE, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

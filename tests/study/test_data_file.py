@@ -70,9 +70,17 @@ def test_a_table_that_is_no_record_of_the_model_is_a_sentence_with_the_way(
 ):
     path = tmp_path / "data.csv"
     path.write_text(FLIGHT.read_text().replace(old, new))
-    sentence = refused(capsys, *DRAG, path)
-    assert words in sentence
-    assert "make the record" not in words or "my.py with a function problem()" in sentence
+    assert words in refused(capsys, *DRAG, path)
+
+
+@pytest.mark.parametrize("cell", ["", "MANUAL"])
+def test_a_column_without_numbers_is_named(capsys, tmp_path, cell):
+    path = tmp_path / "data.csv"
+    _, header, *rows = FLIGHT.read_text().replace("theta", "pitch").splitlines()
+    path.write_text("\n".join([f"{header},theta", *(f"{row},{cell}" for row in rows)]))
+    assert "columns without numbers were left out: theta. To" in refused(capsys, *DRAG, path)
+    chosen = ("--columns", "time=time:s", "theta=theta:rad", "v=v")
+    assert "has no numbers in the column 'theta'" in refused(capsys, *DRAG, path, *chosen)
 
 
 def spelled(text):
@@ -178,6 +186,7 @@ def test_a_table_without_a_time_is_fitted_by_a_static_model(capsys, tmp_path):
     assert answer["warnings"] == []
     assert not gb.load(tmp_path / "line.h5").records[0].data.has_time
     assert "6 rows without a time" in run(capsys, *command)[1]
+    assert gb.load(tmp_path / "line.h5").records[0].method.startswith("no integration")
 
     text = run(capsys, "inspect", table)[1]
     assert "no time column: rows in no order" in text

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
+from greybox.data.response_columns import find_column
 from greybox.data.time_column import TIMES, seconds
 from greybox.data.units import with_units_in_header
 from greybox.files.arrays import Array, Labels, NamedStrings
@@ -89,6 +90,7 @@ def read(
     text = numbered(text) if stated else text
     headings = with_units(_headings(text))
     columns, findings = _columns(headings, text)
+    _require_numbers(path, stated or {}, [h.name for h in headings if h.name not in columns])
     units = {h.name: h.unit for h in headings}
     is_timed = time_column(columns, units) or "time" in (stated or ())
     if is_timed and rate:
@@ -132,6 +134,17 @@ def _headings(text: DelimitedText) -> list[Heading]:
     return headings
 
 
+def _require_numbers(path: Path, stated: NamedStrings, without: Labels) -> None:
+    """Raise ValueError if a stated column is one of those without numbers."""
+    for column in stated.values():
+        with suppress(ValueError):
+            name = without[find_column(column, without).place]
+            break
+    else:
+        return
+    raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
+
+
 def _nanoseconds(cells: Labels) -> Array:
     """Return dates (n,) in the format of ISO 8601, UTC, in ns since 1970; ValueError for others."""
     return np.array([cell.removesuffix("Z") for cell in cells], "datetime64[ns]").astype(float)
@@ -159,9 +172,10 @@ def _columns(
     columns = {}
     not_numeric = []
     odd_cells: list[str] = []
-    for k, (name, _) in enumerate(headings):
+    for k, name in [(k, h.name) for k, h in enumerate(headings) if h.name]:
         cells = [row[k] for _, row in complete]
-        if not name or not any(cells):
+        if not any(cells):
+            not_numeric.append(name)
             continue
         values = np.array([number_in(cell, comma) for cell in cells])
         values[np.isinf(values)] = np.nan
