@@ -14,7 +14,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.response_programs import CostProgram, ResponseCompiler
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
-from greybox.compiled.transient_part import TransientPart
+from greybox.compiled.transient_part import compile_manoeuvres
 from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
@@ -307,7 +307,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     point = ca.SX.sym("z", len(free))
     named = values_at(point, constant_values)
     spectra, recorded = problem.parts_with(TransientSpectrum), problem.parts_with(Record)
-    parts |= {part: TransientPart(part, named, point) for part in spectra}
+    parts |= zip(spectra, compile_manoeuvres(spectra, named, point), strict=True)
     if recorded:
         record_parts = compile_records(recorded, named, point, method)
         parts |= zip(recorded, record_parts, strict=True)

@@ -14,7 +14,7 @@ Callers: the Gauss-Newton driver (`trajectory` to `close_gaps`), the grouping of
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from greybox.files.arrays import (
     ArrayPair,
     Fields,
     Indices,
+    IntArray,
     NamedArrays,
     StringPair,
     Strings,
@@ -284,6 +285,8 @@ class Part(Portable, ABC):
         State and output of every estimated entry of a Kalman gain.
     is_logarithm : bool
         Whether the cost is N/2 times the logarithm of a sum of squares, whose size is not known.
+    few : (..., k) array of int
+        Numbers of every output that are too few for a variance of their own, else zero.
     """
 
     numbers: int
@@ -295,6 +298,7 @@ class Part(Portable, ABC):
     unknown_initial_states: int = 0
     gains: tuple[StringPair, ...] = ()
     is_logarithm: bool = False
+    few: IntArray = np.zeros(0, dtype=int)
 
     def __init__(self, problem: Problem) -> None:
         """Store the problem, and the facts that are needed without it."""
@@ -323,6 +327,15 @@ class Part(Portable, ABC):
 
         If it is `simulated`, the first node of every stretch determines all others.
         """
+
+    @property
+    def noise_group(self) -> Any:
+        """Equal for parts that share a variance where each has too few numbers for its own."""
+        return None
+
+    def with_products(self, trajectory: Trajectory, products: Array) -> tuple[Trajectory, Array]:
+        """Return a trajectory whose noise follows from `products` (k, k), and its own products."""
+        return replace(trajectory, products=products), trajectory.products
 
     @abstractmethod
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:

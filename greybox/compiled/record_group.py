@@ -7,7 +7,6 @@ sees parts, one for every problem; `Groups` translates.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -138,26 +137,31 @@ class Groups:
 
 def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     """Return trajectories with `shared_products`."""
-    products = shared_products(parts, [t.products for t in trajectories])
-    return [replace(t, products=p) for t, p in zip(trajectories, products, strict=True)]
+    result, products = [*trajectories], [t.products for t in trajectories]
+    # The end terms of manoeuvres follow the variances of their outputs, and change these.
+    for _ in range(50):
+        shared = shared_products(parts, products)
+        zipped = zip(parts, result, shared, strict=True)
+        pairs = [part.with_products(t, p) for part, t, p in zipped]
+        result, own = [t for t, _ in pairs], [p for _, p in pairs]
+        if all(a is b or np.allclose(a, b) for a, b in zip(own, products, strict=True)):
+            break
+        products = own
+    return result
 
 
 def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
-    """Return the products of the residuals of parts; those of few samples are means of all records.
+    """Return the products of the residuals of parts; few are means of all parts of their kind.
 
     With a variance of its own, a record of few samples that chances to be fitted well would decide
-    the estimate. Records share a variance if their model and compared outputs are the same.
+    the estimate, and so would a manoeuvre of few lines.
 
     Source: Neyman and Scott (1948), Consistent estimates based on partially consistent
     observations, Econometrica 16.
     """
     result = [*products]
-    short = {
-        k: part
-        for k, part in enumerate(parts)
-        if isinstance(part, SegmentedPart) and part.few.any()
-    }
-    for lot in grouped(short, lambda k: id(short[k].model.steps)):
+    short = {k: part for k, part in enumerate(parts) if part.few.any()}
+    for lot in grouped(short, lambda k: short[k].noise_group):
         squares = [of_diagonal(products[k]) for k in lot]
         counts = np.vstack([short[k].few for k in lot])
         sums = np.sum(np.vstack(squares), axis=0, where=counts > 0)

@@ -6,6 +6,7 @@ The linearization of records beyond their segments: steady filters, known initia
 import math
 from abc import abstractmethod
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +98,7 @@ class SegmentedPart(Part):
         self.numbers = int(covariance.counts.sum())
         # The variances of a filter or of a prior are not estimated.
         is_estimated = not (model.driven or model.is_prior)
-        self.few = covariance.few if is_estimated else np.zeros_like(covariance.few)
+        self.few = covariance.few() if is_estimated else 0 * covariance.counts
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
         self._placed_data: ArrayPair | None = None
 
@@ -105,6 +106,11 @@ class SegmentedPart(Part):
     def problem(self) -> Problem:
         """The problem, where it was compiled."""
         return self.model.problem
+
+    @property
+    def noise_group(self) -> Any:
+        """Equal for records of one model and the same compared outputs."""
+        return id(self.model.steps)
 
     # --- placement
 

@@ -20,6 +20,8 @@ which depends on the parameters.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -27,7 +29,11 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.part import NO_NODES, ColoredErrors, Information, Part, Trajectory
-from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
+from greybox.compiled.residual_covariance import (
+    FEWEST,
+    ResidualCovariance,
+    residual_covariance_of,
+)
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,
@@ -45,10 +51,12 @@ from greybox.files.arrays import (
     positive_or_one,
     real_and_imaginary,
 )
+from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.held_inputs import folded_back
+from greybox.modeling.model_reference import reference
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
@@ -92,6 +100,9 @@ class Along:
     ends : (n,) array
         x(0) - x(T).
     covariance : ResidualCovariance
+    products : (k, k) array
+        Sums of products of errors from which the covariance follows: the manoeuvre's own, or means
+        of several manoeuvres.
     logarithms : float
         Sum of log |det T| over the lines.
     """
@@ -110,18 +121,34 @@ class Along:
     basis: Array
     ends: Array
     covariance: ResidualCovariance
+    products: Array
     logarithms: float
 
     @cached_property
     def weight(self) -> Array:
         """W (k, k) with WᵀW the inverse of the covariance of the errors."""
-        return self.covariance.weight(self.errors @ self.errors.T)
+        return self.covariance.weight(self.products)
 
     @cached_property
     def taken(self) -> Array:
         """Orthonormal basis (2 k lines, n) of what the end terms take from weighted errors."""
         basis = np.einsum("ka,aln->kln", self.weight, self.basis)
         return column_basis(basis.reshape(self.errors.size, -1))
+
+    def with_products(self, products: Array) -> "Along":
+        """Return it with the end terms that are best for other products."""
+        weight = self.covariance.weight(products)
+        change = _best_ends(weight, self.errors, self.basis)
+        n = len(self.ends)
+        by_change = self.inverse @ change
+        return replace(
+            self,
+            signals=self.signals + np.pad(by_change.T, ((0, len(self.signals) - n), (0, 0))),
+            modeled=self.modeled + np.einsum("lkn,n->kl", self.to_outputs[:, :, :n], change),
+            errors=self.errors - self.basis @ change,
+            ends=self.ends + change,
+            products=products,
+        )
 
 
 class TransientPart(Part):
@@ -167,6 +194,10 @@ class TransientPart(Part):
         self._covariance = residual_covariance_of(
             problem.criterion, self.outputs, self._real(self.measured)
         )
+        # Numbers of each output that the end terms use up.
+        self.lost = len(self.states) / len(self.outputs)
+        self.few = self._covariance.few(self.lost)
+        self._noise_group = repr((reference(problem.model), problem.criterion, self.outputs))
 
     def _real(self, values: ComplexArray) -> Array:
         """Return complex values (k, lines, ...) as real ones (k, 2 lines, ...).
@@ -236,6 +267,7 @@ class TransientPart(Part):
             basis=basis,
             ends=ends,
             covariance=covariance,
+            products=errors @ errors.T,
             logarithms=logarithms,
         )
 
@@ -322,8 +354,22 @@ class TransientPart(Part):
     ) -> Trajectory:
         """Return the point z, with the best end term; not finite where the model is not."""
         at = self.along(self.locate(z)[0].full().ravel())
-        products = np.full((1, 1), np.nan) if at is None else at.errors @ at.errors.T
+        count = len(self.outputs)
+        products = np.full((count, count), np.nan) if at is None else at.products
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, products, simulated=True, detail=at)
+
+    @property
+    def noise_group(self) -> Any:
+        """Equal for manoeuvres with one model, criterion and outputs."""
+        return self._noise_group
+
+    def with_products(self, trajectory: Trajectory, products: Array) -> tuple[Trajectory, Array]:
+        """Return a trajectory whose noise follows from `products` (k, k), and its own products."""
+        # They are not finite where the model of any of these manoeuvres is not.
+        if not (self.few.any() and all_finite(products)):
+            return trajectory, trajectory.products
+        at = trajectory.detail.with_products(products)
+        return replace(trajectory, products=products, detail=at), at.errors @ at.errors.T
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the negative log-likelihood of the outputs, with the best end term and noise."""
@@ -387,7 +433,8 @@ class TransientPart(Part):
                 for view, covariance in views
             )
             meat = by_lines + louder * (by_times - by_lines)
-            return ColoredErrors(meat, 1 / max((1 - louder) / dof + louder / other, TINY))
+            inverse_dof = (1 - louder) / dof + louder / other
+            return ColoredErrors(meat, 1 / inverse_dof if inverse_dof else math.inf)
 
         return Information(
             self,
@@ -400,6 +447,25 @@ class TransientPart(Part):
             # those in gusts by output error.
             disturbed=calm < 0.2,
         )
+
+
+def compile_manoeuvres(
+    problems: Sequence[Problem], expressions: Named, z: ca.SX
+) -> list[TransientPart]:
+    """Compile manoeuvres for the point z; `expressions` are all parameters by outside name.
+
+    Where those of few lines have too few numbers together, the next larger ones share the variance.
+    """
+    parts = [TransientPart(problem, expressions, z) for problem in problems]
+    for group in grouped(parts, lambda part: part.noise_group):
+        in_order = sorted(group, key=lambda part: part.numbers)
+        degrees = 0.0 if in_order[0].few.any() else FEWEST
+        for part in in_order:
+            if degrees >= FEWEST and not part.few.any():
+                break
+            part.few = np.full(len(part.outputs), 2 * len(part.data))
+            degrees += 2 * len(part.data) - part.lost
+    return parts
 
 
 def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
@@ -452,10 +518,7 @@ def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -
     # of the numbers that end terms take up, a tenth or less.
     for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
-        rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
-        size = positive_or_one(column_lengths(rows))
-        # Smaller singular values are rounding, as for a state that no output shows.
-        ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size
+        ends = _best_ends(weight, errors, basis)
         remaining = errors - basis @ ends
         cost = covariance.cost(remaining @ remaining.T)
         if len(errors) == 1 or not last - cost > 1e-11 * errors.size:
@@ -463,3 +526,11 @@ def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -
         last = cost
 
     return remaining, ends
+
+
+def _best_ends(weight: Array, errors: Array, basis: Array) -> Array:
+    """Return the combination (n,) of the basis (k, 2 lines, n) nearest to the weighted errors."""
+    rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
+    size = positive_or_one(column_lengths(rows))
+    # Smaller singular values are rounding, as for a state that no output shows.
+    return np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size

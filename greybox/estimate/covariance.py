@@ -284,7 +284,9 @@ def _with_covariance(
     covariance = np.sum([term for term, _ in terms], axis=0)
     accuracy = replace(accuracy, shares=tuple(terms))
 
-    dof = sum(min(part.numbers, part.dof) for part in parts)
+    # A manoeuvre of one line, which its end terms take up, tells nothing.
+    telling = [part for part in parts if np.trace(part.bread) > 1e-9]
+    dof = sum(min(part.numbers, part.dof) for part in telling)
     if known_noise:
         # Variances that were given have no uncertainty; the estimated correlation has, of every
         # part by itself.

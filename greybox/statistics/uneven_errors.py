@@ -82,7 +82,9 @@ def uneven_errors(
     mean += np.einsum("xr,rs,xs->x", units, certain, units)
     # The degrees of freedom of all parameters hardly differ.
     spread = np.sum(form**2) - 2 * np.sum(turned**2) + np.sum(inner**2)
-    return spread_of_scores + certain, float(np.sum(mean**2) / spread) if spread > 0 else np.inf
+    squares = np.sum(mean**2)
+    dof = float(squares / spread) if min(squares, spread) > 0 else np.inf
+    return spread_of_scores + certain, dof
 
 
 def _turned(matrices: ComplexArray, values: Array) -> Array:

@@ -387,3 +387,31 @@ def test_a_model_that_is_finite_at_no_start_is_named(spectrum):
     assert not failed.converged
     assert "no run reached a finite cost" in " ".join(failed.warnings)
     assert [run.reason for run in failed.runs] == ["no finite response"] * 2
+
+
+@pytest.mark.parametrize("lines", [(3, 3, 2), (12, 1, 1)])
+def test_manoeuvres_of_few_lines_share_the_noise_of_an_output(lines):
+    """With a noise of their own, they would be fitted exactly, and decide the estimate."""
+    record, random, line = study.lateral_record(), np.random.default_rng(5), np.pi / 4
+    spectra = [
+        transient_spectrum(
+            study.measured(record, {"roll": 0.02, "yaw": 0.01}, random),
+            ["da", "dr"],
+            ["roll", "yaw"],
+            (1.5 * line, (1.5 + count) * line),
+        )
+        for count in lines
+    ]
+
+    def fit_with(noise):
+        problems = [gb.Problem(Lateral(), s, gb.OutputError(noise=noise)) for s in spectra]
+        return gb.fit(sum(problems[1:], problems[0]), [LATERAL], progress=False, profiles=False)
+
+    fit = fit_with("diagonal")
+    sizes = np.sqrt([np.diag(part.noise) for part in fit.parts])
+    np.testing.assert_allclose(sizes, sizes[:1].repeat(len(lines), 0))
+    stated = fit_with(dict(zip(("roll", "yaw"), sizes[0].tolist(), strict=True)))
+    assert fit.estimate == pytest.approx(stated.estimate, rel=1e-5)
+    assert fit.standard_error == pytest.approx(stated.standard_error, rel=1e-4)
+    low_high = fit.interval(0.999)
+    assert all(low_high[name][0] < true < low_high[name][1] for name, true in LATERAL.items())
