@@ -176,10 +176,11 @@ def error_statement(fit: Any) -> str:
             f"; correlated along frequency{between} like the residuals (intervals for independent "
             f"errors would be {width / math.sqrt(fit.inflation):.2g} times as wide)"
         )
-    elif any(
-        len(part.data) < FEW and not part.data.has_independent_errors for part in fit.responses
-    ):
-        conditions += f"; independent along frequency, which fewer than {FEW} points hardly show"
+    elif taken := [part for part in fit.responses if not part.data.has_independent_errors]:
+        # Slow errors beneath white ones as large are not always seen, even in many points.
+        is_hidden = any(len(part.data) < FEW for part in taken)
+        extent = f"which fewer than {FEW} points hardly" if is_hidden else "as far as the residuals"
+        conditions += f"; independent along frequency, {extent} show"
 
     interval = ""
     if math.isfinite(fit.dof):
