@@ -68,7 +68,8 @@ def test_the_default_search_finds_the_minimum_in_wide_boxes():
     ]  # fmt: skip
     problem = gb.Problem(Axes(), matrix, criterion=gb.SquaredRelativeError())
     fit = gb.fit(problem, profiles=False, progress=False)
-    assert fit.agreeing >= 4
+    # 11 of 32, and 4 without process noise.
+    assert fit.agreeing > 6
     assert_allclose(fit.cost, reference, rtol=1e-6)
 
 
@@ -133,6 +134,8 @@ def test_the_default_search_finds_states_that_no_output_shows():
     }
     problem = gb.Problem(Rotor(), data, criterion=gb.SquaredRelativeError())
     fit = gb.fit(problem, profiles=False, progress=False)
+    # 20 of 32, 2 without process noise, and 3 if it is small from the beginning.
+    assert fit.agreeing > 8
     assert_allclose(fit.cost, reference, rtol=1e-6)
 
 
