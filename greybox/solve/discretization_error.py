@@ -217,7 +217,10 @@ def with_finer_steps(search: Multistart, solver: LocalSolver) -> Multistart | No
         # One minimum may have several parameter vectors (lags that swap), which move by themselves.
         numbers = np.array(minimum.runs)
         for group in distinct_ends(solver.nlp, search.runs.estimate[numbers]):
-            outcome = solver.near(search.runs.estimate[numbers[group[0]]])
+            number = numbers[group[0]]
+            # Of the best run alone, the states are known.
+            nodes = search.nodes if number == search.minima[0].runs[0] else None
+            outcome = solver.near(search.runs.estimate[number], nodes)
             ends |= dict.fromkeys(numbers[group].tolist(), outcome)
         count += 1
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)

@@ -173,7 +173,7 @@ class Solver:
     def __init__(self, ends):
         self.ends, self.asked = ends, []
 
-    def near(self, start):
+    def near(self, start, nodes=None):
         self.asked.append(float(start[0]))
         cost = self.ends.get(float(start[0]), math.inf)
         converged = math.isfinite(cost)
