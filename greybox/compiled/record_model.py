@@ -11,6 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.part import Portable
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
+from greybox.compiled.vectorized import Columns
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.files.arrays import Array, BoolArray, IntArray, Named, StringPair, Strings, frozen
@@ -52,9 +53,9 @@ class RecordModel(Portable):
         Whether the record's samples follow one another in time.
     is_prior : bool
         Whether the record represents a-priori knowledge, not data.
-    locate : casadi.Function
+    locate : Columns
         (z) -> values of the declared parameters, derivatives of the active ones by z, delays, and
-        what `initial` returns for these values.
+        what `initial` returns for these values; derivatives row by row.
     initial : casadi.Function
         (declared parameters) -> known initial states, and their derivatives by the active
         parameters.
@@ -87,7 +88,7 @@ class RecordModel(Portable):
     driven: Strings
     begin: Array
     active: IntArray
-    locate: ca.Function
+    locate: Columns
     initial: ca.Function
     known_states: BoolArray
     initial_states: InitialStates
@@ -152,7 +153,8 @@ def record_model(
     symbol = ca.SX.sym("q", q.numel())
     states = known(symbol)
     initial = ca.Function("initial", [symbol], [states, dense_jacobian(states, symbol[active])])
-    located = (q, slope[active, :], delay)
+    at_rest, by_active = initial(q)
+    located = (q, slope[active, :].T, delay, at_rest, by_active.T)
 
     return RecordModel(
         problem=problem,
@@ -173,7 +175,7 @@ def record_model(
         driven=driven,
         begin=np.array([*problem.local_starts.values()], dtype=float)[: len(system.parameters)],
         active=np.array(active, dtype=int),
-        locate=ca.Function("locate", [z], [*map(ca.densify, located), *initial(q)]),
+        locate=Columns(ca.Function("locate", [z], [*map(ca.densify, located)])),
         initial=initial,
         known_states=np.array([name in criterion.initial for name in system.states], dtype=bool),
         initial_states=initial_states,

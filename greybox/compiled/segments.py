@@ -329,20 +329,20 @@ class Segments:
         A (v, n, columns) and C (v, k, columns) are the derivatives with respect to the state at a
         sample and the parameters; CasADi stacks them column by column.
         """
-        n, k, length = self.n, self.k, self.length
-        rows = C.reshape(-1, k, length, count)
-        v = len(rows)
-        transitions = A.reshape(v, n, length, count)
-        J = np.empty((length, k, v, count))
+        n, length = self.n, self.length
+        v = n + len(self.active)
+        slopes = np.concatenate(
+            [values.reshape(v, -1, length, count) for values in (A, C)], axis=1
+        )
+        J = np.empty((length, self.k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
 
         for i in range(length):
-            J[i] = _product(rows[:n, :, i], S)
-            S = _product(transitions[:n, :, i], S)
+            following = _product(slopes[:n, :, i], S)
             # The parameters also act at this very sample, besides through the state.
-            J[i, :, n:] += rows[n:, :, i].swapaxes(0, 1)
-            S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
+            following[:, n:] += slopes[n:, :, i].swapaxes(0, 1)
+            S, J[i] = following[:n], following[n:]
 
         return S, J
 

@@ -140,14 +140,14 @@ class ShortSegments:
     def states_from_data(self, z: Array) -> Array:
         """Return the first states (r, m, n), as measured where outputs show them."""
         part = self._part
-        placed = map(part.place, z)
+        placed = part.places(z)
         return np.array([part.initial_nodes(at.q, at.initial)[self.chosen] for at in placed])
 
     def evaluated(self, z: Array, states: Array) -> Points:
         """Return the points z (r, p) with the segments simulated from these states (r, m, n)."""
         part, segments = self._part, self._segments
         r, m, n = states.shape
-        placed = [part.place(point) for point in z]
+        placed = part.places(z)
         shape = (part.data.segment_length, part.data.segments)
         data = np.stack(
             [at.data.reshape(-1, *shape)[:, : self.length, self.chosen] for at in placed], axis=2
