@@ -148,7 +148,8 @@ class Segments:
             derivatives = [dense_jacobian(slope, free) for slope in slopes]
             at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
             results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
-        return ca.Function(name, [x, q, d], results, {"cse": True})
+        # Common subexpressions are few, and looking for them takes four times as long as the rest.
+        return ca.Function(name, [x, q, d], results)
 
     def _evaluate(self, name: str, at: Course) -> Arrays:
         """Evaluate the function of this name for columns of the segments that q is given for."""

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.parameter import require_whole
 from greybox.modeling.realization import Dynamics
 
@@ -83,7 +83,7 @@ class RungeKutta(Integrator):
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-@one_thread_at_a_time
+@once
 def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
     """Return (x, u, slope, p, h) -> x one step h later, from u (m,) at its beginning.
 
@@ -131,7 +131,7 @@ def step_function(system: Dynamics, substep: ca.Function, substeps: int) -> ca.F
 
     # CasADi divides many derivatives of a called function into groups, each of which would repeat
     # the steps of an implicit scheme.
-    options = {"cse": True, "always_inline": substep.is_a("MXFunction")}
+    options = {"always_inline": substep.is_a("MXFunction")}
     return ca.Function("step", [x, mean, change, p, h], [end], options)
 
 
