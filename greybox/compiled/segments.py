@@ -194,7 +194,7 @@ class Segments:
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
-            (x,) = self._evaluate("advance", Course(x, q, data[:, sample]))
+            (x,) = self._columns("advance")(x, q, data[:, sample])
 
         return states, x.T
 
