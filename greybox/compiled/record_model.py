@@ -54,11 +54,10 @@ class RecordModel(Portable):
     is_prior : bool
         Whether the record represents a-priori knowledge, not data.
     locate : Columns
-        (z) -> values of the declared parameters, derivatives of the active ones by z, delays, and
-        what `initial` returns for these values; derivatives row by row.
+        (z) -> values of the declared parameters, derivatives of the active ones by z, delays, known
+        initial states, and their derivatives by the active parameters; derivatives row by row.
     initial : casadi.Function
-        (declared parameters) -> known initial states, and their derivatives by the active
-        parameters.
+        (declared parameters) -> known initial states.
     known_states : (n,) bool array
     steps : dict
         The samples compiled so far, by integrator and substeps; models that differ only in their
@@ -151,10 +150,8 @@ def record_model(
     active = sorted({*slope.sparsity().row(), *following})
     delay = system.delay(q[: len(system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
-    states = known(symbol)
-    initial = ca.Function("initial", [symbol], [states, dense_jacobian(states, symbol[active])])
-    at_rest, by_active = initial(q)
-    located = (q, slope[active, :].T, delay, at_rest, by_active.T)
+    by_active = ca.substitute(dense_jacobian(known(symbol), symbol[active]), symbol, q)
+    located = (q, slope[active, :].T, delay, known(q), by_active.T)
 
     return RecordModel(
         problem=problem,
@@ -176,7 +173,7 @@ def record_model(
         begin=np.array([*problem.local_starts.values()], dtype=float)[: len(system.parameters)],
         active=np.array(active, dtype=int),
         locate=Columns(ca.Function("locate", [z], [*map(ca.densify, located)])),
-        initial=initial,
+        initial=known,
         known_states=np.array([name in criterion.initial for name in system.states], dtype=bool),
         initial_states=initial_states,
         steps=steps,

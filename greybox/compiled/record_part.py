@@ -397,7 +397,7 @@ class RecordProgram:
         places = np.flatnonzero(part.known_states[begins]).tolist()
         if not places:
             return ca.MX(0, 1)  # CasADi reads an empty column as an empty row
-        values = ca.repmat(part.model.initial(q)[0], int(begins.sum()), 1)
+        values = ca.repmat(part.model.initial(q), int(begins.sum()), 1)
         values += part.delays_at_rest[begins].ravel()
         return ca.vec(self._transcribed.initial)[places] - values[places]
 

@@ -14,7 +14,7 @@ import numpy as np
 from greybox.compiled.sampled_data import input_over_step
 from greybox.files.arrays import Array, Strings, frozen
 from greybox.formulation.time_criteria import TimeCriterion
-from greybox.modeling.integrators import Integrator, step_function, substep_function
+from greybox.modeling.integrators import Integrator, repeated, substep_function
 from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import as_column, input_symbols
@@ -122,13 +122,16 @@ def sample_step(
     corrects = criterion.corrects_states
     measurement = _measurement(system, tuple(held), criterion.biases, corrects, names)
     substep = substep_function(system, integrator)
-    step = step_function(system, substep, substeps)
-    symbols: Any = measurement.sx_in() if step.is_a("SXFunction") else measurement.mx_in()
+    # Copies of many operations take longer to compile than calls of one function to evaluate: a
+    # chain of four masses, with 1400 in four substeps, takes twice the time.
+    is_copied = substep.is_a("SXFunction") and substep.n_instructions() * substeps <= 1000
+    symbols: Any = measurement.sx_in() if is_copied else measurement.mx_in()
     x, q, d = symbols
     corrected, mean, change, residual, simulated = measurement(x, q, d)
     # The derivatives of a called function have no zeros: they fill a product of large matrices.
     begin = corrected if corrects else x
-    end = step(begin, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
+    p = q[: len(system.parameters)]
+    end = repeated(substep, substeps, begin, mean, change, p, d[d.numel() - 1])
     # Outputs and derivatives of many models have terms in common.
     function = ca.Function("sample", [x, q, d], [end, residual, simulated], {"cse": True})
     return SampleStep(function, measurement, substep, substeps, system, d.numel())

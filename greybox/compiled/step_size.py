@@ -53,7 +53,7 @@ def substeps_and_segment(
         p = declared[: len(system.parameters)]
         # Gains of process noise are not drawn, and no initial state depends on them.
         with_gains = np.pad(declared, (0, len(model.parameters) - len(declared)))
-        known = model.initial(with_gains)[0].full().ravel()
+        known = model.initial(with_gains).full().ravel()
         poles = initial_states.poles(initial_states.at(outputs, inputs, p, known), inputs, p)
         if poles.size:
             counts.append(
