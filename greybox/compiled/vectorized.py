@@ -150,7 +150,7 @@ def _dense(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), inputs, outputs)
 
 
-class Remembering:
+class Remembering(Rebuilt):
     """A function of arrays that returns its last results again for equal inputs."""
 
     def __init__(self, function: Callable[..., Arrays]) -> None:
