@@ -99,7 +99,7 @@ class RecordModel(Portable):
         # Excerpts and parts with other outputs need no new sample.
         key = (integrator, substeps)
         if key not in self.steps:
-            held = tuple(between.held for between in self.between)
+            held = [between.held for between in self.between]
             self.steps[key] = sample_step(
                 self.system, held, self.criterion, self.parameters, integrator, substeps
             )
