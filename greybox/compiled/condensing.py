@@ -172,7 +172,8 @@ def solve_continuity(
     numpy.linalg.LinAlgError
         If the system is singular.
     """
-    from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  (takes half a second to import)
+    # It takes half a second to import.
+    from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
 
     s, n, r = stationarity.shape
     if n == 0:

@@ -66,7 +66,7 @@ class RecordGroup(SegmentedPart):
         distinct = {part.model.expressions: part.model for part in self.parts}
         keys = [*distinct]
         [z] = self.model.locate.function.sx_in()
-        results: list[Any] = [model.locate.function(z) for model in distinct.values()]
+        results = (model.locate.function(z) for model in distinct.values())
         stacked = [ca.vertcat(*map(ca.vec, values)) for values in zip(*results, strict=True)]
         index = np.array([keys.index(part.model.expressions) for part in self.parts])
         return Columns(ca.Function("located", [z], stacked)), index
@@ -74,7 +74,7 @@ class RecordGroup(SegmentedPart):
     def place(self, z: Array) -> Placed:
         """Return the parameters and data at z (p,), by record where records differ."""
         function, index = self._located
-        count, active = int(index.max()) + 1, len(self.model.active)
+        count, active = index.max() + 1, len(self.model.active)
         q, slope, delay, initial, initial_slope = (
             values.reshape(count, -1) for values in function(z[:, None])
         )

@@ -142,8 +142,8 @@ class RecordPart(SegmentedPart):
     def places(self, z: Array) -> list[Placed]:
         """Return the parameters and the data at each of the points z (r, p)."""
         placed = []
-        columns = self.model.locate(z.T)
-        for q, by_z, delay, initial, by_active in zip(*(v.T for v in columns), strict=True):
+        rows = (values.T for values in self.model.locate(z.T))
+        for q, by_z, delay, initial, by_active in zip(*rows, strict=True):
             slope = by_z.reshape(-1, z.shape[1])
             steady = None
             if self.noise_model is not None:

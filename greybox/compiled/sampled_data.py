@@ -83,17 +83,17 @@ class SampledData:
 
     @cached_property
     def segment_counts(self) -> list[int]:
-        """Number of segments of every stretch."""
+        """Return the number of segments of every stretch."""
         return [math.ceil(len(stretch) / self.segment_length) for stretch in self.stretches]
 
     @cached_property
     def segments(self) -> int:
-        """Number of segments."""
+        """Return the number of segments."""
         return sum(self.segment_counts)
 
     @cached_property
     def samples(self) -> int:
-        """Number of samples, those that fill up segments included."""
+        """Return the number of samples, those that fill up segments included."""
         return self.segments * self.segment_length
 
     @cached_property
@@ -103,7 +103,7 @@ class SampledData:
 
     @cached_property
     def first_samples(self) -> IntArray:
-        """Number of the first sample of every stretch."""
+        """Return the number of the first sample of every stretch."""
         return np.cumsum([0, *self.segment_counts[:-1]]) * self.segment_length
 
     @cached_property

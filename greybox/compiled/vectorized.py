@@ -69,7 +69,7 @@ _KNOWN = _OPERATIONS.keys() | {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
 class Columns(Rebuilt):
     """A function of dense inputs, evaluated for many columns.
 
-    The `shared` inputs (by position) are the same in all columns.
+    The `shared` inputs (by position, none of them the first) are the same in all columns.
 
     CasADi evaluates fewer columns than `fewest`, because the layout of registers for another number
     of columns takes some milliseconds. It also evaluates functions that are not SX or contain an
@@ -84,18 +84,17 @@ class Columns(Rebuilt):
     def __init__(self, function: ca.Function, shared: Indices = (), fewest: int = FEWEST) -> None:
         function = _dense(function)
         self.function, self._shared, self._fewest = function, shared, fewest
-        self._first = next((k for k in range(function.n_in()) if k not in shared), 0)
-        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._layouts: dict[int, _Mapped | _Registers] = {}
 
     def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
-        m = inputs[self._first].shape[1]
-        if m <= CHUNK:
+        m = inputs[0].shape[1]
+        if 0 < m <= CHUNK:
             return [values.copy() for values in self._layout(m).run(inputs)]
-        outputs = [np.empty((size, m)) for size in self._sizes]
+        f = self.function
+        outputs = [np.empty((f.numel_out(k), m)) for k in range(f.n_out())]
         # Equal shares need only one layout of the registers.
-        width = math.ceil(m / math.ceil(m / CHUNK))
+        width = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
         for begin in range(0, m, width):
             columns = slice(begin, min(begin + width, m))
             part = [v if k in self._shared else v[:, columns] for k, v in enumerate(inputs)]
