@@ -332,7 +332,7 @@ class Segments:
         """
         n, length = self.n, self.length
         v = n + len(self.active)
-        slopes = np.concatenate([values.reshape(v, -1, length, count) for values in (A, C)], axis=1)
+        slopes = np.hstack([A.reshape(v, n, length, count), C.reshape(v, self.k, length, count)])
         J = np.empty((length, self.k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
