@@ -172,7 +172,8 @@ def solve_continuity(
     numpy.linalg.LinAlgError
         If the system is singular.
     """
-    from scipy.linalg import get_lapack_funcs  # noqa: PLC0415  (takes half a second to import)
+    # It takes half a second to import.
+    from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
 
     s, n, r = stationarity.shape
     if n == 0:
@@ -203,8 +204,7 @@ def solve_continuity(
     right = np.hstack([stationarity * size[:, None], gaps]).reshape(2 * n * s, r)
     matrix = bands.reshape(2 * n * s, -1).T
     # It works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
-    (gbsv,) = get_lapack_funcs(("gbsv",), (matrix, right))
-    *_, solution, failure = gbsv(width, width, matrix, right, overwrite_ab=1, overwrite_b=1)
+    *_, solution, failure = dgbsv(width, width, matrix, right, overwrite_ab=1, overwrite_b=1)
     if failure or not all_finite(solution):
         raise np.linalg.LinAlgError("the nodes of the record are not determined.")
     solution = solution.reshape(s, 2 * n, r)

@@ -18,7 +18,8 @@ from greybox.compiled.residual_covariance import ResidualCovariance
 from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.files.arrays import Array, Arrays, IntArray, as_arrays, diagonal, of_diagonal
+from greybox.compiled.vectorized import Columns
+from greybox.files.arrays import Array, Arrays, IntArray, diagonal, of_diagonal
 from greybox.files.grouping import grouped
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
@@ -59,38 +60,36 @@ class RecordGroup(SegmentedPart):
 
     @cached_property
     @one_thread_at_a_time
-    def _located(self) -> tuple[ca.Function, IntArray]:
+    def _located(self) -> tuple[Columns, IntArray]:
         """Return the placement of all distinct records as a function of z, and their indices."""
         distinct = {part.model.expressions: part.model for part in self.parts}
         keys = [*distinct]
-        [z] = self.model.locate.sx_in()
-        results: list[Any] = [model.locate(z) for model in distinct.values()]
-
-        sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
-        pairs = zip(sides, zip(*results, strict=True), strict=True)
-        stacked = [ca.densify(side(*values)) for side, values in pairs]
+        [z] = self.model.locate.function.sx_in()
+        results = (model.locate.function(z) for model in distinct.values())
+        stacked = [ca.vertcat(*map(ca.vec, values)) for values in zip(*results, strict=True)]
         index = np.array([keys.index(part.model.expressions) for part in self.parts])
-        return ca.Function("located", [z], stacked), index
+        return Columns(ca.Function("located", [z], stacked)), index
 
     def place(self, z: Array) -> Placed:
         """Return the parameters and data at z (p,), by record where records differ."""
         function, index = self._located
-        q, slope, delay, initial, initial_slope = as_arrays(function(z))
-        n = self.states
-        active = len(self.model.active)
+        count, active = index.max() + 1, len(self.model.active)
+        q, slope, delay, initial, initial_slope = (
+            values.reshape(count, -1) for values in function(z[:, None])
+        )
+        slope = slope.reshape(count, active, len(z))
+        initial_slope = initial_slope.reshape(count, self.states, active)
         # One placement is used for all records: nothing needs an axis of records.
-        if not index.any():
-            data = self.data_at(delay.ravel())
-            return Placed(q.ravel(), slope, data, initial.ravel(), initial_slope)
+        if count == 1:
+            return Placed(q[0], slope[0], self.data_at(delay[0]), initial[0], initial_slope[0])
 
-        count = int(index.max()) + 1
         stretches = np.repeat(index, [len(part.data.stretches) for part in self.parts])
         return Placed(
-            q=q[:, index[self.segments.records]],
-            slope=slope.reshape(count, active, len(z))[index],
-            data=self.data_at(delay[:, stretches]),
-            initial=initial.T.reshape(count, n)[index],
-            initial_slope=initial_slope.reshape(count, n, active)[index],
+            q=q.T[:, index[self.segments.records]],
+            slope=slope[index],
+            data=self.data_at(delay.T[:, stretches]),
+            initial=initial[index],
+            initial_slope=initial_slope[index],
         )
 
     def initial_nodes(self, q: Array, known: Array) -> Array:

@@ -11,6 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.part import Portable
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
+from greybox.compiled.vectorized import Columns
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.files.arrays import Array, BoolArray, IntArray, Named, StringPair, Strings, frozen
@@ -52,12 +53,11 @@ class RecordModel(Portable):
         Whether the record's samples follow one another in time.
     is_prior : bool
         Whether the record represents a-priori knowledge, not data.
-    locate : casadi.Function
-        (z) -> values of the declared parameters, derivatives of the active ones by z, delays, and
-        what `initial` returns for these values.
+    locate : Columns
+        (z) -> values of the declared parameters, derivatives of the active ones by z, delays, known
+        initial states, and their derivatives by the active parameters; derivatives row by row.
     initial : casadi.Function
-        (declared parameters) -> known initial states, and their derivatives by the active
-        parameters.
+        (declared parameters) -> known initial states.
     known_states : (n,) bool array
     steps : dict
         The samples compiled so far, by integrator and substeps; models that differ only in their
@@ -87,7 +87,7 @@ class RecordModel(Portable):
     driven: Strings
     begin: Array
     active: IntArray
-    locate: ca.Function
+    locate: Columns
     initial: ca.Function
     known_states: BoolArray
     initial_states: InitialStates
@@ -99,7 +99,7 @@ class RecordModel(Portable):
         # Excerpts and parts with other outputs need no new sample.
         key = (integrator, substeps)
         if key not in self.steps:
-            held = tuple(between.held for between in self.between)
+            held = [between.held for between in self.between]
             self.steps[key] = sample_step(
                 self.system, held, self.criterion, self.parameters, integrator, substeps
             )
@@ -150,9 +150,8 @@ def record_model(
     active = sorted({*slope.sparsity().row(), *following})
     delay = system.delay(q[: len(system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
-    states = known(symbol)
-    initial = ca.Function("initial", [symbol], [states, dense_jacobian(states, symbol[active])])
-    located = (q, slope[active, :], delay)
+    by_active = ca.substitute(dense_jacobian(known(symbol), symbol[active]), symbol, q)
+    located = (q, slope[active, :].T, delay, known(q), by_active.T)
 
     return RecordModel(
         problem=problem,
@@ -173,8 +172,8 @@ def record_model(
         driven=driven,
         begin=np.array([*problem.local_starts.values()], dtype=float)[: len(system.parameters)],
         active=np.array(active, dtype=int),
-        locate=ca.Function("locate", [z], [*map(ca.densify, located), *initial(q)]),
-        initial=initial,
+        locate=Columns(ca.Function("locate", [z], [*map(ca.densify, located)])),
+        initial=known,
         known_states=np.array([name in criterion.initial for name in system.states], dtype=bool),
         initial_states=initial_states,
         steps=steps,

@@ -29,7 +29,6 @@ from greybox.files.arrays import (
     Named,
     StringPair,
     Strings,
-    as_arrays,
     by_name,
 )
 from greybox.files.grouping import grouped
@@ -138,18 +137,26 @@ class RecordPart(SegmentedPart):
 
     def place(self, z: Array) -> Placed:
         """Return the parameters and the data at z (p,)."""
-        q, slope, delay, initial, initial_slope = as_arrays(self.model.locate(z))
-        q = q.ravel()
-        steady = None
-        if self.noise_model is not None:
-            steady = self.noise_model.at(q)
-            # The filter gives the gains and their slopes, which fill the last places of q.
-            count = len(self.gains)
-            estimated = len(slope) - count
-            q[len(q) - count :] = steady.gain.ravel()
-            slope[estimated:] = steady.gain_slope.reshape(count, estimated) @ slope[:estimated]
+        return self.places(z[None])[0]
 
-        return Placed(q, slope, self.data_at(delay.ravel()), initial.ravel(), initial_slope, steady)
+    def places(self, z: Array) -> list[Placed]:
+        """Return the parameters and the data at each of the points z (r, p)."""
+        placed = []
+        rows = (values.T for values in self.model.locate(z.T))
+        for q, by_z, delay, initial, by_active in zip(*rows, strict=True):
+            slope = by_z.reshape(-1, z.shape[1])
+            steady = None
+            if self.noise_model is not None:
+                steady = self.noise_model.at(q)
+                # The filter gives the gains and their slopes, which fill the last places of q.
+                count = len(self.gains)
+                estimated = len(slope) - count
+                q[len(q) - count :] = steady.gain.ravel()
+                slope[estimated:] = steady.gain_slope.reshape(count, estimated) @ slope[:estimated]
+
+            data, initial_slope = self.data_at(delay), by_active.reshape(self.states, len(slope))
+            placed.append(Placed(q, slope, data, initial, initial_slope, steady))
+        return placed
 
     @cached_property
     def noise_model(self) -> NoiseModel | None:
@@ -369,7 +376,7 @@ class RecordProgram:
                 f"{part.model.method.label} does not follow: use MultipleShooting()."
             )
 
-        q = part.model.locate(z)[0]
+        q = part.model.locate.function(z)[0]
         weight = ca.MX.sym("W", len(part.outputs), len(part.outputs))
         data = ca.MX.sym("data", part.step.width, part.data.samples)
         self._transcribed = part.model.method.transcribe(part.step, part.data, q, data)
@@ -390,7 +397,7 @@ class RecordProgram:
         places = np.flatnonzero(part.known_states[begins]).tolist()
         if not places:
             return ca.MX(0, 1)  # CasADi reads an empty column as an empty row
-        values = ca.repmat(part.model.initial(q)[0], int(begins.sum()), 1)
+        values = ca.repmat(part.model.initial(q), int(begins.sum()), 1)
         values += part.delays_at_rest[begins].ravel()
         return ca.vec(self._transcribed.initial)[places] - values[places]
 

@@ -14,8 +14,8 @@ import numpy as np
 from greybox.compiled.sampled_data import input_over_step
 from greybox.files.arrays import Array, Strings, frozen
 from greybox.formulation.time_criteria import TimeCriterion
-from greybox.modeling.integrators import Integrator, step_function, substep_function
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.integrators import Integrator, repeated, substep_function
+from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import as_column, input_symbols
 
@@ -73,7 +73,7 @@ class SampleStep:
             step = self.function
             if step.is_a("SXFunction"):  # without the outputs, and what only they need
                 symbols = self.symbols()
-                step = ca.Function("one", symbols, list(self.function(*symbols)[:2]), {"cse": True})
+                step = ca.Function("one", symbols, list(self.function(*symbols)[:2]))
             x, q, _ = self.function.mx_in()
             D = ca.MX.sym("D", self.width, samples)
             states, residuals, *_ = step.mapaccum("fold", samples)(x, q, D)
@@ -119,22 +119,27 @@ def sample_step(
     `held` (m,) says which inputs keep their values until the next sample; the others are
     interpolated.
     """
-    measurement = _measurement(system, held, criterion, names)
+    corrects = criterion.corrects_states
+    measurement = _measurement(system, tuple(held), criterion.biases, corrects, names)
     substep = substep_function(system, integrator)
-    step = step_function(system, substep, substeps)
-    symbols: Any = measurement.sx_in() if step.is_a("SXFunction") else measurement.mx_in()
+    # Copies of many operations take longer to compile than calls of one function to evaluate: a
+    # chain of four masses, with 1400 in four substeps, takes twice the time.
+    is_copied = substep.is_a("SXFunction") and substep.n_instructions() * substeps <= 1000
+    symbols: Any = measurement.sx_in() if is_copied else measurement.mx_in()
     x, q, d = symbols
     corrected, mean, change, residual, simulated = measurement(x, q, d)
     # The derivatives of a called function have no zeros: they fill a product of large matrices.
-    begin = corrected if criterion.corrects_states else x
-    end = step(begin, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
+    begin = corrected if corrects else x
+    p = q[: len(system.parameters)]
+    end = repeated(substep, substeps, begin, mean, change, p, d[d.numel() - 1])
     # Outputs and derivatives of many models have terms in common.
     function = ca.Function("sample", [x, q, d], [end, residual, simulated], {"cse": True})
     return SampleStep(function, measurement, substep, substeps, system, d.numel())
 
 
+@once
 def _measurement(
-    system: Dynamics, held: Sequence[bool], criterion: TimeCriterion, names: Strings
+    system: Dynamics, held: Sequence[bool], biases: Strings, corrects: bool, names: Strings
 ) -> ca.Function:
     """Return the quantities before the step: delayed inputs, residuals, corrected states."""
     n, m, k = len(system.states), len(system.inputs), len(system.outputs)
@@ -142,7 +147,7 @@ def _measurement(
     whole, window = ca.SX.sym("whole", m), ca.SX.sym("window", 3 * m)
     measured, present, step = ca.SX.sym("y", k), ca.SX.sym("present", k), ca.SX.sym("step")
     p = q[: len(system.parameters)]
-    bias = {name: q[names.index(f"{name}_bias")] for name in criterion.biases}
+    bias = {name: q[names.index(f"{name}_bias")] for name in biases}
 
     of_inputs, of_outputs = (
         as_column(bias.get(name, 0) for name in names) for names in (system.inputs, system.outputs)
@@ -162,7 +167,7 @@ def _measurement(
     residual = present * (measured - simulated)
 
     corrected = ca.SX(x)  # a copy: assignment to its entries below would change the symbol
-    for i, state in enumerate(system.states if criterion.corrects_states else ()):
+    for i, state in enumerate(system.states if corrects else ()):
         for j, output in enumerate(system.outputs):
             if f"K_{state}_{output}" in names:
                 corrected[i] += q[names.index(f"K_{state}_{output}")] * residual[j]

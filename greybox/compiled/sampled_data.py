@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from greybox.data.record import JITTER, Record
 from greybox.files.arrays import Array, ArrayPair, Arrays, BoolArray, IntArray, Strings, frozen
 from greybox.files.text_table import listed
+from greybox.modeling.one_thread import cached_property
 from greybox.statistics.noise_ratio import noise_ratio
 
 # Share of a step by which a delay may exceed a whole number of samples and still count as that
@@ -80,32 +81,32 @@ class SampledData:
     segment_length: int = 1
     constant_inputs: bool = False
 
-    @property
+    @cached_property
     def segment_counts(self) -> list[int]:
-        """Number of segments of every stretch."""
+        """Return the number of segments of every stretch."""
         return [math.ceil(len(stretch) / self.segment_length) for stretch in self.stretches]
 
-    @property
+    @cached_property
     def segments(self) -> int:
-        """Number of segments."""
+        """Return the number of segments."""
         return sum(self.segment_counts)
 
-    @property
+    @cached_property
     def samples(self) -> int:
-        """Number of samples, those that fill up segments included."""
+        """Return the number of samples, those that fill up segments included."""
         return self.segments * self.segment_length
 
-    @property
+    @cached_property
     def begins_stretch(self) -> BoolArray:
         """Which segments (s,) begin a stretch."""
         return np.concatenate([np.arange(count) == 0 for count in self.segment_counts])
 
-    @property
+    @cached_property
     def first_samples(self) -> IntArray:
-        """Number of the first sample of every stretch."""
+        """Return the number of the first sample of every stretch."""
         return np.cumsum([0, *self.segment_counts[:-1]]) * self.segment_length
 
-    @property
+    @cached_property
     def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)

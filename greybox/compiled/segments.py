@@ -148,7 +148,8 @@ class Segments:
             derivatives = [dense_jacobian(slope, free) for slope in slopes]
             at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
             results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
-        return ca.Function(name, [x, q, d], results, {"cse": True})
+        # Common subexpressions are few, and looking for them takes four times as long as the rest.
+        return ca.Function(name, [x, q, d], results)
 
     def _evaluate(self, name: str, at: Course) -> Arrays:
         """Evaluate the function of this name for columns of the segments that q is given for."""
@@ -193,7 +194,7 @@ class Segments:
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
-            (x,) = self._evaluate("advance", Course(x, q, data[:, sample]))
+            (x,) = self._columns("advance")(x, q, data[:, sample])
 
         return states, x.T
 
@@ -329,20 +330,18 @@ class Segments:
         A (v, n, columns) and C (v, k, columns) are the derivatives with respect to the state at a
         sample and the parameters; CasADi stacks them column by column.
         """
-        n, k, length = self.n, self.k, self.length
-        rows = C.reshape(-1, k, length, count)
-        v = len(rows)
-        transitions = A.reshape(v, n, length, count)
-        J = np.empty((length, k, v, count))
+        n, length = self.n, self.length
+        v = n + len(self.active)
+        slopes = np.hstack([A.reshape(v, n, length, count), C.reshape(v, self.k, length, count)])
+        J = np.empty((length, self.k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
 
         for i in range(length):
-            J[i] = _product(rows[:n, :, i], S)
-            S = _product(transitions[:n, :, i], S)
+            following = _product(slopes[:n, :, i], S)
             # The parameters also act at this very sample, besides through the state.
-            J[i, :, n:] += rows[n:, :, i].swapaxes(0, 1)
-            S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
+            following[:, n:] += slopes[n:, :, i].swapaxes(0, 1)
+            S, J[i] = following[:n], following[n:]
 
         return S, J
 

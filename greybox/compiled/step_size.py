@@ -49,11 +49,10 @@ def substeps_and_segment(
     outputs, inputs = at_samples(data, max(data.segments // samples, 1), spread=True)
     counts: list[int] = []
     growth_rates: list[float] = []
-    for declared in drawn:
+    # Gains of process noise are not drawn, and no initial state depends on them.
+    with_gains = np.pad(drawn, ((0, 0), (0, len(model.parameters) - drawn.shape[1])))
+    for declared, known in zip(drawn, model.initial(with_gains.T).full().T, strict=True):
         p = declared[: len(system.parameters)]
-        # Gains of process noise are not drawn, and no initial state depends on them.
-        with_gains = np.pad(declared, (0, len(model.parameters) - len(declared)))
-        known = model.initial(with_gains)[0].full().ravel()
         poles = initial_states.poles(initial_states.at(outputs, inputs, p, known), inputs, p)
         if poles.size:
             counts.append(

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.parameter import require_whole
 from greybox.modeling.realization import Dynamics
 
@@ -83,7 +83,7 @@ class RungeKutta(Integrator):
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-@one_thread_at_a_time
+@once
 def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
     """Return (x, u, slope, p, h) -> x one step h later, from u (m,) at its beginning.
 
@@ -102,37 +102,24 @@ def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
     if undelayed:
         late, acting, ramp = system.delay_step(late, u, slope, p, h)
     result = integrator.advance(driven, result, acting, ramp, p, h)
+    # CasADi divides many derivatives of a called function into groups, each of which would repeat
+    # the steps of an implicit scheme.
     options = {"always_inline": integrator.implicit}
     return ca.Function("substep", [x, u, slope, p, h], [ca.vertcat(result, late)], options)
 
 
-@one_thread_at_a_time
-def step_function(system: Dynamics, substep: ca.Function, substeps: int) -> ca.Function:
-    """Return (x, mean, change, p, step) -> x one sample later.
+def repeated(
+    substep: ca.Function, substeps: int, x: Any, mean: Any, change: Any, p: Any, h: Any
+) -> Any:
+    """Return x one sample later, after so many steps of a `substep_function`.
 
-    `mean` and `change` (m,) are those of the inputs over the step, which takes as many steps of a
-    `substep_function`.
+    `mean` and `change` (m,) are those of the inputs over the sample, which lasts h.
     """
-    # Copies of many operations take longer to compile than calls of one function to evaluate: a
-    # chain of four masses, with 1400 in four substeps, takes twice the time.
-    is_copied = substep.is_a("SXFunction") and substep.n_instructions() * substeps <= 1000
-    kind: Any = ca.SX if is_copied else ca.MX
-    x = kind.sym("x", len(system.states))
-    p = kind.sym("p", len(system.parameters))
-    h = kind.sym("h")
-    mean = kind.sym("mean", len(system.inputs))
-    change = kind.sym("change", len(system.inputs))
-
-    end = x
-    for k in range(substeps if system.states else 0):
-        # The input at the beginning of the substep; `change` is that over the whole step.
+    for k in range(substeps):
+        # The input at the beginning of the substep; `change` is that over the whole sample.
         u = mean + change * (k / substeps - 0.5)
-        end = substep(end, u, change / h, p, h / substeps)
-
-    # CasADi divides many derivatives of a called function into groups, each of which would repeat
-    # the steps of an implicit scheme.
-    options = {"cse": True, "always_inline": substep.is_a("MXFunction")}
-    return ca.Function("step", [x, mean, change, p, h], [end], options)
+        x = substep(x, u, change / h, p, h / substeps)
+    return x
 
 
 # γ of the error estimate: RADAU5's, one over the real eigenvalue of its matrix.

@@ -46,8 +46,10 @@ def as_column(entries: Iterable[Any]) -> ca.SX:
 
 def dense_jacobian(values: Any, by: Any) -> Any:
     """Return the Jacobian of expressions as a dense matrix."""
-    # By default CasADi repeats what it calls for every 64 columns.
-    return ca.densify(ca.jacobian(values, by, {"helper_options": {"max_num_dir": by.numel()}}))
+    # By default CasADi repeats what it calls for every 64 columns, and takes up to twice as many
+    # columns as rows one after the other, with up to half more operations.
+    options = {"max_num_dir": by.numel(), "ad_weight": 0.5}
+    return ca.densify(ca.jacobian(values, by, {"helper_options": options}))
 
 
 def symbols(model: Model) -> tuple[ca.SX, ca.SX]:

@@ -5,7 +5,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, as_arrays, frozen
+from greybox.compiled.vectorized import Columns
+from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.solve.quadratic_program import solve_small_qp
@@ -18,20 +19,20 @@ class Limits:
     Attributes
     ----------
     low, high : (p,) arrays
-    constraints : casadi.Function
-        (z) -> values (c,) and their derivatives (c, p).
+    constraints : Columns
+        (z) -> values (c,) and their derivatives, row by row (c p,).
     """
 
     low: Array
     high: Array
-    constraints: ca.Function
+    constraints: Columns
 
     @one_thread_at_a_time
     def with_equation(self, equation: ca.Function) -> "Limits":
         """Return these limits and an equation (z) -> 0, as two constraints."""
         z = ca.SX.sym("z", len(self.low))
         value = equation(z)
-        values = ca.vertcat(self.constraints(z)[0], value, -value)
+        values = ca.vertcat(self.constraints.function(z)[0], value, -value)
         return replace(self, constraints=constraints_of(values, z))
 
     def clipped(self, z: Array) -> Array:
@@ -50,11 +51,11 @@ class Limits:
 
     def violation(self, z: Array) -> float:
         """Return by how much all constraints together are violated, beyond rounding."""
-        if not self.constraints.numel_out(0):  # a call costs as much as a hundred samples
+        if not self.constraints.function.numel_out(0):  # most problems have none
             return 0.0
-        value, normal = as_arrays(self.constraints(z))
+        value, normal = self._at(z)
         rounding = 1e-9 * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
-        below = -value.ravel()
+        below = -value
         return float(np.where(below > rounding, below, 0.0).sum())
 
     def linearized(self, z: Array, held: BoolArray | bool = False) -> ArrayPair:
@@ -63,16 +64,21 @@ class Limits:
         Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads
         back to one that is violated.
         """
-        value, normal = as_arrays(self.constraints(z))
+        value, normal = self._at(z)
 
         # A point may lie beyond a bound by rounding: no step need lead back.
         rooms = (self.low - z, z - self.high)
         low, high = (np.where(held, 0.0, np.minimum(room, 0.0)) for room in rooms)
         eye = np.eye(len(z))
         rows = np.vstack([eye, -eye, normal])
-        limits = np.concatenate([low, high, -value.ravel()])
+        limits = np.concatenate([low, high, -value])
         finite = np.isfinite(limits)
         return rows[finite], limits[finite]
+
+    def _at(self, z: Array) -> ArrayPair:
+        """Return the values (c,) of the constraints at z (p,), and their derivatives (c, p)."""
+        values, slopes = self.constraints(z[:, None])
+        return values[:, 0], slopes.reshape(-1, len(z))
 
     def nearest(self, z: Array) -> Array:
         """Return a point near z that satisfies all limits, as closely as 20 steps find one."""
@@ -87,6 +93,6 @@ class Limits:
         return z
 
 
-def constraints_of(values: ca.SX, z: ca.SX) -> ca.Function:
-    """Return the constraints (z) -> values (c,) and their derivatives (c, p)."""
-    return ca.Function("constraints", [z], [values, dense_jacobian(values, z)])
+def constraints_of(values: ca.SX, z: ca.SX) -> Columns:
+    """Return the constraints (z) -> values (c,) and their derivatives, row by row."""
+    return Columns(ca.Function("constraints", [z], [values, dense_jacobian(values, z).T]))

@@ -126,7 +126,9 @@ def refine_discretization(
         if growth == 1:
             break
         finer = solver.refined(_refined(nlp, growth))
-        followed = with_finer_steps(search, finer)
+        # Behind kinks, states that follow from too long steps lead to worse minima than the data.
+        begin = search if is_fine else replace(search, nodes=None)
+        followed = with_finer_steps(begin, finer)
         if followed is None:
             break
         search = followed
@@ -201,7 +203,8 @@ def with_finer_steps(search: Multistart, solver: LocalSolver) -> Multistart | No
     """Return the search with its best minima moved by this solver; None if none converges.
 
     The runs that ended there move with them, so that runs and minima have the same costs. Minima
-    that are not rivals of the best stay.
+    that are not rivals of the best stay. The best run begins at the nodes of the search, others and
+    those of a search without nodes at the data.
     """
     limit = search.minima[0].cost + RIVAL_COST
     ends: dict[int, Outcome] = {}
@@ -217,7 +220,9 @@ def with_finer_steps(search: Multistart, solver: LocalSolver) -> Multistart | No
         # One minimum may have several parameter vectors (lags that swap), which move by themselves.
         numbers = np.array(minimum.runs)
         for group in distinct_ends(solver.nlp, search.runs.estimate[numbers]):
-            outcome = solver.near(search.runs.estimate[numbers[group[0]]])
+            # The first is the best run, whose nodes the search has.
+            nodes = None if ends else search.nodes
+            outcome = solver.near(search.runs.estimate[numbers[group[0]]], nodes)
             ends |= dict.fromkeys(numbers[group].tolist(), outcome)
         count += 1
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)

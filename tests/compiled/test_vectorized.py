@@ -170,8 +170,9 @@ def test_entries_that_a_function_leaves_out_are_zeros(kind, m):
         rtol=1e-13,
     )
     assert_allclose(nothing, np.zeros((3, m)))
-    (shared, *_) = Columns(f, shared=(0,))(columns[:, 0], others)
-    assert_allclose(shared, np.tile(squares[:, :1], m))
+    _, shared, _ = Columns(f, shared=(1,))(columns, others[:, 0])
+    given = others[:, 0]
+    assert_allclose(shared, [given[0] * columns[0], given[1] * columns[0] + given[3] * columns[1]])
 
 
 @pytest.mark.parametrize("m", [1, 8, 700])

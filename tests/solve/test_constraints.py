@@ -10,7 +10,7 @@ from unfinished_runs import without_continued_runs
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.solve.constraints import Limits
+from greybox.solve.constraints import Limits, constraints_of
 from greybox.solve.gauss_newton.driver import GaussNewton
 
 
@@ -121,7 +121,7 @@ def test_the_nearest_point_keeps_bounds_and_constraints():
     limits = Limits(
         np.zeros(2),
         np.ones(2),
-        ca.Function("c", [z], [constraint, ca.densify(ca.jacobian(constraint, z))]),
+        constraints_of(constraint, z),
     )
     assert limits.nearest(np.array([2.0, 2.0])) == pytest.approx([0.5, 0.5])
     assert limits.nearest(np.array([0.2, 0.3])) == pytest.approx([0.2, 0.3])
@@ -138,7 +138,7 @@ def test_steps_are_limited_by_bounds_and_constraints_but_of_variables_that_are_h
     limits = Limits(
         np.zeros(2),
         np.array([1.0, np.inf]),
-        ca.Function("c", [z], [constraint, ca.densify(ca.jacobian(constraint, z))]),
+        constraints_of(constraint, z),
     )
     normals, least = limits.linearized(np.array([0.25, 1.5]))
     assert normals.tolist() == [[1, 0], [0, 1], [-1, 0], [-1, -1]]
@@ -154,7 +154,7 @@ def test_steps_are_limited_by_bounds_and_constraints_but_of_variables_that_are_h
 
 def test_a_step_ends_within_the_bounds_and_on_one_that_it_nearly_reaches():
     z = ca.SX.sym("z", 3)
-    limits = Limits(np.zeros(3), np.ones(3), ca.Function("none", [z], [ca.SX(0, 1), ca.SX(0, 3)]))
+    limits = Limits(np.zeros(3), np.ones(3), constraints_of(ca.SX(0, 1), z))
     there = limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.5 + 1e-17, 0.9, 0.25]))
     assert there.tolist() == [0.0, 1.0, 0.75]
     assert limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.4, 0.4, 0.0])) == pytest.approx(

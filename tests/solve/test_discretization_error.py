@@ -20,6 +20,7 @@ from greybox.solve.discretization_error import (
     _is_rounding,
     _widened,
     discretization_error,
+    refine_discretization,
     with_finer_steps,
     without_aliases,
 )
@@ -171,10 +172,11 @@ class Solver:
     nlp = PLAIN
 
     def __init__(self, ends):
-        self.ends, self.asked = ends, []
+        self.ends, self.asked, self.begun = ends, [], []
 
-    def near(self, start):
+    def near(self, start, nodes=None):
         self.asked.append(float(start[0]))
+        self.begun.append(nodes)
         cost = self.ends.get(float(start[0]), math.inf)
         converged = math.isfinite(cost)
         signature, nodes = np.array([cost]), (np.full((1, 1), cost),)
@@ -207,12 +209,31 @@ def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():
     solver = Solver({1.0: 14.0, 2.0: 14.5, 3.0: 11.0})
     found = with_finer_steps(search, solver)
     assert solver.asked == [1.0, 2.0, 3.0]  # those of one end together, and none that is no rival
+    assert solver.begun == [search.nodes, None, None]  # the states of the best run alone are known
     assert [run.cost for run in found.runs] == [14.0, 14.0, 14.5, 11.0, 20.1, 30.0, 0.0]
     assert [run.status for run in found.runs[:4]] == ["moved"] * 4
     assert [float(run.estimate[0]) for run in found.runs[:5]] == [1.5, 1.5, 2.5, 3.5, 4.0]
     assert [m.cost for m in found.minima] == [11.0, 14.0, 14.5, 20.1, 30.0]
     assert [m.runs for m in found.minima] == [(3,), (0, 1), (2,), (4,), (5,)]
     assert found.nodes[0].item() == 11.0
+
+
+@pytest.mark.parametrize(("shift", "keeps"), [(0.05, True), (50.0, False)])
+def test_states_of_coarse_steps_are_kept_where_their_error_does_not_matter(
+    monkeypatch, shift, keeps
+):
+    """From states of much too coarse steps, a model with kinks ends in a worse minimum."""
+    module = "greybox.solve.discretization_error"
+    errors = [DiscretizationError(np.array([size]), 4) for size in (shift, 0.0)]
+    monkeypatch.setattr(f"{module}.discretization_error", lambda *_: errors.pop(0))
+    monkeypatch.setattr(f"{module}._cheap_growth", lambda _, error: 2 if error.largest else 1)
+    monkeypatch.setattr(f"{module}._refined", lambda nlp, _: nlp)
+    solver, search = Solver({1.0: 10.0}), search_of([(1.0, 10.0)])
+    method = SimpleNamespace(scheme=SimpleNamespace(substeps=None))
+    solver.nlp = SimpleNamespace(**vars(PLAIN), substeps=1, method=method)
+    solver.refined = lambda _: solver
+    refine_discretization(search, solver)
+    assert solver.begun == [search.nodes if keeps else None]
 
 
 def test_what_is_no_rival_is_followed_where_all_that_are_end_above_it():

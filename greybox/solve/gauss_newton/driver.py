@@ -114,10 +114,10 @@ class GaussNewton(LocalSolver):
         """Solve from the parameters x (p,) and nodes that are near those of the solution."""
         return self._solved(self._at(x, nodes), EXACT, iterations)
 
-    def near(self, x: Array) -> Outcome:
-        """Solve from parameters x (p,) near a minimum, whose states are solved first."""
+    def near(self, x: Array, nodes: Nodes | None = None) -> Outcome:
+        """Solve from parameters x (p,) near a minimum, whose states are solved first if unknown."""
         # From states of the data, a run may leave for another minimum.
-        return self.solved_from(x, [part.nodes for part in self.profile(x).trajectories])
+        return self.solved_from(x, nodes or [part.nodes for part in self.profile(x).trajectories])
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""

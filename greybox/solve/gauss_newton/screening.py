@@ -12,7 +12,7 @@ segments. All starts are evaluated in one call, as if each were a record with it
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -140,14 +140,14 @@ class ShortSegments:
     def states_from_data(self, z: Array) -> Array:
         """Return the first states (r, m, n), as measured where outputs show them."""
         part = self._part
-        placed = map(part.place, z)
-        return np.array([part.initial_nodes(at.q, at.initial)[self.chosen] for at in placed])
+        nodes = [part.initial_nodes(at.q, at.initial) for at in part.places(z)]
+        return np.array(nodes)[:, self.chosen]
 
     def evaluated(self, z: Array, states: Array) -> Points:
         """Return the points z (r, p) with the segments simulated from these states (r, m, n)."""
         part, segments = self._part, self._segments
         r, m, n = states.shape
-        placed = [part.place(point) for point in z]
+        placed = part.places(z)
         shape = (part.data.segment_length, part.data.segments)
         data = np.stack(
             [at.data.reshape(-1, *shape)[:, : self.length, self.chosen] for at in placed], axis=2
@@ -194,8 +194,7 @@ def evaluated(z: Array, states: Array, records: Sequence[ShortSegments]) -> Poin
         for record, begins in zip(records, np.split(states, ends, axis=1), strict=True)
     ]
     _, _, *columns = zip(*pieces, strict=True)
-    by_states = (np.hstack(values) for values in columns[3:])
-    model = [np.asarray(values) for values in (*map(sum, columns[:3]), *by_states)]
+    model: list[Any] = [*map(sum, columns[:3]), *map(np.hstack, columns[3:])]
     finite = np.all([np.isfinite(a).reshape(len(z), -1).all(axis=1) for a in model], axis=0)
     cost, *flat = (_select(finite, values, np.zeros(1)) for values in model)
     return Points(z, states, np.where(finite, cost, np.inf), *flat)
