@@ -69,8 +69,8 @@ LINE = gb.Problem(
 GAIN = gb.FrequencyResponse(np.array([1.0, 2, 3]), np.array([3.0, 3.1, 2.9]) + 0j, "x", "y")
 PROBLEMS = {
     "response": (RESPONSE, None),
-    "record": (lag_problem(samples=100), None),
-    "record by IPOPT": (lag_problem(samples=100), True),
+    "record": (lag_problem(samples=40), None),
+    "record by IPOPT": (lag_problem(samples=40), True),
     "own criterion": (LINE + gb.Problem(Line(), GAIN, criterion=OwnLikelihood()), None),
 }
 
@@ -108,7 +108,7 @@ def workers():
 
 def fitted(problem, executor, *, by_ipopt):
     method = gb.Collocation() if by_ipopt else None
-    starts = 12 if problem is RESPONSE else 2
+    starts = 6 if problem is RESPONSE else 2
     return gb.fit(
         problem,
         starts,
@@ -145,8 +145,8 @@ def test_the_answer_does_not_depend_on_who_makes_the_runs(which, workers):
 
 
 def test_batches_on_workers_give_the_same_runs(workers):
-    alone = gb.fit(RESPONSE, 200, progress=False)
-    fit = gb.fit(RESPONSE, 200, executor=workers, progress=False)
+    alone = gb.fit(RESPONSE, 80, profiles=False, progress=False)
+    fit = gb.fit(RESPONSE, 80, executor=workers, profiles=False, progress=False)
     require_same(fit, alone)
     assert [run.stage for run in fit.runs] == [run.stage for run in alone.runs]
 
@@ -163,7 +163,7 @@ def test_more_starts_than_one_batch_go_to_workers(workers):
 def test_time_limits_hold_on_workers(workers):
     began = time.monotonic()
     found = gb.fit(
-        RESPONSE, 100_000, search="multistart", seconds=0.5, executor=workers, progress=False
+        RESPONSE, 100_000, search="multistart", seconds=0.2, executor=workers, progress=False
     )
     assert time.monotonic() - began < 30  # all of them take minutes
     assert 1 <= len(found.runs) < 100_000
