@@ -99,9 +99,10 @@ def record(model, values, **initial):
     )
 
 
-def fitted(model, data, starts=3, biases=(), **options):
+def fitted(model, data, starts=1, biases=(), **options):
     criterion = gb.OutputError(inputs="held", biases=biases)
-    return gb.fit(gb.Problem(model, data, criterion, **options), starts=starts, progress=False)
+    problem = gb.Problem(model, data, criterion, **options)
+    return gb.fit(problem, starts=starts, progress=False, profiles=False)
 
 
 def undetermined(fit):
