@@ -7,14 +7,12 @@ import casadi as ca
 import numpy as np
 import pytest
 from evaluation import evaluate
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
 
-settings.register_profile("steady", deadline=None, derandomize=True)
-settings.load_profile("steady")
 
 
 OPERATORS = [operator.add, operator.sub, operator.mul, operator.truediv]

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from evaluation import evaluate
-from hypothesis import assume, given, settings, strategies as st
+from hypothesis import assume, given, strategies as st
 from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose
 
@@ -15,8 +15,6 @@ import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.rational import Rational
 
-settings.register_profile("steady", deadline=None, derandomize=True)
-settings.load_profile("steady")
 
 
 OPERATORS = [operator.add, operator.sub, operator.mul, operator.truediv]
