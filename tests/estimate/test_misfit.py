@@ -2,6 +2,7 @@
 
 import re
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -377,7 +378,7 @@ class Windy:
 
 def predicted(plant, seed=0, is_logged=False):
     """Fit the predictor of the spring to a flight of another plant in gusts."""
-    random, n = np.random.default_rng(seed), 1000
+    random, n = np.random.default_rng(seed), 500
     gust = lfilter([1.0], [1, -np.exp(-STEP / 0.5)], random.normal(size=n))
     u = np.repeat(random.choice([-1.0, 0.0, 1.0], n // 25), 25)
     time = STEP * np.arange(n)
@@ -1169,9 +1170,8 @@ class Rubbing(Spring):
         return (v, a - 5 * gb.tanh(x.v / 0.05))
 
 
-@pytest.mark.parametrize(("plant", "sign"), [(Cubic, -20), (Rubbing, -5)])
-def test_the_code_of_a_term_can_be_pasted_into_the_model(plant, sign):
-    for cause in fitted(plant).misfit.likely:
+def test_the_code_of_a_term_can_be_pasted_into_the_model():
+    for cause in fitted(Cubic).misfit.likely:
         found = re.fullmatch(r"the derivative of (\w) gets \+ (.*)", cause.code)
         if found is None:
             continue
@@ -1184,13 +1184,21 @@ def test_the_code_of_a_term_can_be_pasted_into_the_model(plant, sign):
                 rates = Spring.derivative(self, x, u, p)
                 return [r + added * (s == place) for s, r in zip("xv", rates, strict=True)]
 
-        record = problem(plant).record
+        record = problem(Cubic).record
         again = gb.fit(gb.Problem(Pasted(), record), starts=1, progress=False)
-        assert again.cost < 0.5 * fitted(plant).cost
-        if cause.text[:4] in ("x**3", "sign"):
-            assert again.estimate["new"] == pytest.approx(sign, rel=0.1)
+        assert again.cost < 0.5 * fitted(Cubic).cost
+        if cause.text.startswith("x**3"):
+            assert again.estimate["new"] == pytest.approx(-20, rel=0.1)
             return
     raise AssertionError("the term that is missing is not among the causes")
+
+
+def test_the_code_of_dry_friction_is_that_of_a_sign():
+    (code,) = [c.code for c in fitted(Rubbing).misfit.likely if c.text.startswith("sign(v)")]
+    function = re.fullmatch(r"the derivative of v gets \+ p\.\w+ \* (.*)", code)[1]
+    for v in (-0.3, 0.0, 2.0):
+        x = SimpleNamespace(x=1.0, v=v)
+        assert eval(function, {"gb": gb, "x": x}) == np.sign(v)
 
 
 def test_a_parameter_that_is_fixed_at_a_wrong_value_is_named():
@@ -1353,7 +1361,7 @@ class Position(gb.StateSpace):
         return (x.x,)
 
 
-@pytest.mark.parametrize("seed", [1, 7, 8, 9])
+@pytest.mark.parametrize("seed", [1, 7])
 def test_slow_gusts_beneath_the_noise_of_a_sensor_are_no_missing_term(seed):
     random = np.random.default_rng(seed)
     command = np.tile(np.repeat([1.0, -1, 0, -1, 1, 0], [30, 30, 40, 30, 30, 40]), 10)
@@ -1579,8 +1587,8 @@ class Speed(Drive):
 
 def test_a_long_record_of_short_stretches_is_tested():
     """Of every second sample, seven would remain in each of them: too few for a test."""
-    random, time = np.random.default_rng(0), 0.01 * np.arange(4200)
-    force = np.repeat(random.normal(size=28), 150)
+    random, time = np.random.default_rng(0), 0.01 * np.arange(3150)
+    force = np.repeat(random.normal(size=21), 150)
     flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
     v = gb.simulate(Speed(), {"m": 1.0, "d": 1.0}, flight)["v"]
     noise = 0.1 * np.sin(9 * time) + 0.02 * random.normal(size=time.size)
