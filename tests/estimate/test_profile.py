@@ -95,7 +95,7 @@ def test_both_ends_are_those_of_brute_force():
 
 def test_with_little_noise_profiles_are_the_intervals_of_the_standard_errors():
     data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.002, 1, TWO_LAGS_OMEGA)
-    for criterion in (gb.RelativeError(), gb.SquaredRelativeError(), gb.RelativeLikelihood()):
+    for criterion in (gb.RelativeError(), gb.SquaredRelativeError()):
         fit = fitted(Lag(), data, criterion)
         profiles = gb.profile(fit)
         for name, wald in fit.interval().items():

@@ -25,12 +25,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from gain_and_lag import Lag
 from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import greybox as gb
-from greybox.problems import pitch_hover
 from greybox.solve.executors import (
     TASK_SECONDS,
     ExecutorLostError,
@@ -152,7 +152,8 @@ def test_batches_on_workers_give_the_same_runs(workers):
 
 
 def test_more_starts_than_one_batch_go_to_workers(workers):
-    problem = pitch_hover.problem()
+    omega = np.array([1.0, 2.0, 4.0])
+    problem = gb.Problem(Lag(), gb.FrequencyResponse(omega, 2 / (1 + 0.4j * omega)))
     here, there = (
         gb.fit(problem, starts=1100, executor=executor, profiles=False, progress=False)
         for executor in (None, workers)

@@ -36,7 +36,7 @@ def near(found, truth, errors=4.0):
 
 @pytest.mark.parametrize("model", [Tanks, GuardedTanks])
 def test_tanks_are_found_from_starts_that_would_drain_them(model):
-    found = fit(tanks(model), 2)
+    found = fit(tanks(model, 200), 2)
     assert found.converged
     near(found, TANKS)
 
@@ -49,7 +49,7 @@ def test_a_reactor_that_ignites_is_found_in_a_wide_box():
 
 
 def test_hidden_states_do_not_explain_what_parameters_should():
-    found = fit(chain(), 4)
+    found = fit(chain(500), 3)
     assert found.agreeing >= 2
     near(found, CHAIN)
 
