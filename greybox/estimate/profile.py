@@ -295,7 +295,7 @@ class HeldMinima:
     def _solved(self, solver: GaussNewton, start: Point) -> Point:
         x = self.nlp.scaling.to_parameters(solver.limits.clipped(start.z))
         # From the states of a neighboring point a solution takes a few iterations.
-        outcome = solver.solved_from(x, start.nodes) if start.nodes else None
+        outcome = solver.near(x, start.nodes) if start.nodes else None
         # States of a distant neighbor may lead nowhere: then begin with the states of the data.
         if outcome is None or not outcome.converged:
             outcome = solver.run(x)

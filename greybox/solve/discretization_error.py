@@ -165,10 +165,12 @@ def without_aliases(search: Multistart, solver: LocalSolver) -> Multistart:
     aliases.
     """
     nlp = solver.nlp
-    limit = search.minima[0].cost + RIVAL_COST
+    best = search.minima[0]
 
     # An alias may have the response of the true parameters: ends are judged, not minima.
-    rivals = np.array([k for m in search.minima if m.cost <= limit for k in m.runs])
+    rivals = np.array(
+        [k for m in search.minima if m.cost <= best.cost + RIVAL_COST for k in m.runs]
+    )
     # Judging one end takes as long as two iterations.
     ends = [rivals[k] for k in distinct_ends(nlp, search.runs.estimate[rivals])[:10]]
     if len(ends) < 2:
@@ -192,7 +194,7 @@ def without_aliases(search: Multistart, solver: LocalSolver) -> Multistart:
     minima = [minimum_of(nlp, runs[np.array(numbers)]) for numbers in sound if numbers]
     minima.sort(key=lambda m: m.cost)
     nodes = search.nodes
-    if minima[0].runs[0] != search.minima[0].runs[0]:
+    if minima[0].runs[0] != best.runs[0]:
         nodes = tuple(t.nodes for t in solver.profile(minima[0].estimate).trajectories)
     return replace(search, runs=runs, minima=tuple(minima), nodes=nodes)
 
@@ -203,21 +205,22 @@ def with_finer_steps(search: Multistart, solver: LocalSolver) -> Multistart | No
     The runs that ended there move with them, so that runs and minima have the same costs. Minima
     that are not rivals of the best stay.
     """
-    limit = search.minima[0].cost + RIVAL_COST
     ends: dict[int, Outcome] = {}
+    nodes = search.nodes  # of the best run, which is the first to be followed
     count = 0
     least = math.inf
     for minimum in search.minima:
         # Three rivals are followed to the finer steps, at least one run each: they may become the
         # best, as may a minimum whose cost lies below all that have moved.
-        is_rival = count < 3 and minimum.cost <= limit
+        is_rival = count < 3 and minimum.cost <= search.minima[0].cost + RIVAL_COST
         if not (is_rival or minimum.cost < least < math.inf):
             break
 
         # One minimum may have several parameter vectors (lags that swap), which move by themselves.
         numbers = np.array(minimum.runs)
         for group in distinct_ends(solver.nlp, search.runs.estimate[numbers]):
-            outcome = solver.near(search.runs.estimate[numbers[group[0]]])
+            outcome = solver.near(search.runs.estimate[numbers[group[0]]], nodes)
+            nodes = None
             ends |= dict.fromkeys(numbers[group].tolist(), outcome)
         count += 1
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)

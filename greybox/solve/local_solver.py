@@ -88,8 +88,8 @@ class LocalSolver(Runner):
         """Compare the starts (r, p) with little work; None if that is not possible."""
         return None
 
-    def near(self, x: Array) -> Outcome:
-        """Return the run from parameters x (p,) that are near a minimum."""
+    def near(self, x: Array, nodes: Arrays | None = None) -> Outcome:
+        """Return the run from parameters x (p,), and nodes if they are known, near a minimum."""
         return self.run(x)
 
     def continued(self, outcome: Outcome) -> Outcome:

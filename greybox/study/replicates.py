@@ -194,7 +194,7 @@ class RecordReplicates(Replicates):
         nlp = copy(self.nlp)
         vars(nlp)["parts"] = tuple(parts)
         solver = GaussNewton(nlp)
-        outcome = solver.solved_from(self.start, self.nodes)
+        outcome = solver.near(self.start, self.nodes)
         # The states of the fit are a good start only if the drawn errors are small.
         if not outcome.converged:
             outcome = solver.run(self.start)

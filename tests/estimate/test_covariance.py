@@ -440,9 +440,7 @@ def test_an_inactive_constraint_changes_nothing():
 # --- invariances
 
 
-@pytest.mark.parametrize(
-    "criterion", [gb.RelativeError(), gb.MagnitudePhase()]
-)
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MagnitudePhase()])
 def test_the_scale_of_all_weights_changes_nothing(criterion):
     data = [measured(Lags(), OMEGA, LAGS, noise, seed) for seed, noise in ((0, 0.02), (1, 0.05))]
     one, other = (

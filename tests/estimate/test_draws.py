@@ -62,7 +62,7 @@ def test_motions_cover_the_true_step_response():
         inside.append((low <= step) & (step <= high))
     # benchmarks/draws_coverage.py has 300 repeats; of eight motions of 95 %, four miss with a
     # probability of 4e-4, and half of the five instants of each on average.
-    assert 0.75 <= np.mean(inside)
+    assert np.mean(inside) >= 0.75
 
 
 def test_a_parameter_at_its_bound_stays_there_and_the_others_are_drawn():

@@ -49,7 +49,9 @@ def test_lags_that_may_swap_are_told():
 
 @pytest.mark.parametrize(("side", "truth", "bound"), [("lower", -0.02, "0"), ("upper", 0.7, "0.5")])
 def test_a_parameter_at_its_bound_is_named_with_side_and_bound(side, truth, bound):
-    fit = gb.fit(gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=4, profiles=False)
+    fit = gb.fit(
+        gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=4, profiles=False
+    )
     assert any(
         text.startswith(f"tau ended at its {side} bound {bound}; the other standard errors")
         for text in fit.warnings
@@ -123,7 +125,9 @@ def test_a_pade_delay_is_told_when_it_errs_by_more_than_a_degree(order, tau, exp
     data = measured(
         LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": tau}, delay=delay, noise=0.001
     )
-    fit = gb.fit(gb.Problem(LagLagDelay(), data, delay=delay, constraints=ORDERED), starts=4, profiles=False)
+    fit = gb.fit(
+        gb.Problem(LagLagDelay(), data, delay=delay, constraints=ORDERED), starts=4, profiles=False
+    )
     error = pade_phase(order, TWO_LAGS_OMEGA * fit.estimate["tau"])
     assert fit.parts[0].pade_error == pytest.approx(error, rel=1e-6)
     assert (error > 1) == expected

@@ -98,7 +98,9 @@ def test_errors_of_a_sensor_that_misses_half_of_the_record_are_not_gusts():
         ]
         speed[150:] = np.nan
         measured = record.with_signals(y=y, speed=speed)
-        fits.append(gb.fit(gb.Problem(Tracked(), measured), starts=1, profiles=False, progress=False))
+        fits.append(
+            gb.fit(gb.Problem(Tracked(), measured), starts=1, profiles=False, progress=False)
+        )
     assert named(fits) == 0
 
 

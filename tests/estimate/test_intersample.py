@@ -209,8 +209,9 @@ class ShortPeriod(gb.StateSpace):
 
 
 @pytest.mark.parametrize("model", [Roll(), ShortPeriod()], ids=["Roll", "ShortPeriod"])
-def test_samples_of_outputs_without_a_lag_give_the_parameters(model, hold=0.05):
+def test_samples_of_outputs_without_a_lag_give_the_parameters(model):
     """Exact samples by the matrix exponential, up to an angle of one between two samples."""
+    hold = 0.05
     omega = np.geomspace(0.5, 1 / hold, 30)
     truth = {name: parameter.start for name, parameter in model.parameters.items()}
     if isinstance(model, Roll):

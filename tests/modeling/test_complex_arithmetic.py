@@ -13,8 +13,6 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
 
-
-
 OPERATORS = [operator.add, operator.sub, operator.mul, operator.truediv]
 
 

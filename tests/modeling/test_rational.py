@@ -15,8 +15,6 @@ import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.rational import Rational
 
-
-
 OPERATORS = [operator.add, operator.sub, operator.mul, operator.truediv]
 
 

@@ -1,6 +1,5 @@
 """Unfinished runs are continued, and hard records: a longer search never ends higher."""
 
-import numpy as np
 import pytest
 from hard_models import THRUST, conversion, thrust
 from nist import certified

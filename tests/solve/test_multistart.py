@@ -46,7 +46,9 @@ def test_two_lags_and_a_delay_are_found_from_nearly_every_start(criterion):
 
 @pytest.mark.parametrize("criterion", CRITERIA[:4], ids=repr)
 def test_tilt_is_found_from_nearly_every_start(criterion):
-    fit = gb.fit(gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT), criterion), 30, profiles=False)
+    fit = gb.fit(
+        gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT), criterion), 30, profiles=False
+    )
     assert fit.agreeing >= 28
     assert {n: fit.estimate[n] for n in TILT} == pytest.approx(TILT, rel=1e-6)
 

@@ -77,11 +77,12 @@ def test_joint_problems_are_searched_together_too():
     assert fit.agreeing == 20
 
 
-def test_precise_points_are_fitted_from_every_start(noise=1e-6):
+def test_precise_points_are_fitted_from_every_start():
     """The gradient of their likelihood is rounded to more than a solver's tolerance.
 
     Scipy begins at the truth.
     """
+    noise = 1e-6
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=noise, seed=2)
     sigma = noise * np.abs(data.response)
 

@@ -110,14 +110,11 @@ class GaussNewton(LocalSolver):
         return begin, parts.first_progress()
 
     @DIVERGING
-    def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
-        """Solve from the parameters x (p,) and nodes that are near those of the solution."""
-        return self._solved(self._at(x, nodes), EXACT, iterations)
-
-    def near(self, x: Array) -> Outcome:
-        """Solve from parameters x (p,) near a minimum, whose states are solved first."""
+    def near(self, x: Array, nodes: Nodes | None = None, iterations: int | None = None) -> Outcome:
+        """Solve from parameters x (p,) near a minimum, and its nodes, or those best at x."""
         # From states of the data, a run may leave for another minimum.
-        return self.solved_from(x, [part.nodes for part in self.profile(x).trajectories])
+        nodes = nodes or [part.nodes for part in self.profile(x).trajectories]
+        return self._solved(self._at(x, nodes), EXACT, iterations)
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
@@ -127,7 +124,7 @@ class GaussNewton(LocalSolver):
         # problems, takes 1300 iterations.
         affordable = min(3_000_000 // max(self._parts.samples, 1), 2000)
         iterations = max(affordable, self.settings.max_iter)
-        return spent(self.solved_from(outcome.estimate, outcome.nodes, iterations), outcome)
+        return spent(self.near(outcome.estimate, outcome.nodes, iterations), outcome)
 
     def _solved(
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
