@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from evaluation import evaluate
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 import greybox as gb
@@ -41,6 +41,7 @@ def close(actual, expected):
     "make", [lambda z: Complex(z.real, z.imag), symbolic], ids=["numbers", "casadi"]
 )
 @pytest.mark.parametrize("combine", OPERATORS)
+@settings(max_examples=15)
 @given(a=numbers, b=numbers, c=size)
 def test_complex_arithmetic_is_that_of_numpy(make, combine, a, b, c):
     close(number(combine(make(a), make(b))), combine(a, b))

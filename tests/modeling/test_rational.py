@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from evaluation import evaluate
-from hypothesis import assume, given, strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from numpy.polynomial import Polynomial
 from numpy.testing import assert_allclose
 
@@ -45,6 +45,7 @@ def fraction(form, s):
 
 
 @pytest.mark.parametrize("combine", OPERATORS)
+@settings(max_examples=15)
 @given(a=rationals, b=rationals, s=numbers, c=size)
 def test_rational_arithmetic_is_that_of_the_values(combine, a, b, s, c):
     (x, p), (y, q) = fraction(a, s), fraction(b, s)

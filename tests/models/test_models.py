@@ -36,7 +36,6 @@ CASES = [(model(), {}) for model in SHIPPED.values()] + [
     (Polynomial(6, 5), {}),
     (Polynomial(1, 0, integrator=True), {}),
     (NonlinearTilt(), {"theta": 0.0873}),
-    (NonlinearTilt(), {"theta": -0.0873}),
     (EulerKinematics(), ATTITUDE),
     (RigidBody(), ATTITUDE),
     (Torques(), {"Omega_1": 500.0, "Omega_2": 510.0, "Omega_3": 480.0, "Omega_4": 520.0}),

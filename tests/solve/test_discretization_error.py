@@ -172,10 +172,11 @@ class Solver:
     nlp = PLAIN
 
     def __init__(self, ends):
-        self.ends, self.asked = ends, []
+        self.ends, self.asked, self.with_nodes = ends, [], []
 
     def near(self, start, nodes=None):
         self.asked.append(float(start[0]))
+        self.with_nodes.append(nodes is not None)
         cost = self.ends.get(float(start[0]), math.inf)
         converged = math.isfinite(cost)
         signature, nodes = np.array([cost]), (np.full((1, 1), cost),)
@@ -208,6 +209,7 @@ def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():
     solver = Solver({1.0: 14.0, 2.0: 14.5, 3.0: 11.0})
     found = with_finer_steps(search, solver)
     assert solver.asked == [1.0, 2.0, 3.0]  # those of one end together, and none that is no rival
+    assert solver.with_nodes == [True, False, False]  # a search has those of its best run
     assert [run.cost for run in found.runs] == [14.0, 14.0, 14.5, 11.0, 20.1, 30.0, 0.0]
     assert [run.status for run in found.runs[:4]] == ["moved"] * 4
     assert [float(run.estimate[0]) for run in found.runs[:5]] == [1.5, 1.5, 2.5, 3.5, 4.0]
