@@ -131,7 +131,7 @@ def test_an_open_end_is_said_and_the_ratio_is_known(monkeypatch):
 
 @pytest.fixture(scope="module")
 def yaw():
-    return gb.fit(yaw_hover.problem(), starts=10, progress=False)
+    return gb.fit(yaw_hover.problem(), starts=5, progress=False)
 
 
 def test_the_yaw_damping_is_positive_and_has_no_upper_limit(yaw):
@@ -149,7 +149,7 @@ def test_the_yaw_damping_is_positive_and_has_no_upper_limit(yaw):
 
 def test_derived_quantities_follow_their_parameter():
     profiles = gb.profile(
-        gb.fit(pitch_hover.problem(), starts=20, progress=False), ["a3", "a3_tilde"]
+        gb.fit(pitch_hover.problem(), starts=5, progress=False), ["a3", "a3_tilde"]
     )
     assert_allclose(
         profiles["a3_tilde"].interval, PAPER_G * np.array(profiles["a3"].interval), rtol=1e-3
@@ -169,7 +169,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 def test_a_saved_fit_is_profiled_too(tmp_path):
-    fit = gb.fit(pitch_hover.problem(), starts=10, progress=False)
+    fit = gb.fit(pitch_hover.problem(), starts=5, progress=False)
     gb.save(fit, tmp_path / "pitch.h5")
     again = gb.load(tmp_path / "pitch.h5")
     assert gb.profile(again, "a1")["a1"].interval == gb.profile(fit, "a1")["a1"].interval
@@ -245,7 +245,7 @@ def test_what_has_no_likelihood_ratio_is_refused():
     tied = gb.Problem(
         LagLagDelay(), noisy(LagLagDelay(), TWO_LAGS, 0.02, 0), tied={"T1": lambda p: 3 * p.T2}
     )
-    fit = gb.fit(tied, starts=10, progress=False)
+    fit = gb.fit(tied, starts=5, progress=False)
     with pytest.raises(ValueError, match="give its problem="):
         gb.profile(fit)
     assert np.isfinite(gb.profile(fit, "T1", problem=tied)["T1"].interval).all()

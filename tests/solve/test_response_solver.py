@@ -46,8 +46,8 @@ def test_a_minimum_at_a_bound_is_found_as_often_as_by_ipopt():
     Most searches end elsewhere.
     """
     problem = gb.Problem(Tilt(), pitch_5deg.data(), free=["a5"])
-    wanted = gb.fit(problem, 30, search="multistart", progress=False, profiles=False)
-    fit = gb.fit(problem, 30, progress=False, profiles=False)
+    wanted = gb.fit(problem, 20, search="multistart", progress=False, profiles=False)
+    fit = gb.fit(problem, 20, progress=False, profiles=False)
     assert wanted.estimate["a5"] == pytest.approx(0, abs=1e-6)
     assert fit.cost == pytest.approx(wanted.cost, rel=1e-7)
     assert 0 < wanted.agreeing <= fit.agreeing
@@ -153,7 +153,7 @@ def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all(
     few = gb.fit(problem, progress=False)
     assert [stages(few).count(stage) for stage in ("screened", "polished")] == [192, 8]
     assert few.cost == pytest.approx(
-        gb.fit(NOISY, 20, search="multistart", progress=False).cost, rel=1e-7
+        gb.fit(NOISY, 4, search="multistart", progress=False).cost, rel=1e-7
     )
 
 

@@ -83,6 +83,6 @@ def test_starts_with_delays_of_many_turns_find_the_minimum():
     errors = 0.05 * np.random.default_rng(3).normal(size=(2, omega.size))
     measured = exact * (1 + errors[0] + 1j * errors[1])
     response = gb.FrequencyResponse(omega, measured, input="u", output="q")
-    fit = gb.fit(gb.Problem(Rate(), response), starts=16, profiles=False, progress=False)
+    fit = gb.fit(gb.Problem(Rate(), response), starts=10, profiles=False, progress=False)
     assert abs(fit.estimate["K"] - 400) < 4 * fit.standard_error["K"]
     assert sum(run.cost < 1.001 * fit.cost for run in fit.runs) > 1
