@@ -220,12 +220,11 @@ def batch(T, samples, random):
 
 @pytest.mark.parametrize("samples", [5, 8])
 def test_batches_of_few_samples_are_judged_by_what_lines_and_initial_states_leave(samples):
-    for seed in range(1):
-        random = np.random.default_rng(seed)
-        batches = [batch(T, samples, random) for T in random.uniform(-1, 1, 6)]
-        fit = gb.fit(gb.several(Reaction(), batches), starts=1, progress=False)
-        assert abs(fit.estimate["rate"] - 0.5) < 4 * fit.standard_error["rate"]
-        assert fit.misfit is None or fit.misfit.explains
+    random = np.random.default_rng(0)
+    batches = [batch(T, samples, random) for T in random.uniform(-1, 1, 4)]
+    fit = gb.fit(gb.several(Reaction(), batches), starts=1, progress=False)
+    assert abs(fit.estimate["rate"] - 0.5) < 4 * fit.standard_error["rate"]
+    assert fit.misfit is None or fit.misfit.explains
 
 
 def test_three_samples_of_an_output_do_not_decide():
@@ -239,12 +238,11 @@ def test_three_samples_of_an_output_do_not_decide():
 
     flight = problem().record
     v = gb.simulate(Watched(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["v"]
-    for seed in range(1):
-        random = np.random.default_rng(seed)
-        few, at = np.full(SAMPLES, np.nan), random.choice(SAMPLES, 3, replace=False)
-        few[at] = v[at] + 0.1 * random.normal(size=3)
-        data = flight.with_signals(v=few)
-        assert gb.fit(gb.Problem(Watched(), data), starts=1, progress=False).misfit.explains
+    random = np.random.default_rng(0)
+    few, at = np.full(SAMPLES, np.nan), random.choice(SAMPLES, 3, replace=False)
+    few[at] = v[at] + 0.1 * random.normal(size=3)
+    data = flight.with_signals(v=few)
+    assert gb.fit(gb.Problem(Watched(), data), starts=1, progress=False).misfit.explains
 
 
 class Drone(gb.StateSpace):
@@ -883,7 +881,7 @@ def test_an_offset_is_named_and_drift_is_none():
     assert not any("offset" in cause.text for cause in fitted(color="drift").misfit.likely)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_rest_before_a_step_shows_no_offset(seed):
     """The gain takes an offset after a step: the 14 samples before it are one piece of noise."""
     random = np.random.default_rng(seed)
