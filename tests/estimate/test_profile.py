@@ -53,7 +53,7 @@ def noisy(model, values, sigma, seed, omega=OMEGA):
 
 
 def fitted(model, data, criterion=None, **options):
-    return gb.fit(gb.Problem(model, data, criterion, **options), starts=4, progress=False)
+    return gb.fit(gb.Problem(model, data, criterion, **options), starts=2, progress=False)
 
 
 def brute_force(fit, model, name, edge, level=0.95):
