@@ -43,16 +43,15 @@ def both(time, k1=K, k2=LATE):
     return np.array([A, k1 * (A - np.exp(-k2 * time)) / (k2 - k1)])
 
 
-@pytest.mark.parametrize("samples", [3, 4, 5, 10])
+@pytest.mark.parametrize("samples", [3, 4])
 def test_a_decay_of_few_samples(samples):
     """Without alias of the integration, and without outliers."""
-    for seed in range(3):
-        time = np.linspace(0, 5, samples)
-        x = 2 * np.exp(-0.8 * time) + 0.02 * np.random.default_rng(seed).normal(size=samples)
-        fit = gb.fit(gb.Problem(Decay(), gb.Record(time, {"x": x})), progress=False)
-        low, high = fit.interval()["k"]
-        assert low < 0.8 < high
-        assert not [text for text in fit.warnings if "same response" in text or "outlier" in text]
+    time = np.linspace(0, 5, samples)
+    x = 2 * np.exp(-0.8 * time) + 0.02 * np.random.default_rng(0).normal(size=samples)
+    fit = gb.fit(gb.Problem(Decay(), gb.Record(time, {"x": x})), progress=False)
+    low, high = fit.interval()["k"]
+    assert low < 0.8 < high
+    assert not [text for text in fit.warnings if "same response" in text or "outlier" in text]
 
 
 @pytest.mark.parametrize("samples", [1, 2, 9])
@@ -65,7 +64,7 @@ def test_given_noise_counts_where_an_output_has_few_samples(samples):
     J = np.hstack([slopes[:, 0], slopes[:, 1, present]]) / 0.02
     exact = np.sqrt(np.diag(np.linalg.inv(J @ J.T)))
     errors, doubts = [], 0
-    for seed in range(6):
+    for seed in range(2):
         A, B = both(time) + 0.02 * np.random.default_rng(seed).normal(size=(2, 9))
         B[~np.isin(range(9), present)] = np.nan
         criterion = gb.OutputError(noise=noise, initial={"A": 1.0, "B": 0.0})
@@ -90,13 +89,13 @@ def batches(count, samples, noise=0.02):
 def fitted(records, method=None, **options):
     """Return the fit of all batches."""
     problem = gb.several(Decay(), records, criterion=gb.OutputError(**options))
-    return gb.fit(problem, starts=2, progress=False, method=method or gb.MultipleShooting())
+    return gb.fit(problem, starts=1, progress=False, method=method or gb.MultipleShooting())
 
 
 @pytest.mark.parametrize("method", [gb.MultipleShooting(), gb.SingleShooting()])
 def test_batches_of_few_samples_share_the_variance_of_an_output(method):
     """One variance for all is least squares, and a long record has its own."""
-    records = batches(12, 4)
+    records = batches(6, 4)
     time, x = records[0].time, np.array([record["x"] for record in records])
 
     def rest(k):
@@ -107,7 +106,7 @@ def test_batches_of_few_samples_share_the_variance_of_an_output(method):
     assert fit.estimate["k"] == pytest.approx(minimize_scalar(rest, (0.5, 1)).x, abs=1e-4)
     low, high = fit.interval()["k"]
     assert low < 0.8 < high
-    exact, noisy = batches(2, 40, noise=0.001), batches(12, 4, noise=0.2)
+    exact, noisy = batches(2, 40, noise=0.001), batches(6, 4, noise=0.2)
     joint = fitted([*noisy, *exact], method).estimate["k"]
     assert joint == pytest.approx(fitted(exact).estimate["k"], abs=3e-4)
 
@@ -122,7 +121,7 @@ def test_noise_of_few_samples_is_to_be_given_unless_it_is_shared(names, is_said)
             model = type(name, (Decay,), {"outputs": (name,)})()
             data = gb.Record(record.time, {name: record["x"]})
             parts.append(gb.Problem(model, data, gb.OutputError(**noise.get(name, {}))))
-        texts = gb.fit(sum(parts[1:], parts[0]), starts=2, progress=False).warnings
+        texts = gb.fit(sum(parts[1:], parts[0]), starts=1, progress=False).warnings
         return any("is estimated from 4 samples" in text for text in texts)
 
     assert said() == is_said

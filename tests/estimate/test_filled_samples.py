@@ -38,7 +38,7 @@ def measured(seed, noise=0.1):
 
 def fitted(u, y):
     record = gb.Record(np.arange(SAMPLES) / RATE, {"u": u, "y": y}, hold={"u": np.inf})
-    return gb.fit(gb.Problem(Lag(), record), starts=2, progress=False)
+    return gb.fit(gb.Problem(Lag(), record), starts=1, progress=False, profiles=False)
 
 
 def is_filled(fit):

@@ -39,13 +39,11 @@ def said(fit):
     return any("correlated along frequency" in text for text in fit.warnings)
 
 
-@pytest.mark.parametrize(
-    "criterion", [gb.RelativeError(), gb.MaximumLikelihood(), gb.MagnitudePhase()], ids=str
-)
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=str)
 def test_correlated_errors_are_said_and_independent_ones_not(criterion):
-    # With a probability of 1 %, two of four have one of 0.1 %.
-    assert sum(said(fitted(0.0, criterion, seed)) for seed in range(4)) <= 1
-    assert sum(said(fitted(0.8, criterion, seed)) for seed in range(4)) >= 3
+    # With a probability of 3e-4, two of three have one of 1 %.
+    assert sum(said(fitted(0.0, criterion, seed)) for seed in range(3)) <= 1
+    assert sum(said(fitted(0.8, criterion, seed)) for seed in range(3)) >= 2
 
 
 def test_few_points_whose_errors_count_as_independent_say_that_they_hardly_show_it():
@@ -178,10 +176,9 @@ class Pair(gb.StateSpace):
         return x.p, x.r
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_each_of_many_responses_has_a_share_of_the_parameters_only(seed):
+def test_each_of_many_responses_has_a_share_of_the_parameters_only():
     """Given variances and white errors: intervals are nearly normal, as printed and in every quantity."""
-    random, responses = np.random.default_rng(seed), []
+    random, responses = np.random.default_rng(0), []
     omega = np.geomspace(0.5, 20, 20)
     for u, y in [(u, y) for u in Pair.inputs for y in Pair.outputs] * 3:
         exact = gb.frequency_response(Pair(), None, omega, input=u, output=y).response

@@ -24,8 +24,9 @@ ORDERED = [lambda p: p.T1 - p.T2]
 SMALL = {"K": 5.0, "T1": 1.0, "T2": 0.1, "tau": 0.05}
 
 
-def warned(model, data, criterion=None, starts=12, **statement):
-    return gb.fit(gb.Problem(model, data, criterion, **statement), starts=starts).warnings
+def warned(model, data, criterion=None, starts=2, **statement):
+    problem = gb.Problem(model, data, criterion, **statement)
+    return gb.fit(problem, starts=starts, profiles=False).warnings
 
 
 def lags(noise=0.02, seed=1, **changes):
@@ -48,7 +49,9 @@ def test_lags_that_may_swap_are_told():
 
 @pytest.mark.parametrize(("side", "truth", "bound"), [("lower", -0.02, "0"), ("upper", 0.7, "0.5")])
 def test_a_parameter_at_its_bound_is_named_with_side_and_bound(side, truth, bound):
-    fit = gb.fit(gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=12)
+    fit = gb.fit(
+        gb.Problem(LagLagDelay(), lags(tau=truth), constraints=ORDERED), starts=2, profiles=False
+    )
     assert any(
         text.startswith(f"tau ended at its {side} bound {bound}; the other standard errors")
         for text in fit.warnings
@@ -115,14 +118,16 @@ def pade_phase(order, z):
 
 @pytest.mark.parametrize(
     ("order", "tau", "expected"),
-    [(1, 0.05, True), (2, 0.05, False), (2, 0.1, True), (3, 0.1, False)],
+    [(1, 0.05, True), (2, 0.05, False), (2, 0.1, True)],
 )
 def test_a_pade_delay_is_told_when_it_errs_by_more_than_a_degree(order, tau, expected):
     delay = f"pade:{order}"
     data = measured(
         LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS | {"tau": tau}, delay=delay, noise=0.001
     )
-    fit = gb.fit(gb.Problem(LagLagDelay(), data, delay=delay, constraints=ORDERED), starts=10)
+    fit = gb.fit(
+        gb.Problem(LagLagDelay(), data, delay=delay, constraints=ORDERED), starts=2, profiles=False
+    )
     error = pade_phase(order, TWO_LAGS_OMEGA * fit.estimate["tau"])
     assert fit.parts[0].pade_error == pytest.approx(error, rel=1e-6)
     assert (error > 1) == expected
@@ -147,7 +152,7 @@ def test_a_dead_parameter_is_named_and_has_no_standard_error():
             return super().response(s, p) + 0 * p.mass
 
     fit = gb.fit(
-        gb.Problem(Dead(), measured(Dead(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02)), starts=10
+        gb.Problem(Dead(), measured(Dead(), TWO_LAGS_OMEGA, {"K": 2.0}, noise=0.02)), starts=2
     )
     (text,) = fit.warnings
     assert text.startswith("mass is not determined: it does not change the response")
@@ -160,13 +165,13 @@ def test_parameters_seen_only_as_a_product_are_named_together():
     data = measured(
         YawStates(), np.geomspace(1, 60, 30), truth, noise=0.02, seed=2, input="u", output="r"
     )
-    fit = gb.fit(gb.Problem(YawStates(), data, free=("K_nu",)), starts=20)
+    fit = gb.fit(gb.Problem(YawStates(), data, free=("K_nu",)), starts=4, profiles=False)
     texts = [text for text in fit.warnings if "depend only on a combination" in text]
     assert len(texts) == 1
     assert set(texts[0].split(" are not determined")[0].split(" and ")) == {"K_nu", "a1"}
     assert np.isnan([fit.standard_error[n] for n in ("K_nu", "a1")]).all()
     # The product is determined as well as with K_nu fixed.
-    alone = gb.fit(gb.Problem(YawStates(), data), starts=20)
+    alone = gb.fit(gb.Problem(YawStates(), data), starts=4, profiles=False)
     assert not any("determined" in text for text in alone.warnings)
     for name in ("a1_tilde", "a2", "a3", "a4"):
         assert fit.standard_error[name] == pytest.approx(alone.standard_error[name], rel=0.05)
@@ -188,7 +193,7 @@ def test_poorly_identifiable_combinations_are_told_with_their_collinearity():
 @pytest.mark.parametrize("points", [1, 2])
 def test_too_few_data_are_told_and_give_no_standard_errors(points, noise):
     data = measured(LagLagDelay(), [0.5, 8.0][:points], TWO_LAGS, noise=noise)
-    fit = gb.fit(gb.Problem(LagLagDelay(), data), starts=8)
+    fit = gb.fit(gb.Problem(LagLagDelay(), data), starts=2)
     words = (
         f"{2 * points} real numbers of data for 4 unknowns leave no degrees of freedom, so that no standard error is "
         "known: add data."

@@ -63,16 +63,16 @@ def named(fits):
 def test_errors_of_a_sensor_in_a_short_record_are_not_gusts():
     """Of 20 such fits, 12 named gusts, and one had 0.06 degrees of freedom."""
     truth = {"k": 1.0, "c": 0.6, "b": 1.0}
-    fits = [fitted(Spring, truth, 0.0, (0.8, 0.05), 100, seed) for seed in range(8, 14)]
-    assert named(fits) <= 1
+    fits = [fitted(Spring, truth, 0.0, (0.8, 0.05), 100, seed) for seed in range(8, 11)]
+    assert named(fits) == 0
     assert min(fit.dof for fit in fits) >= 1
 
 
 def test_gusts_in_a_slow_vehicle_are_named():
     """Of 20 such fits, 7 named them."""
     truth = {"K": 2.0, "tau": 2.0}
-    fits = [fitted(SlowLag, truth, 0.3, (0.0, 0.01), 300, seed) for seed in range(6)]
-    assert named(fits) >= 5
+    fits = [fitted(SlowLag, truth, 0.3, (0.0, 0.01), 300, seed) for seed in range(4)]
+    assert named(fits) >= 3
 
 
 class Tracked(Spring):
@@ -85,7 +85,7 @@ class Tracked(Spring):
 def test_errors_of_a_sensor_that_misses_half_of_the_record_are_not_gusts():
     """All four such fits named gusts: both outputs counted as whole."""
     fits = []
-    for seed in range(4):
+    for seed in range(2):
         random = np.random.default_rng(seed)
         u = np.repeat(np.sign(random.normal(size=20)), 15)
         record = gb.Record(STEP * np.arange(u.size), {"u": u}, hold={"u": 0.0})
@@ -98,8 +98,10 @@ def test_errors_of_a_sensor_that_misses_half_of_the_record_are_not_gusts():
         ]
         speed[150:] = np.nan
         measured = record.with_signals(y=y, speed=speed)
-        fits.append(gb.fit(gb.Problem(Tracked(), measured), starts=1, progress=False))
-    assert named(fits) <= 1
+        fits.append(
+            gb.fit(gb.Problem(Tracked(), measured), starts=1, profiles=False, progress=False)
+        )
+    assert named(fits) == 0
 
 
 class ShortPeriod(gb.StateSpace):

@@ -99,9 +99,10 @@ def record(model, values, **initial):
     )
 
 
-def fitted(model, data, starts=3, biases=(), **options):
+def fitted(model, data, starts=1, biases=(), **options):
     criterion = gb.OutputError(inputs="held", biases=biases)
-    return gb.fit(gb.Problem(model, data, criterion, **options), starts=starts, progress=False)
+    problem = gb.Problem(model, data, criterion, **options)
+    return gb.fit(problem, starts=starts, progress=False, profiles=False)
 
 
 def undetermined(fit):
@@ -154,7 +155,8 @@ def test_two_biases_of_one_state_are_named_together_once():
 def test_a_rate_that_a_hidden_state_makes_up_for_is_named_with_it(segment):
     data = record(Drifting(), {"G": 1.5, "rate": 0.2})
     problem = gb.Problem(Drifting(), data, gb.OutputError(inputs="held"))
-    fit = gb.fit(problem, starts=2, method=gb.MultipleShooting(segment=segment), progress=False)
+    method = gb.MultipleShooting(segment=segment)
+    fit = gb.fit(problem, starts=1, method=method, progress=False, profiles=False)
     (text,) = undetermined(fit)
     assert text.startswith("rate and the initial state of c are not determined")
     assert np.isnan(fit.standard_error["rate"])

@@ -13,7 +13,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.transcribed_program import TranscribedProgram
 
-RECORD_PROBLEM = lag_problem(samples=100)
+RECORD_PROBLEM = lag_problem(samples=40)
 MANY = 20_000  # starts that would take minutes
 RESPONSE_PROBLEM = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)

@@ -2,6 +2,7 @@
 
 import re
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -80,10 +81,10 @@ def test_a_right_model_explains_its_data(color):
 
 
 # Of 60 right models, 4 are called wrong; before errors were whitened by pieces, 25 were.
-@pytest.mark.parametrize(("plant", "least", "most"), [(Spring, 7, 8), (Cubic, 0, 0)])
-def test_gaps_in_slow_errors_are_no_misfit_and_hide_none(plant, least, most):
-    explained = 0
-    for seed in range(max(most, 3)):
+@pytest.mark.parametrize(("plant", "seeds", "explained"), [(Spring, 3, 3), (Cubic, 1, 0)])
+def test_gaps_in_slow_errors_are_no_misfit_and_hide_none(plant, seeds, explained):
+    count = 0
+    for seed in range(seeds):
         random = np.random.default_rng(seed)
         flight = problem(plant, seed=seed, noise=0.0).data
         innovations = np.append(random.normal(), 0.24 * random.normal(size=SAMPLES - 1))
@@ -92,8 +93,8 @@ def test_gaps_in_slow_errors_are_no_misfit_and_hide_none(plant, least, most):
             x[first : first + 20] = np.nan
         flight = flight.with_signals(x=x)
         fit = gb.fit(gb.Problem(Spring(), flight), starts=1, progress=False)
-        explained += fit.misfit.explains
-    assert least <= explained <= most
+        count += fit.misfit.explains
+    assert count == explained
 
 
 # With 1e-8, rounding of the simulation is hidden, and with 1e-4, the noise is that of a sensor.
@@ -104,7 +105,10 @@ def test_data_from_a_simulation_are_recognized_if_they_have_no_noise(noise):
     assert fit.misfit.is_exact == (noise < 1e-6)
     assert ("without noise" in str(fit)) == (noise < 1e-6)
     assert not any("gusts" in warning or "correlated" in warning for warning in fit.warnings)
-    assert not fitted(Cubic, noise=noise).misfit.explains
+
+
+def test_a_wrong_model_of_a_simulation_does_not_explain_it():
+    assert not fitted(Cubic, noise=0.0).misfit.explains
 
 
 def test_rounding_of_a_response_is_no_outlier_and_has_no_profile():
@@ -135,13 +139,9 @@ def test_terms_of_nearly_the_same_effect_are_named_beside_each_other():
     assert f"hardly distinct from {lag}" in str(fit)
 
 
-@pytest.mark.parametrize("k", [25.0, 26.0])
-def test_a_record_that_needs_a_value_of_its_own_is_named(k):
-    both = problem(seed=0) + problem(seed=1, k=k)
-    misfit = gb.fit(both, starts=1, progress=False).misfit
-    assert misfit.explains == (k == 25)
-    if k != 25:
-        assert "a value of k that is" in misfit.likely[0].text
+def test_records_that_share_their_values_need_none_of_their_own():
+    both = problem(seed=0) + problem(seed=1)
+    assert gb.fit(both, starts=1, progress=False).misfit.explains
 
 
 def test_flights_that_are_named_alike_are_told_apart():
@@ -184,8 +184,9 @@ def repeated(plant, flights, periods, seed=0):
     return sum(parts[1:], parts[0])
 
 
-@pytest.mark.parametrize(("flights", "periods"), [(3, 1), (1, 4)])
-@pytest.mark.parametrize("plant", [Spring, Wavy])
+@pytest.mark.parametrize(
+    ("plant", "flights", "periods"), [(Wavy, 3, 1), (Wavy, 1, 4), (Spring, 2, 1)]
+)
 def test_what_repeats_with_the_inputs_is_no_noise(plant, flights, periods):
     fit = gb.fit(repeated(plant, flights, periods), starts=1, progress=False)
     assert fit.misfit.explains == (plant is Spring)
@@ -219,12 +220,11 @@ def batch(T, samples, random):
 
 @pytest.mark.parametrize("samples", [5, 8])
 def test_batches_of_few_samples_are_judged_by_what_lines_and_initial_states_leave(samples):
-    for seed in range(4):
-        random = np.random.default_rng(seed)
-        batches = [batch(T, samples, random) for T in random.uniform(-1, 1, 6)]
-        fit = gb.fit(gb.several(Reaction(), batches), starts=1, progress=False)
-        assert abs(fit.estimate["rate"] - 0.5) < 4 * fit.standard_error["rate"]
-        assert fit.misfit is None or fit.misfit.explains
+    random = np.random.default_rng(0)
+    batches = [batch(T, samples, random) for T in random.uniform(-1, 1, 4)]
+    fit = gb.fit(gb.several(Reaction(), batches), starts=1, progress=False)
+    assert abs(fit.estimate["rate"] - 0.5) < 4 * fit.standard_error["rate"]
+    assert fit.misfit is None or fit.misfit.explains
 
 
 def test_three_samples_of_an_output_do_not_decide():
@@ -238,12 +238,11 @@ def test_three_samples_of_an_output_do_not_decide():
 
     flight = problem().record
     v = gb.simulate(Watched(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["v"]
-    for seed in range(3):
-        random = np.random.default_rng(seed)
-        few, at = np.full(SAMPLES, np.nan), random.choice(SAMPLES, 3, replace=False)
-        few[at] = v[at] + 0.1 * random.normal(size=3)
-        data = flight.with_signals(v=few)
-        assert gb.fit(gb.Problem(Watched(), data), starts=1, progress=False).misfit.explains
+    random = np.random.default_rng(0)
+    few, at = np.full(SAMPLES, np.nan), random.choice(SAMPLES, 3, replace=False)
+    few[at] = v[at] + 0.1 * random.normal(size=3)
+    data = flight.with_signals(v=few)
+    assert gb.fit(gb.Problem(Watched(), data), starts=1, progress=False).misfit.explains
 
 
 class Drone(gb.StateSpace):
@@ -298,7 +297,7 @@ def test_rounding_that_repeats_with_the_inputs_is_no_misfit(plant):
 
 def test_a_parameter_that_follows_an_operating_signal_is_named():
     # k rises by 0.25 per m/s of an airspeed that the model does not know.
-    parts = [problem(seed=n, k=24.0 + n, airspeed=10.0 + 4 * n) for n in range(4)]
+    parts = [problem(seed=n, k=24.0 + n, airspeed=10.0 + 4 * n) for n in range(3)]
     flights = sum(parts[1:], parts[0])
     (first, *_) = gb.fit(flights, starts=1, progress=False).misfit.likely
     assert first.text.startswith("k grows with airspeed")
@@ -315,7 +314,7 @@ def test_operating_points_of_responses_order_a_parameter():
         response *= 1 + 0.01 * (random.normal(size=(20, 2)) @ [1, 1j])
         data = gb.FrequencyResponse(s.imag, response, "u", "x")
         parts.append(gb.Problem(Spring(), data, at={"x": angle}, name=f"{angle} rad"))
-    (first, *_) = gb.fit(sum(parts[1:], parts[0]), starts=2, progress=False).misfit.likely
+    (first, *_) = gb.fit(sum(parts[1:], parts[0]), starts=1, progress=False).misfit.likely
     assert first.text.startswith("k falls with x")
     assert first.code == "p.k + p.k_by_x * x.x in place of p.k"  # x is a state
     assert first.value == pytest.approx(-12, rel=0.1)  # a line through 25 cos(angle)
@@ -377,7 +376,7 @@ class Windy:
 
 def predicted(plant, seed=0, is_logged=False):
     """Fit the predictor of the spring to a flight of another plant in gusts."""
-    random, n = np.random.default_rng(seed), 1000
+    random, n = np.random.default_rng(seed), 500
     gust = lfilter([1.0], [1, -np.exp(-STEP / 0.5)], random.normal(size=n))
     u = np.repeat(random.choice([-1.0, 0.0, 1.0], n // 25), 25)
     time = STEP * np.arange(n)
@@ -447,7 +446,7 @@ def of_response(defect, correlation=0.0, points=24):
         error[k] = correlation * error[k - 1] + np.sqrt(1 - correlation**2) * error[k]
     response = 25 / (s**2 + 2 * s + 25) * defect(s) * (1 + 0.03 * error)
     data = gb.FrequencyResponse(s.imag, response, "u", "y")
-    return gb.fit(gb.Problem(Resonance(), data), starts=2, progress=False).misfit
+    return gb.fit(gb.Problem(Resonance(), data), starts=1, progress=False).misfit
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
@@ -455,11 +454,11 @@ def test_errors_of_a_response_are_no_misfit(correlation):
     assert of_response(lambda s: 1.0, correlation).explains
 
 
-@pytest.mark.parametrize(("T", "explains"), [(0.0, 8), (0.04, 0)])
+@pytest.mark.parametrize(("T", "explains"), [(0.0, 4), (0.04, 0)])
 def test_variances_of_three_periods_have_few_degrees_of_freedom(T, explains):
     random, s, count = np.random.default_rng(2), 1j * np.linspace(0.5, 30, 80), 0
     exact = 25 / (s**2 + 2 * s + 25) / (T * s + 1)
-    for _ in range(8):
+    for _ in range(max(explains, 1)):
         error = 0.01 * random.normal(size=(80, 2)) @ [1, 1j]
         variance = 2e-4 * random.chisquare(4, 80) / 4
         data = gb.FrequencyResponse(
@@ -470,13 +469,13 @@ def test_variances_of_three_periods_have_few_degrees_of_freedom(T, explains):
     assert count == explains
 
 
-@pytest.mark.parametrize(("T", "explains"), [(0.0, 5), (0.03, 0)])
+@pytest.mark.parametrize(("T", "explains"), [(0.0, 3), (0.03, 0)])
 def test_errors_of_unlike_variances_are_judged_by_these(T, explains):
     """Also where relative errors are minimized: at the end of a sweep they are 100 times larger."""
     random, s, count = np.random.default_rng(7), 1j * np.linspace(0.5, 15, 30), 0
     exact = 25 / (s**2 + 2 * s + 25) * np.exp(-T * s)
     size = np.where(s.imag > 13.7, 0.5, 0.005) * np.abs(exact)
-    for _ in range(5):
+    for _ in range(max(explains, 1)):
         error = size * (random.normal(size=(30, 2)) @ [1, 1j])
         data = gb.FrequencyResponse(s.imag, exact + error, "u", "y", variance=2 * size**2)
         fit = gb.fit(gb.Problem(Resonance(), data), starts=[{}], progress=False, profiles=False)
@@ -490,7 +489,7 @@ def test_larger_errors_at_the_highest_frequencies_are_no_misfit():
     error = 0.02 * random.normal(size=(24, 2)) @ [1, 1j]
     error[-4:] *= 10
     data = gb.FrequencyResponse(s.imag, 25 / (s**2 + 2 * s + 25) * (1 + error), "u", "y")
-    assert gb.fit(gb.Problem(Resonance(), data), starts=2, progress=False).misfit.explains
+    assert gb.fit(gb.Problem(Resonance(), data), starts=1, progress=False).misfit.explains
 
 
 def test_parts_may_disagree_without_a_cause():
@@ -515,7 +514,7 @@ def test_large_residuals_are_named_where_nothing_is_missing(left, drift, words):
 def test_one_set_of_values_does_not_serve_both_tables_of_the_paper():
     # Chapter 4: the stiffness a1 and the speed stability a3 differ between hover and 5 degrees.
     both = pitch_hover.problem() + pitch_5deg.problem()
-    misfit = gb.fit(both, starts=2, progress=False).misfit
+    misfit = gb.fit(both, starts=1, progress=False).misfit
     assert not misfit.explains
     assert misfit.p_common < 1e-4
     assert "one set of values" in misfit.verdict
@@ -607,13 +606,13 @@ def test_misfit_is_stored_with_the_fit(plant, tmp_path):
 
 def test_larger_errors_at_both_ends_are_no_misfit():
     s, explained = 1j * np.geomspace(0.8, 30, 24), 0
-    for seed in range(8):
+    for seed in range(3):
         error = 0.01 * np.random.default_rng(seed).normal(size=(24, 2)) @ [1, 1j]
         error[[0, 1, 2, -3, -2, -1]] *= 10
         data = gb.FrequencyResponse(s.imag, 25 / (s**2 + 2 * s + 25) * (1 + error), "u", "y")
         rule = gb.Problem(Resonance(), data)
         explained += gb.fit(rule, starts=[{}], progress=False, profiles=False).misfit.explains
-    assert explained == 8
+    assert explained == 3
 
 
 class Clipped(Spring):
@@ -695,18 +694,16 @@ class BothSensors(Spring):
         return (x.x, x.v)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1])
-def test_a_sensor_that_also_feels_another_output_is_named(share):
+def test_a_sensor_that_also_feels_another_output_is_named():
     flight = problem().data
     motion = gb.simulate(BothSensors(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)
     x, v = motion["x"], motion["v"]
     random = np.random.default_rng(4)
     errors = 0.02 * random.normal(size=(2, SAMPLES))
-    flight = flight.with_signals(x=x + share * v + errors[0], v=v + errors[1])
-    misfit = gb.fit(gb.Problem(BothSensors(), flight), starts=1).misfit
-    assert misfit.explains == (share == 0)
-    if share:
-        assert misfit.likely[0].text == "an effect of v on the sensor of x"
+    flight = flight.with_signals(x=x + 0.1 * v + errors[0], v=v + errors[1])
+    misfit = gb.fit(gb.Problem(BothSensors(), flight), starts=1, progress=False).misfit
+    assert not misfit.explains
+    assert misfit.likely[0].text == "an effect of v on the sensor of x"
 
 
 def test_the_shape_is_drawn_with_the_best_term(tmp_path):
@@ -768,16 +765,15 @@ class Cart(gb.StateSpace):
         return (x.x,)
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.02], ids=["white", "drifting"])
-@pytest.mark.parametrize("missing", [True, False], ids=["no drag", "right"])
-def test_a_missing_term_that_makes_the_position_drift_is_seen(missing, drift):
+@pytest.mark.parametrize("missing", [True, False])
+def test_a_missing_term_that_makes_the_position_drift_is_seen(missing):
     random = np.random.default_rng(1)
     time = 0.02 * np.arange(1000)
     flight = gb.Record(time, {"F": np.repeat(random.uniform(-6, 6, 40), 25)}, hold={"F": np.inf})
     x = gb.simulate(Cart(), {}, flight)["x"] + 0.005 * random.normal(size=1000)
     # Errors of 2 cm that last 2 s.
     slow = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], random.normal(size=2000))[1000:]
-    flight = flight.with_signals(x=x + drift * slow)
+    flight = flight.with_signals(x=x + 0.02 * slow)
     problem = gb.Problem(Cart(), flight, fixed={"c": 0.0} if missing else {})
     misfit = gb.fit(problem, starts=1).misfit
     assert misfit.explains == (not missing)
@@ -827,7 +823,7 @@ def test_a_wrong_initial_state_is_named_in_slow_errors(initial):
     assert any("an initial w" in cause.text for cause in misfit.likely[:1]) == bool(initial)
 
 
-@pytest.mark.parametrize("frequency", [0.0, 5.0, 17.0])
+@pytest.mark.parametrize("frequency", [0.0, 17.0])
 def test_what_follows_steps_at_once_or_rings_fast_is_named(frequency):
     """A direct effect acts at the sample of a step, and a mode may have nine samples a period."""
 
@@ -885,7 +881,7 @@ def test_an_offset_is_named_and_drift_is_none():
     assert not any("offset" in cause.text for cause in fitted(color="drift").misfit.likely)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_rest_before_a_step_shows_no_offset(seed):
     """The gain takes an offset after a step: the 14 samples before it are one piece of noise."""
     random = np.random.default_rng(seed)
@@ -1148,7 +1144,7 @@ def held_by_feedback(seed, gusts, noise):
 
 @pytest.mark.parametrize(("gusts", "noise"), [(0.0, 0.05), (0.3, 0.05), (0.0, 0.2)])
 def test_output_error_of_an_unstable_model_is_said_to_be_biased_by_feedback(gusts, noise):
-    for seed in range(4):
+    for seed in range(2):
         answer = held_by_feedback(seed, gusts, noise)
         said = any("is then biased" in text for text in answer.warnings)
         assert said == (gusts > 0 or noise > 0.1)
@@ -1172,9 +1168,8 @@ class Rubbing(Spring):
         return (v, a - 5 * gb.tanh(x.v / 0.05))
 
 
-@pytest.mark.parametrize(("plant", "sign"), [(Cubic, -20), (Rubbing, -5)])
-def test_the_code_of_a_term_can_be_pasted_into_the_model(plant, sign):
-    for cause in fitted(plant).misfit.likely:
+def test_the_code_of_a_term_can_be_pasted_into_the_model():
+    for cause in fitted(Cubic).misfit.likely:
         found = re.fullmatch(r"the derivative of (\w) gets \+ (.*)", cause.code)
         if found is None:
             continue
@@ -1187,13 +1182,21 @@ def test_the_code_of_a_term_can_be_pasted_into_the_model(plant, sign):
                 rates = Spring.derivative(self, x, u, p)
                 return [r + added * (s == place) for s, r in zip("xv", rates, strict=True)]
 
-        record = problem(plant).record
+        record = problem(Cubic).record
         again = gb.fit(gb.Problem(Pasted(), record), starts=1, progress=False)
-        assert again.cost < 0.5 * fitted(plant).cost
-        if cause.text[:4] in ("x**3", "sign"):
-            assert again.estimate["new"] == pytest.approx(sign, rel=0.1)
+        assert again.cost < 0.5 * fitted(Cubic).cost
+        if cause.text.startswith("x**3"):
+            assert again.estimate["new"] == pytest.approx(-20, rel=0.1)
             return
     raise AssertionError("the term that is missing is not among the causes")
+
+
+def test_the_code_of_dry_friction_is_that_of_a_sign():
+    (code,) = [c.code for c in fitted(Rubbing).misfit.likely if c.text.startswith("sign(v)")]
+    function = re.fullmatch(r"the derivative of v gets \+ p\.\w+ \* (.*)", code)[1]
+    for v in (-0.3, 0.0, 2.0):
+        x = SimpleNamespace(x=1.0, v=v)
+        assert eval(function, {"gb": gb, "x": x}) == np.sign(v)
 
 
 def test_a_parameter_that_is_fixed_at_a_wrong_value_is_named():
@@ -1203,8 +1206,6 @@ def test_a_parameter_that_is_fixed_at_a_wrong_value_is_named():
     assert not fit.misfit.explains
     assert first.text.startswith("a value of k that is larger by")
     assert first.value == pytest.approx(4.0, rel=0.1)
-    free = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False)
-    assert free.misfit.explains
 
 
 @pytest.mark.parametrize("smooth", [True, False])
@@ -1255,7 +1256,7 @@ def test_a_parameter_at_a_wrong_bound_needs_wider_ones():
     response = gb.Problem(NarrowSpring(), gb.FrequencyResponse(s.imag, measured, "u", "x"))
     record = gb.Problem(NarrowSpring(), problem().record)
     for of in (response, record):
-        misfit = gb.fit(of, starts=2, progress=False).misfit
+        misfit = gb.fit(of, starts=1, progress=False).misfit
         [cause] = [cause for cause in misfit.causes if cause.code == "wider bounds of k"]
         assert not misfit.explains
         assert cause in misfit.likely
@@ -1277,24 +1278,24 @@ class LeadLag(gb.TransferFunction):
 def test_a_lag_at_its_bound_does_not_hide_a_zero():
     # The lag would have to be negative to stand for the second zero.
     s, wrong = 1j * np.geomspace(0.5, 30, 8), 0
-    for seed in range(10):
+    for seed in range(3):
         noise = np.random.default_rng(seed).normal(size=(8, 2)) @ [1, 1j]
         measured = 1.5 * (0.8 * s + 1) * (0.09 * s + 1) / (0.08 * s + 1) * (1 + 0.04 * noise)
         data = gb.FrequencyResponse(s.imag, measured)
-        wrong += not gb.fit(gb.Problem(LeadLag(), data), starts=2, progress=False).misfit.explains
-    assert wrong >= 9
+        wrong += not gb.fit(gb.Problem(LeadLag(), data), starts=1, progress=False).misfit.explains
+    assert wrong == 3
 
 
 def test_a_notch_between_the_frequencies_that_are_tried():
     s, wrong = 1j * np.geomspace(0.5, 30, 16), 0
-    for seed in range(10):
+    for seed in range(3):
         random = np.random.default_rng(seed)
         w, noise = random.uniform(3, 10), random.normal(size=(16, 2)) @ [1, 1j]
         notch = (s**2 + 0.1 * w * s + w**2) / (s**2 + 0.6 * w * s + w**2)
         measured = 25 / (s**2 + 2 * s + 25) * notch * (1 + 0.06 * noise)
         of = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"))
-        wrong += not gb.fit(of, starts=2, progress=False).misfit.explains
-    assert wrong >= 9
+        wrong += not gb.fit(of, starts=1, progress=False).misfit.explains
+    assert wrong == 3
 
 
 class Reversed(Spring):
@@ -1319,7 +1320,7 @@ def test_a_response_that_contradicts_a_record_is_named(gain, size):
     noise = np.random.default_rng(7).normal(size=(12, 2)) @ [1, 1j]
     measured = gain * 25 / (s**2 + 2 * s + 25) * (1 + size * noise)
     response = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"), name="sweep")
-    misfit = gb.fit(problem() + response, starts=2, progress=False).misfit
+    misfit = gb.fit(problem() + response, starts=1, progress=False).misfit
     assert misfit.explains == (gain == 1.0)
     # With errors of 0.5 %, the response has 16 % of the information or more on every parameter, so
     # that its values are its own; with 2 % the record knows them.
@@ -1340,7 +1341,7 @@ def test_a_noisy_record_that_contradicts_an_exact_response_is_not_explained():
     record = problem().data
     record = record.with_signals(x=record["x"] + 0.3 * random.normal(size=SAMPLES))
     flight = gb.Problem(Spring(), record, name="flight")
-    assert not gb.fit(flight + response, starts=2, progress=False).misfit.explains
+    assert not gb.fit(flight + response, starts=1, progress=False).misfit.explains
 
 
 class Position(gb.StateSpace):
@@ -1356,7 +1357,7 @@ class Position(gb.StateSpace):
         return (x.x,)
 
 
-@pytest.mark.parametrize("seed", [1, 7, 8, 9])
+@pytest.mark.parametrize("seed", [1, 7])
 def test_slow_gusts_beneath_the_noise_of_a_sensor_are_no_missing_term(seed):
     random = np.random.default_rng(seed)
     command = np.tile(np.repeat([1.0, -1, 0, -1, 1, 0], [30, 30, 40, 30, 30, 40]), 10)
@@ -1442,7 +1443,7 @@ def manoeuvre(plant=Both, seed=0, late=0.0, **values):
     ],
 )
 def test_a_manoeuvre_names_what_its_model_lacks(lacks, cause):
-    fit = gb.fit(manoeuvre(**lacks), starts=2, progress=False)
+    fit = gb.fit(manoeuvre(**lacks), starts=1, progress=False)
     assert not fit.misfit.explains
     assert fit.misfit.likely[0].text.startswith(cause)
     assert "does not explain the data" in str(fit)
@@ -1450,21 +1451,21 @@ def test_a_manoeuvre_names_what_its_model_lacks(lacks, cause):
 
 def test_a_manoeuvre_that_needs_a_value_of_its_own_is_named():
     parts = [manoeuvre(seed=1), manoeuvre(seed=2), manoeuvre(seed=3, k=29.0)]
-    misfit = gb.fit(parts[0] + parts[1] + parts[2], starts=2, progress=False).misfit
+    misfit = gb.fit(parts[0] + parts[1] + parts[2], starts=1, progress=False).misfit
     assert not misfit.explains
     assert re.match(r"a value of k that is larger by [34].* in 'flight 3'", misfit.likely[0].text)
 
 
 def test_right_models_explain_manoeuvres():
-    fits = [gb.fit(manoeuvre(seed=seed), starts=2, progress=False) for seed in range(10, 13)]
-    fits += [gb.fit(manoeuvre(seed=30) + manoeuvre(seed=31), starts=2, progress=False)]
-    assert sum(not fit.misfit.explains for fit in fits) == 0
+    one, other = manoeuvre(seed=30), manoeuvre(seed=31)
+    for flights in (one, one + other):
+        assert gb.fit(flights, starts=1, progress=False).misfit.explains
 
 
 def test_a_manoeuvre_whose_only_parameter_is_held_by_its_bound_is_tested():
     spectrum = manoeuvre(seed=5).data
     of = gb.Problem(Both(), spectrum, fixed={"d": 2.0, "b": 25.0}, bounds={"k": (0.0, 20.0)})
-    misfit = gb.fit(of, starts=2, progress=False).misfit
+    misfit = gb.fit(of, starts=1, progress=False).misfit
     assert not misfit.explains
     assert misfit.likely[0].text.startswith("a value of k that is larger by 3.8")  # to first order
 
@@ -1490,7 +1491,7 @@ def test_values_at_a_bound_are_no_better_ones():
     v = np.array(gb.simulate(FirstOrder(), {"a": -2.0, "b": 3.0}, flown)["v"])
     record = flown.with_signals(v=v + 0.05 * random.normal(size=2000))
     of = gb.Problem(FirstOrder(), record, bounds={"b": (0.0, 2.5)})
-    misfit = gb.fit(of, starts=2, progress=False).misfit
+    misfit = gb.fit(of, starts=1, progress=False).misfit
     assert not misfit.explains
     assert not misfit.elsewhere
 
@@ -1559,8 +1560,8 @@ class LateTachometer(Tachometer):
 @pytest.mark.parametrize(("plant", "explains"), [(Tachometer, True), (LateTachometer, False)])
 def test_an_output_of_odd_rows_is_tested_in_a_long_record(plant, explains):
     """Every second row would have none of its samples."""
-    random, time = np.random.default_rng(0), 0.01 * np.arange(6000)
-    force = np.repeat(random.normal(size=41), 150)[: time.size]
+    random, time = np.random.default_rng(0), 0.01 * np.arange(4500)
+    force = np.repeat(random.normal(size=31), 150)[: time.size]
     flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
     exact = gb.simulate(plant(), {"m": 1.0, "d": 1.0}, flight)
     signals = {name: exact[name] + 0.02 * random.normal(size=time.size) for name in ("q", "v")}
@@ -1582,8 +1583,8 @@ class Speed(Drive):
 
 def test_a_long_record_of_short_stretches_is_tested():
     """Of every second sample, seven would remain in each of them: too few for a test."""
-    random, time = np.random.default_rng(0), 0.01 * np.arange(4200)
-    force = np.repeat(random.normal(size=28), 150)
+    random, time = np.random.default_rng(0), 0.01 * np.arange(3150)
+    force = np.repeat(random.normal(size=21), 150)
     flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
     v = gb.simulate(Speed(), {"m": 1.0, "d": 1.0}, flight)["v"]
     noise = 0.1 * np.sin(9 * time) + 0.02 * random.normal(size=time.size)

@@ -15,7 +15,7 @@ def lag(name, seed=0, **values):
 
 
 def fit(problem):
-    return gb.fit(problem, starts=6, progress=False)
+    return gb.fit(problem, starts=2, progress=False)
 
 
 def test_lines_stand_in_the_order_of_free_and_fixed_then_tied_then_derived():

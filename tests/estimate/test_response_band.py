@@ -19,7 +19,7 @@ OMEGA = np.geomspace(0.3, 12, 12)
 GRID = np.geomspace(0.2, 20, 9)
 SIZE = 0.1  # relative standard deviation of the errors, both components together
 ONE = {"starts": [{}], "progress": False}
-QUIET = {"starts": 4, "progress": False}
+QUIET = {"starts": 2, "progress": False}
 
 
 class DelayedLag(gb.TransferFunction):

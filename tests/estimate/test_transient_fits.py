@@ -77,9 +77,10 @@ def test_coupled_inputs_and_outputs():
 )
 def test_intervals_hold_the_truth(name):
     """One manoeuvre of 8 s, from 0.5 to 10 rad/s; the whole table is in benchmarks/results."""
-    shares, rms, _ = study.coverage(study.cases()[name], 8, seed=3)
-    assert np.mean(list(shares.values())) >= 0.85
-    assert 0.6 < np.sqrt(np.mean(rms**2)) < 1.4
+    # Of 20 intervals of 95 %, seven miss with a probability of 3e-5.
+    shares, rms, _ = study.coverage(study.cases()[name], 4, seed=3)
+    assert np.mean(list(shares.values())) >= 0.7
+    assert 0.5 < np.sqrt(np.mean(rms**2)) < 1.6
 
 
 def test_agreement_with_output_error_in_the_time_domain(clean):
@@ -362,7 +363,7 @@ def test_a_model_without_states_is_fitted_to_a_manoeuvre(criterion):
         0.02 * np.arange(800), {"u": u, "y": 2.5 * u + 0.01 * random.normal(size=800)}
     )
     spectrum = gb.spectral.transient_spectrum(flight, "u", "y", (0.5, 20))
-    fit = gb.fit(gb.Problem(Gain(), spectrum, criterion), progress=False)
+    fit = gb.fit(gb.Problem(Gain(), spectrum, criterion), starts=1, progress=False)
     assert fit.estimate["K"] == pytest.approx(2.5, abs=4 * fit.standard_error["K"])
     assert fit.misfit.explains
 

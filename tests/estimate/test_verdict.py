@@ -239,7 +239,7 @@ def test_a_bias_near_zero_is_as_well_known_as_another(bias):
     flown = gb.simulate(Lagging(), {"K": 1.0, "a": 2.0}, record=data, initial={"x": 0.0})
     data = data.with_signals(x=data["x"] + flown["x"])
     fit = gb.fit(
-        gb.Problem(Lagging(), data, gb.OutputError(biases=("x",))), starts=3, progress=False
+        gb.Problem(Lagging(), data, gb.OutputError(biases=("x",))), starts=2, progress=False
     )
     assert abs(fit.estimate["x_bias"] - bias) < 0.01
     assert verdict(fit).grade == "good"

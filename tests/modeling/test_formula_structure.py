@@ -42,8 +42,8 @@ def period_mean(formula, threshold, wave):
 )
 @pytest.mark.parametrize("wave", [np.cos, lambda x: np.sin(3 * x)], ids=["cos", "sin 3"])
 def test_interval_means_add_up_to_the_integral_over_a_period(formula, wave):
-    """Against the midpoint rule on 200 000 samples."""
-    phase = 2 * np.pi * (np.arange(200_000) + 0.5) / 200_000
+    """Against the midpoint rule on 20 000 samples."""
+    phase = 2 * np.pi * (np.arange(20_000) + 0.5) / 20_000
     plain = ca.Function("plain", [z, p], [formula])
     values = plain(np.array([1.6 * np.cos(phase), np.sin(phase)]), np.full((1, phase.size), 0.3))
     exact = np.mean(np.asarray(values).ravel() * wave(phase))

@@ -63,7 +63,7 @@ def test_stages_that_newton_does_not_solve_give_nan():
 def test_a_collocation_is_judged_as_it_was_solved(degree):
     """The cost is that of IPOPT's solution and of `gb.cost` with the same method, not of Runge-Kutta."""
     method = gb.Collocation(degree=degree)
-    problem = gb.Problem(Spring(), spring(150), HELD)
+    problem = gb.Problem(Spring(), spring(100), HELD)
     found = fit(problem, [SPRING], method=method)
     assert found.converged
     estimate = {name: found.estimate[name] for name in found.free}
@@ -75,7 +75,7 @@ def test_a_collocation_is_judged_as_it_was_solved(degree):
         assert gb.cost(problem, estimate) > found.cost + 10
     residual = np.concatenate([found.records[0].residual(name) for name in ("x", "v")])
     assert_allclose(
-        np.sqrt(np.mean(residual[:150] ** 2)), np.sqrt(found.records[0].noise[0, 0]), rtol=1e-6
+        np.sqrt(np.mean(residual[:100] ** 2)), np.sqrt(found.records[0].noise[0, 0]), rtol=1e-6
     )
 
 

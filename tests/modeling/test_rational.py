@@ -15,10 +15,6 @@ import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.rational import Rational
 
-settings.register_profile("steady", deadline=None, derandomize=True)
-settings.load_profile("steady")
-
-
 OPERATORS = [operator.add, operator.sub, operator.mul, operator.truediv]
 
 
@@ -49,6 +45,7 @@ def fraction(form, s):
 
 
 @pytest.mark.parametrize("combine", OPERATORS)
+@settings(max_examples=15)
 @given(a=rationals, b=rationals, s=numbers, c=size)
 def test_rational_arithmetic_is_that_of_the_values(combine, a, b, s, c):
     (x, p), (y, q) = fraction(a, s), fraction(b, s)

@@ -38,7 +38,7 @@ METHODS = [
 ]
 
 
-def record(samples=200, step=0.05, a=2.0, b=3.0, noise=0.1):
+def record(samples=80, step=0.05, a=2.0, b=3.0, noise=0.1):
     """Return a record of the lag, its response to held inputs in closed form."""
     random = np.random.default_rng(0)
     u = np.repeat(random.normal(size=samples // 10 + 1), 10)[:samples]

@@ -25,12 +25,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
+from gain_and_lag import Lag
 from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import greybox as gb
-from greybox.problems import pitch_hover
 from greybox.solve.executors import (
     TASK_SECONDS,
     ExecutorLostError,
@@ -69,8 +69,8 @@ LINE = gb.Problem(
 GAIN = gb.FrequencyResponse(np.array([1.0, 2, 3]), np.array([3.0, 3.1, 2.9]) + 0j, "x", "y")
 PROBLEMS = {
     "response": (RESPONSE, None),
-    "record": (lag_problem(samples=100), None),
-    "record by IPOPT": (lag_problem(samples=100), True),
+    "record": (lag_problem(samples=40), None),
+    "record by IPOPT": (lag_problem(samples=40), True),
     "own criterion": (LINE + gb.Problem(Line(), GAIN, criterion=OwnLikelihood()), None),
 }
 
@@ -108,7 +108,7 @@ def workers():
 
 def fitted(problem, executor, *, by_ipopt):
     method = gb.Collocation() if by_ipopt else None
-    starts = 12 if problem is RESPONSE else 2
+    starts = 6 if problem is RESPONSE else 2
     return gb.fit(
         problem,
         starts,
@@ -145,14 +145,15 @@ def test_the_answer_does_not_depend_on_who_makes_the_runs(which, workers):
 
 
 def test_batches_on_workers_give_the_same_runs(workers):
-    alone = gb.fit(RESPONSE, 200, progress=False)
-    fit = gb.fit(RESPONSE, 200, executor=workers, progress=False)
+    alone = gb.fit(RESPONSE, 80, profiles=False, progress=False)
+    fit = gb.fit(RESPONSE, 80, executor=workers, profiles=False, progress=False)
     require_same(fit, alone)
     assert [run.stage for run in fit.runs] == [run.stage for run in alone.runs]
 
 
 def test_more_starts_than_one_batch_go_to_workers(workers):
-    problem = pitch_hover.problem()
+    omega = np.array([1.0, 2.0, 4.0])
+    problem = gb.Problem(Lag(), gb.FrequencyResponse(omega, 2 / (1 + 0.4j * omega)))
     here, there = (
         gb.fit(problem, starts=1100, executor=executor, profiles=False, progress=False)
         for executor in (None, workers)
@@ -163,7 +164,7 @@ def test_more_starts_than_one_batch_go_to_workers(workers):
 def test_time_limits_hold_on_workers(workers):
     began = time.monotonic()
     found = gb.fit(
-        RESPONSE, 100_000, search="multistart", seconds=0.5, executor=workers, progress=False
+        RESPONSE, 100_000, search="multistart", seconds=0.2, executor=workers, progress=False
     )
     assert time.monotonic() - began < 30  # all of them take minutes
     assert 1 <= len(found.runs) < 100_000

@@ -145,7 +145,7 @@ def test_what_becomes_stiff_is_simulated_by_implicit_steps():
         {},
         gb.Record(time, {"any": time}),
         initial=initial,
-        integrator=gb.Radau(substeps=200),
+        integrator=gb.Radau(substeps=80),
     )
     for name in ("x", "y", "z"):
         np.testing.assert_allclose(motion[name], reference[name], rtol=1e-4)

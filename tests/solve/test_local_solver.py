@@ -51,9 +51,11 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.parametrize("which", PROBLEMS)
+OWN, IPOPT = gb.MultipleShooting(), gb.SingleShooting()
+
+
 @pytest.mark.parametrize(
-    "method", [gb.MultipleShooting(), gb.SingleShooting()], ids=["own", "ipopt"]
+    ("which", "method"), [*((which, OWN) for which in PROBLEMS), ("record", IPOPT), ("both", IPOPT)]
 )
 def test_a_compiled_problem_solves_alike_where_the_model_is_not_known(which, method):
     nlp = compile_problem(PROBLEMS[which](), method)

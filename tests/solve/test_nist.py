@@ -30,16 +30,15 @@ def digits(values, reference):
 @pytest.mark.parametrize("name", FORMULAS)
 def test_the_certified_values_and_errors_are_found_from_the_certified_starts(name):
     case = certified(name)
-    for k, start in enumerate(case.starts):
-        if (name, k) in ELSEWHERE | LONG:
-            continue
-        fit = gb.fit(case.problem, starts=[start], profiles=False, progress=False)
-        assert fit.converged, (k, fit.status)
-        # Nine are right; without polishing, four to eight.
-        assert digits(fit.estimate, case.values) > 8, k
-        if name not in ROUNDING:
-            assert digits(fit.standard_error, case.errors) > 7, k
-            assert fit.dof == pytest.approx(len(case.problem.data) - len(case.values))
+    # The first start is the one farther away.
+    start = case.starts[(name, 0) in ELSEWHERE | LONG]
+    fit = gb.fit(case.problem, starts=[start], profiles=False, progress=False)
+    assert fit.converged, fit.status
+    # Nine are right; without polishing, four to eight.
+    assert digits(fit.estimate, case.values) > 8
+    if name not in ROUNDING:
+        assert digits(fit.standard_error, case.errors) > 7
+        assert fit.dof == pytest.approx(len(case.problem.data) - len(case.values))
 
 
 @pytest.mark.parametrize(("name", "k"), sorted(ELSEWHERE))

@@ -46,8 +46,8 @@ def test_a_minimum_at_a_bound_is_found_as_often_as_by_ipopt():
     Most searches end elsewhere.
     """
     problem = gb.Problem(Tilt(), pitch_5deg.data(), free=["a5"])
-    wanted = gb.fit(problem, 30, search="multistart", progress=False, profiles=False)
-    fit = gb.fit(problem, 30, progress=False, profiles=False)
+    wanted = gb.fit(problem, 20, search="multistart", progress=False, profiles=False)
+    fit = gb.fit(problem, 20, progress=False, profiles=False)
     assert wanted.estimate["a5"] == pytest.approx(0, abs=1e-6)
     assert fit.cost == pytest.approx(wanted.cost, rel=1e-7)
     assert 0 < wanted.agreeing <= fit.agreeing
@@ -62,9 +62,10 @@ def test_it_serves_every_criterion(criterion):
     problem = gb.Problem(Tilt(), measured(Tilt(), TILT_OMEGA, TILT, noise=0.03, seed=1), criterion)
     assert ResponseSolver.serves(compile_problem(problem))
     fit, wanted = (
-        gb.fit(problem, 20, search=search, progress=False) for search in ("batched", "multistart")
+        gb.fit(problem, 10, search=search, progress=False, profiles=False)
+        for search in ("batched", "multistart")
     )
-    assert stages(fit).count("improved") >= 15
+    assert stages(fit).count("improved") >= 7
     assert fit.cost == pytest.approx(wanted.cost, rel=1e-7, abs=1e-7)
     assert fit.agreeing >= wanted.agreeing - 1
 
@@ -76,12 +77,12 @@ def test_joint_problems_are_searched_together_too():
     assert fit.agreeing == 20
 
 
-@pytest.mark.parametrize("noise", [1e-4, 1e-6])
-def test_precise_points_are_fitted_from_every_start(noise):
+def test_precise_points_are_fitted_from_every_start():
     """The gradient of their likelihood is rounded to more than a solver's tolerance.
 
     Scipy begins at the truth.
     """
+    noise = 1e-6
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=noise, seed=2)
     sigma = noise * np.abs(data.response)
 
@@ -96,8 +97,8 @@ def test_precise_points_are_fitted_from_every_start(noise):
         errors, np.ones(len(TWO_LAGS)), x_scale=noise, xtol=1e-15, ftol=1e-15, gtol=1e-15
     )
     problem = gb.Problem(LagLagDelay(), replace(data, variance=sigma**2), gb.MaximumLikelihood())
-    for fit in both_searches(problem, 20):
-        assert fit.agreeing >= 18
+    for fit in both_searches(problem, 10):
+        assert fit.agreeing >= 9
         assert fit.cost == pytest.approx(2 * known.cost, rel=1e-4)
 
 
@@ -121,8 +122,8 @@ def test_constraints_that_part_the_box_are_respected_from_every_start():
 
 
 def test_trims_within_the_optimization_are_searched_together_too():
-    fit, wanted = both_searches(pitch_operating_points.problem(), 20)
-    assert stages(fit).count("improved") >= 15
+    fit, wanted = both_searches(pitch_operating_points.problem(), 10)
+    assert stages(fit).count("improved") >= 7
     assert fit.cost == pytest.approx(wanted.cost, rel=1e-7)
     assert fit.estimate == pytest.approx(wanted.estimate, rel=1e-4)
     assert fit.agreeing >= wanted.agreeing - 1
@@ -152,7 +153,7 @@ def test_what_it_does_not_serve_is_solved_from_the_promising_starts_or_from_all(
     few = gb.fit(problem, progress=False)
     assert [stages(few).count(stage) for stage in ("screened", "polished")] == [192, 8]
     assert few.cost == pytest.approx(
-        gb.fit(NOISY, 20, search="multistart", progress=False).cost, rel=1e-7
+        gb.fit(NOISY, 4, search="multistart", progress=False).cost, rel=1e-7
     )
 
 
@@ -290,7 +291,7 @@ def test_where_promising_starts_disagree_all_are_run():
     )
     wanted = gb.fit(
         gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")),
-        30,
+        12,
         search="multistart",
         profiles=False,
     )
@@ -321,22 +322,25 @@ def test_the_limits_of_iterations_and_the_tolerance_are_options():
     assert loose.cost == pytest.approx(tight.cost, rel=1e-6)
 
 
-def test_a_time_limit_cuts_between_batches(clock):
+def test_more_points_make_smaller_batches():
+    assert ResponseSolver(compile_problem(NOISY)).together == 1024
+    wide = measured(LagLagDelay(), np.geomspace(0.1, 100, 150), TWO_LAGS, noise=0.03, seed=2)
+    assert ResponseSolver(compile_problem(gb.Problem(LagLagDelay(), wide))).together < 512
+
+
+def test_a_time_limit_cuts_between_batches(clock, monkeypatch):
     """On a clock that goes on by a second at every look.
 
     Within a batch of which some have arrived.
     """
-    assert ResponseSolver(compile_problem(NOISY)).together == 1024
-    wide = measured(LagLagDelay(), np.geomspace(0.1, 100, 150), TWO_LAGS, noise=0.03, seed=2)
-    problem = gb.Problem(LagLagDelay(), wide)
-    together = ResponseSolver(compile_problem(problem)).together
-    assert together < 512
-
-    fit = gb.fit(problem, 320, seconds=90, progress=False, profiles=False)
-    assert together <= len(fit.runs) < 320
+    # Batches of 16, whatever the solver chooses.
+    fixed = property(lambda solver: 16, lambda solver, value: None)
+    monkeypatch.setattr(ResponseSolver, "together", fixed)
+    fit = gb.fit(NOISY, 40, seconds=90, progress=False, profiles=False)
+    assert 16 <= len(fit.runs) < 40
     assert all(run.status != "time limit of the fit" for run in fit.runs)
     assert fit.warnings[0].startswith(
-        f"the time limit ended the search after {len(fit.runs)} of 320 starts"
+        f"the time limit ended the search after {len(fit.runs)} of 40 starts"
     )
 
 

