@@ -13,6 +13,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 import gc
 import signal
 import sys
+from contextlib import contextmanager
 from importlib import import_module
 
 import pytest
@@ -80,6 +81,33 @@ def few_draws(monkeypatch):
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])
     monkeypatch.setattr(import_module("greybox.experiment.safe_gains"), "DRAWS", 64)
+
+
+@contextmanager
+def without_misfit():
+    """Leave out the assessment of the misfit, a third of the time of a fit of records.
+
+    For tests of estimates and errors alone: those in tests/estimate assess fits of all kinds.
+    """
+    # By its path: `greybox.estimate.fit` is the function.
+    module = import_module("greybox.estimate.fit")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "assessed_misfit", lambda *_: None)
+        yield
+
+
+@pytest.fixture
+def unjudged():
+    """Make fits without a misfit in a test."""
+    with without_misfit():
+        yield
+
+
+@pytest.fixture(scope="module")
+def unjudged_file():
+    """Make fits without a misfit in a file of tests and its fixtures."""
+    with without_misfit():
+        yield
 
 
 @pytest.fixture

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from hard_models import ROTOR, WIND, BlindTilt, pushed, windy_flight
 from numpy.testing import assert_allclose
-from spring_lag_tilt import SPRING, TILT, FullTilt, Spring, assert_true, fit, steps
+from spring_lag_tilt import SPRING, TILT, FullTilt, Spring, assert_true, fit_finely as fit, steps
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.riccati import steady_state_gain
+
+pytestmark = pytest.mark.usefixtures("unjudged_file")
 
 # --- the filter
 

@@ -19,6 +19,8 @@ from greybox.formulation.frequency_criteria import total
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.modeling.one_thread import Stored
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Drag(gb.StateSpace):
     """A mass with quadratic drag in a steady wind: the force that holds its speed follows from

@@ -43,7 +43,7 @@ def test_the_minima_are_those_of_the_problems_and_stand_beside_the_paper(tmp_pat
         "pitch 5 deg (4.25)": pitch_5deg,
         "yaw (4.34)": yaw_hover,
     }
-    exact = [member for member in paper.members(8) if member.name.endswith(", exact")]
+    exact = [member for member in paper.members(4) if member.name.endswith(", exact")]
     relative = {
         member.name.removesuffix(", relative-error, exact"): member
         for member in exact

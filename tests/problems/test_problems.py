@@ -36,11 +36,11 @@ RULES = (
 )
 # Harmonic balance and records make these the slowest, and few starts show the same as many.
 FEW = {
-    "pitch_hover_sines": gb.solve.Sobol(3, seed=0),
-    "sitl_drag": gb.solve.Sobol(4, seed=0),
+    "pitch_hover_sines": gb.solve.Sobol(2, seed=0),
+    "sitl_drag": gb.solve.Sobol(2, seed=0),
     "nanobench_thrust": gb.solve.Sobol(3, seed=0),
-    "nanobench_drag": gb.solve.Sobol(3, seed=0),
-    "fine_steering_mirror": gb.solve.Sobol(3, seed=0),
+    "nanobench_drag": gb.solve.Sobol(2, seed=0),
+    "fine_steering_mirror": gb.solve.Sobol(2, seed=0),
 }
 CASES = [(name, RULES[0]) for name in MODULES]
 CASES += list(zip(("rotors", "yaw_hover", "pitch_hover"), RULES[1:], strict=True))

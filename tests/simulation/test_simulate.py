@@ -12,6 +12,8 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt, Tilt
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {
     "a1": -2.0,
     "a2": 4.0,

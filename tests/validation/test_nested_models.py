@@ -12,6 +12,8 @@ import greybox as gb
 from greybox.compiled.response_part import ResponsePart
 from greybox.validation.nested_models import NestedTest, f_tail
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def test_a_nested_test_says_what_is_needed():
     record = flight({"a5": 0.2, "C_x": 0.05}, 8)
