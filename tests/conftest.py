@@ -72,7 +72,7 @@ def most_files_are_read_here(request):
 def few_draws(monkeypatch):
     """Take 64 draws for the intervals of margins instead of 512: an eighth of the time.
 
-    For tests in which the ends of intervals do not matter to a few per cent.
+    And fewer gains. For tests in which the ends of intervals do not matter to a few per cent.
     """
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
     # By their paths: `greybox.experiment.margins` is the function.
@@ -80,7 +80,9 @@ def few_draws(monkeypatch):
         module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])
-    monkeypatch.setattr(import_module("greybox.experiment.safe_gains"), "DRAWS", 64)
+    safe_gains = import_module("greybox.experiment.safe_gains")
+    monkeypatch.setattr(safe_gains, "DRAWS", 64)
+    monkeypatch.setattr(safe_gains, "POINTS", {1: 11, 2: 5, 3: 3})
 
 
 @contextmanager

@@ -104,7 +104,7 @@ def test_what_innovations_do_not_drive_need_not_be_forgotten():
 
 
 def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_errors():
-    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 15)
+    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 10)
     output, prediction = (
         sum(
             run.iterations
