@@ -87,6 +87,7 @@ def test_the_commands_are_there():
         assert re.search(rf"<!-- {command} -->\n```bash\n.+\n```", TEXT)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_commands_for_a_log_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "problems").symlink_to(README.parent / "problems")
