@@ -14,6 +14,8 @@ from greybox.problems import (
     yaw_hover,
 )
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def test_every_structure_is_fitted_by_every_criterion_with_both_delays():
     members = paper.members()

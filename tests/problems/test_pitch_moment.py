@@ -9,6 +9,8 @@ import greybox as gb
 from greybox.models.moment import TiltMoment, TiltMomentAt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_moment
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def test_the_linearization_by_hand_is_that_of_the_nonlinear_model():
     values = {

@@ -13,6 +13,8 @@ from greybox.problems import (
     pitch_two_points,
 )
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 @pytest.fixture(scope="module")
 def costs():
