@@ -71,7 +71,7 @@ def fit(problem, starts=ONE, *, profiles=False, **options):
 
 def fit_finely(problem, starts=ONE, **options):
     """Fit with steps that need no refinement, which would take as long as the fit."""
-    return fit(problem, starts, method=FINE, **options)
+    return fit(problem, starts, **{"method": FINE, **options})
 
 
 def deviations(found, truth):
