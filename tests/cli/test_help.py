@@ -12,9 +12,7 @@ from greybox.cli.main import parser_of
 
 PARSER = parser_of()
 (COMMANDS,) = (
-    action.choices
-    for action in PARSER._actions
-    if isinstance(action, argparse._SubParsersAction)
+    action.choices for action in PARSER._actions if isinstance(action, argparse._SubParsersAction)
 )
 
 
