@@ -13,6 +13,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 import gc
 import signal
 import sys
+from contextlib import contextmanager
 from importlib import import_module
 
 import pytest
@@ -71,7 +72,7 @@ def most_files_are_read_here(request):
 def few_draws(monkeypatch):
     """Take 64 draws for the intervals of margins instead of 512: an eighth of the time.
 
-    For tests in which the ends of intervals do not matter to a few per cent.
+    And fewer gains. For tests in which the ends of intervals do not matter to a few per cent.
     """
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
     # By their paths: `greybox.experiment.margins` is the function.
@@ -79,7 +80,36 @@ def few_draws(monkeypatch):
         module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])
-    monkeypatch.setattr(import_module("greybox.experiment.safe_gains"), "DRAWS", 64)
+    safe_gains = import_module("greybox.experiment.safe_gains")
+    monkeypatch.setattr(safe_gains, "DRAWS", 64)
+    monkeypatch.setattr(safe_gains, "POINTS", {1: 11, 2: 5, 3: 3})
+
+
+@contextmanager
+def without_misfit():
+    """Leave out the assessment of the misfit, a third of the time of a fit of records.
+
+    For tests of estimates and errors alone: those in tests/estimate assess fits of all kinds.
+    """
+    # By its path: `greybox.estimate.fit` is the function.
+    module = import_module("greybox.estimate.fit")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "assessed_misfit", lambda *_: None)
+        yield
+
+
+@pytest.fixture
+def unjudged():
+    """Make fits without a misfit in a test."""
+    with without_misfit():
+        yield
+
+
+@pytest.fixture(scope="module")
+def unjudged_file():
+    """Make fits without a misfit in a file of tests and its fixtures."""
+    with without_misfit():
+        yield
 
 
 @pytest.fixture

@@ -184,6 +184,7 @@ def test_a_problem_with_a_record(own, capsys):
     assert "time constant" in out
 
 
+@pytest.mark.usefixtures("unjudged")
 def test_the_shipped_records(capsys):
     command = ["fit", "sitl_drag", "--starts", "1"]
     status, out, _ = run(capsys, *command)

@@ -10,10 +10,9 @@ from command_line import OWN, refused, run
 
 from greybox.cli.main import parser_of
 
+PARSER = parser_of()
 (COMMANDS,) = (
-    action.choices
-    for action in parser_of()._actions
-    if isinstance(action, argparse._SubParsersAction)
+    action.choices for action in PARSER._actions if isinstance(action, argparse._SubParsersAction)
 )
 
 
@@ -27,7 +26,7 @@ def test_every_command_has_examples_that_are_understood(capsys, name):
     assert examples
     for line in examples:
         words = shlex.split(line.partition(" > ")[0])
-        assert parser_of().parse_args(words).command  # a mistake would raise UsageError
+        assert PARSER.parse_args(words).command  # a mistake would raise UsageError
     assert max(map(len, out.splitlines())) < 130
 
 

@@ -31,6 +31,7 @@ STRUCTURES = (
 LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_response_fit_and_figure_are_written(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     structure = ("--structures", "rate:DampedAngle", "--starts", "2")
@@ -65,6 +66,7 @@ def test_what_does_not_explain_the_data_is_a_failure(capsys, tmp_path, monkeypat
     assert any("does not explain the data" in text for text in answer["fit"]["warnings"])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(OWN)
@@ -96,6 +98,7 @@ def test_inspect_ends_with_the_command_to_type_next(capsys):
     assert run(capsys, "inspect", LOG)[1].endswith(f"next: greybox identify {LOG}\n")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
     """A made ULog of sines in closed loop.
 

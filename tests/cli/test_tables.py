@@ -12,6 +12,8 @@ from scipy.io import savemat
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TIME = np.arange(300) / 50
 U = np.sin(3 * TIME) + np.sin(7 * TIME)
 LAG = """import greybox as gb

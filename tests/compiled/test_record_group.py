@@ -10,6 +10,8 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.record_group import Groups, RecordGroup
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {"a": 1.5, "b": 3.0, "c": 5.0, "delay": 0.031}
 
 

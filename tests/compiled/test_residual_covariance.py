@@ -15,6 +15,8 @@ from greybox.compiled.residual_covariance import (
     residual_covariance_of,
 )
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RANDOM = np.random.default_rng(0)
 RESIDUALS = np.array([[1.0, 0.0, 0.0], [0.6, 0.5, 0.0], [0.0, -0.1, 2e-3]]) @ RANDOM.normal(
     size=(3, 400)

@@ -19,6 +19,8 @@ from greybox.formulation.frequency_criteria import total
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.modeling.one_thread import Stored
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Drag(gb.StateSpace):
     """A mass with quadratic drag in a steady wind: the force that holds its speed follows from
@@ -99,7 +101,7 @@ def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives
 
 
 def answers(problem):
-    fit = gb.fit(problem, starts=5, progress=False)
+    fit = gb.fit(problem, starts=2, progress=False)
     values = [fit.cost, *fit.estimate.values(), *fit.standard_error.values()]
     return [value.hex() for value in values]
 

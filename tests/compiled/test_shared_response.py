@@ -74,7 +74,7 @@ HOLD = {"kind": RollAtOnce, "about": {"hold of the input, s": "0.02"}}
         (gb.RelativeError(), {}),
         (gb.MagnitudePhase(), {}),
         (gb.RelativeLikelihood(), {}),
-        (gb.RelativeLikelihood(), HOLD),
+        (gb.RelativeError(), HOLD),
     ],
     ids=str,
 )

@@ -84,8 +84,8 @@ def test_derivatives_are_differences(own):
 
 def test_a_rod_is_estimated_as_by_scipy():
     model, random = Rod(), np.random.default_rng(3)
-    time = 0.5 * np.arange(60)
-    power = np.repeat(random.choice([0.0, 1.0, 2.0], 12), 5)
+    time = 0.5 * np.arange(40)
+    power = np.repeat(random.choice([0.0, 1.0, 2.0], 8), 5)
 
     def simulated(p):
         def slope(t, T):
@@ -100,7 +100,7 @@ def test_a_rod_is_estimated_as_by_scipy():
             x = solve_ivp(slope, (begin, end), x, "LSODA", rtol=1e-8, atol=1e-8).y[:, -1]
         return np.transpose(outputs)
 
-    measured = simulated([8.0, 0.05, 12.0]) + 0.1 * random.normal(size=(2, 60))
+    measured = simulated([8.0, 0.05, 12.0]) + 0.1 * random.normal(size=(2, 40))
     record = gb.Record(time, {"power": power, "hot": measured[0], "cold": measured[1]})
     at_rest = gb.OutputError(
         initial=dict.fromkeys(Rod.states, 0.0), noise={"hot": 0.1, "cold": 0.1}

@@ -5,6 +5,8 @@ import pytest
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Cart(gb.StateSpace):
     """A mass on a spring with quadratic drag."""

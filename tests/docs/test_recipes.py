@@ -15,6 +15,8 @@ import greybox as gb
 
 FILE = Path(recipes.__file__)
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def near(fit):
     assert fit.converged
@@ -33,7 +35,7 @@ def heun():
 def test_an_integrator_and_a_rule_for_starts(heun, tmp_path):
     near(heun)
     assert "3 by Halton, seed 0" in heun.details
-    usual = gb.fit(recipes.problem(), 3, progress=False)
+    usual = gb.fit(recipes.problem(), 1, progress=False)
     for name in recipes.TRUTH:
         assert heun.estimate[name] == pytest.approx(
             usual.estimate[name], abs=0.2 * usual.standard_error[name]
@@ -47,7 +49,7 @@ def test_an_integrator_and_a_rule_for_starts(heun, tmp_path):
 
 
 def test_a_transcription(heun):
-    fit = gb.fit(recipes.problem(), 2, method=recipes.Trapezoidal(), progress=False)
+    fit = gb.fit(recipes.problem(), 1, method=recipes.Trapezoidal(), progress=False)
     assert fit.converged
     for name, truth in recipes.TRUTH.items():
         assert fit.standard_error[name] > 0
@@ -63,11 +65,11 @@ def test_a_transcription(heun):
 
 
 def test_a_criterion_for_records(tmp_path):
-    fit = gb.fit(recipes.windy(), 2, progress=False)
+    fit = gb.fit(recipes.windy(), 1, progress=False)
     near(fit)
     assert {name for name in fit.free if name.startswith("K_")} == {"K_x_x", "K_v_v"}
     other = gb.fit(
-        recipes.windy().with_(criterion=gb.PredictionError(inputs="held")), 2, progress=False
+        recipes.windy().with_(criterion=gb.PredictionError(inputs="held")), 1, progress=False
     )
     assert gb.compare(fit, other).statements
     gb.save(fit, tmp_path / "windy.h5")

@@ -55,7 +55,7 @@ def phase_margin(loop):
 def test_margins_are_those_of_python_control():
     rng = np.random.default_rng(3)
     compared = 0
-    for _ in range(25):
+    for _ in range(12):
         values = {
             "K": rng.uniform(5, 80),
             "a": rng.uniform(-3, 10),
@@ -80,7 +80,7 @@ def test_margins_are_those_of_python_control():
         omega = np.union1d(np.geomspace(0.1, 0.999 * np.pi * RATE, 300), modulus.omega)
         disk, *_ = control.disk_margins(loop, omega, skew=1.0)
         assert modulus.value == pytest.approx(disk, rel=1e-8)
-    assert compared > 9
+    assert compared > 4
 
 
 def test_a_crossover_far_below_the_rate_of_the_loop_counts():
@@ -370,6 +370,7 @@ class Unseen(gb.StateSpace):
         return (x.h, p.c * x.h)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_loop_that_feels_what_the_data_do_not_determine_has_no_interval():
     response = 35 / (1j * OMEGA + 3) * (1 + 0.01 * np.exp(1j * 7 * OMEGA))
     data = gb.FrequencyResponse(OMEGA, response, input="u", output="h")
@@ -407,6 +408,7 @@ def test_signals_that_are_not_in_the_loop_are_refused(fit):
             gb.margins(fit, RateLoop(), part=part)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_uncertainty_holds_the_true_loop_and_grows_outside_the_data(fit):
     omega = np.geomspace(1, 200, 20)
     radius = gb.margins(fit, RateLoop()).uncertainty(omega)

@@ -14,6 +14,8 @@ from greybox.experiment.sine_plan import (
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TILT = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
 RATE = 100  # Hz
 NOISE = 0.002  # rad

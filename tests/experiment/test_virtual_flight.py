@@ -259,7 +259,7 @@ def test_the_truth_is_found_again():
         flown, gb.logs.find_segments(flown, setpoint="reference"), setpoint="reference"
     )
     fixed = {"T_rotor": 0.05, "T_delay": 0.0042 + HOLD, "a5": 0.16}
-    fit = gb.fit(gb.Problem(Tilt(), found.response, fixed=fixed), starts=30, seed=0, progress=False)
+    fit = gb.fit(gb.Problem(Tilt(), found.response, fixed=fixed), starts=8, seed=0, progress=False)
     for name, value in TILT.items():
         assert abs(fit.estimate[name] - value) < max(
             4 * fit.standard_error[name], 0.002 * abs(value)

@@ -8,6 +8,8 @@ from scipy.stats import norm
 import greybox as gb
 from greybox.validation.same_data import count_unknowns
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {"K": 5.0, "T": 0.3}
 OMEGA = np.geomspace(0.5, 20, 25)
 RESPONSE = measured(Lag(), OMEGA, TRUTH, noise=0.05, name="sines")

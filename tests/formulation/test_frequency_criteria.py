@@ -14,6 +14,8 @@ import greybox as gb
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.modeling.complex_arithmetic import Complex
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RANDOM = np.random.default_rng(0)
 N = len(TWO_LAGS_OMEGA)
 COLUMNS = {"coherence": RANDOM.uniform(0.3, 1, N), "variance": RANDOM.uniform(0.01, 0.1, N)}
@@ -203,7 +205,7 @@ def test_a_gain_is_biased_low_by_the_measured_normalization_and_high_by_the_mode
     data = measured(Gain(), np.geomspace(0.1, 10, 400), {"K": 2.0}, noise=sigma, seed=5)
     squares = (gb.SquaredRelativeError(normalized=n) for n in ("measured", "model"))
     low, high, free = (
-        gb.fit(gb.Problem(Gain(), data, criterion), starts=3).estimate["K"]
+        gb.fit(gb.Problem(Gain(), data, criterion), starts=1).estimate["K"]
         for criterion in (*squares, gb.RelativeLikelihood())
     )
     size = np.abs(data.response)
@@ -255,9 +257,7 @@ def test_standard_errors_hold_for_variances_of_few_degrees_of_freedom():
         response = truth + size * (rng.normal(size=30) + 1j * rng.normal(size=30))
         variance = 2 * size**2 * rng.chisquare(nu, 30) / nu
         data = gb.FrequencyResponse(omega, response, variance=variance, dof=np.full(30, nu))
-        problem = gb.Problem(
-            LagLagDelay(), data, gb.MaximumLikelihood(), constraints=[lambda p: p.T1 - p.T2]
-        )
+        problem = gb.Problem(LagLagDelay(), data, gb.MaximumLikelihood())
         fit = gb.fit(problem, starts=[TWO_LAGS], profiles=False, progress=False)
         standardized += [
             (fit.estimate[n] - TWO_LAGS[n]) / fit.standard_error[n] for n in ("K", "T1")
@@ -286,7 +286,9 @@ def test_without_variances_the_relative_likelihood_does_not_depend_on_units():
 
 def test_noise_free_data_are_fitted_by_the_relative_likelihood():
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
-    found = gb.fit(gb.Problem(LagLagDelay(), data, gb.RelativeLikelihood()), starts=8)
+    found = gb.fit(
+        gb.Problem(LagLagDelay(), data, gb.RelativeLikelihood()), starts=8, profiles=False
+    )
     assert found.converged
     values = sorted(found.estimate[name] for name in TWO_LAGS)
     assert_allclose(values, sorted(TWO_LAGS.values()), rtol=1e-6)

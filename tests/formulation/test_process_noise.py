@@ -10,10 +10,12 @@ from sampled_lag import SampledLag, lag_record
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 from scipy.signal import lfilter
-from spring_lag_tilt import SPRING, Spring, assert_true, fit
+from spring_lag_tilt import SPRING, Spring, assert_true, fit_finely as fit
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+
+pytestmark = pytest.mark.usefixtures("unjudged_file")
 
 WIND = gb.PredictionError(process_noise=("v",), inputs="held")
 TRUTH = {name: SPRING[name] for name in ("k", "c", "b")}
@@ -265,7 +267,7 @@ def test_gusts_that_do_not_blow_have_no_time_constant():
 def test_steps_that_overshoot_settle():
     """Damping that fell after each of them let runs go to and fro beside this minimum to their end."""
     gusty = gb.PredictionError(disturbance={"y": "colored"}, inputs="held")
-    found = fit(gb.Problem(SampledLag(), lag_record(5, 800), gusty), starts=2)
+    found = fit(gb.Problem(SampledLag(), lag_record(5, 200), gusty), starts=2)
     assert found.runs.converged.all()
     assert max(found.runs.iterations) < 300
 

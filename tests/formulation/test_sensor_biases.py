@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from spring_lag_tilt import HELD, SPRING, Spring, assert_true, fit, spring
+from spring_lag_tilt import HELD, SPRING, Spring, assert_true, fit_finely as fit, spring
 
 import greybox as gb
 from greybox.formulation.sum import with_numbered_biases
+
+pytestmark = pytest.mark.usefixtures("unjudged_file")
 
 BIASED = gb.OutputError(inputs="held", biases=("x",))
 

@@ -12,6 +12,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.identification.choices import choose, motion
 from greybox.identification.structure_fit import Structure
+from greybox.models.polynomial import Polynomial
 from greybox.models.rate import DampedAngle, DampedRotation, LaggedAngle, YawRateLag
 from greybox.models.tilt import LinearTilt, Tilt
 from greybox.problems import sitl_pitch
@@ -45,7 +46,7 @@ def test_structures_are_fitted_on_request():
         Structure(DampedAngle(), "rate:DampedAngle", free),
         Structure(Tilt(), "tilt:Tilt", (*free, "a5")),
     ]
-    found = gb.identify(sitl_pitch.LOG, structures=listed, starts=4)
+    found = gb.identify(sitl_pitch.LOG, structures=listed, starts=2)
     assert found.selection.chosen.label == "rate:DampedAngle"
     for name, truth in sitl_pitch.published["values"].items():
         if name == "T_delay":  # the published one contains half of the hold of the control
@@ -359,7 +360,9 @@ def test_any_output_sign_and_unit_is_identified(plant):
 
 
 def test_several_logs_of_one_axis_are_fitted_together(plant):
-    both = gb.identify([plant_log(), plant_log(seed=1)], **OF_PLANT)
+    logs, chosen = [plant_log(), plant_log(seed=1)], [Polynomial(2, 0, 1, delay=0.3)]
+    near = {"start": {"b0": -1e-3, "a1": 1.0}, "starts": 1}
+    both = gb.identify(logs, structures=chosen, **near, **OF_PLANT)
     assert len(both.measurements) == len(both.fit.responses) == 2
     assert both.fit.standard_error["b0"] < plant.fit.standard_error["b0"]
     assert abs(both.fit.estimate["b0"] + 4e-4) < 3 * both.fit.standard_error["b0"]
@@ -371,7 +374,7 @@ def test_one_log_is_no_two():
 
 
 def test_a_structure_that_does_not_explain_the_data_says_so():
-    found = gb.identify(plant_log(), structures=[YawRateLag()], **OF_PLANT)
+    found = gb.identify(plant_log(), structures=[YawRateLag()], starts=4, **OF_PLANT)
     assert not found.selection.explains
     assert "does not explain the data" in found.fit.warnings[0]
     assert "No structure explains the data" in str(found)
@@ -379,7 +382,7 @@ def test_a_structure_that_does_not_explain_the_data_says_so():
 
 
 def test_an_ode_is_a_structure():
-    found = gb.identify(sitl_pitch.LOG, structures=[LinearTilt()], starts=4)
+    found = gb.identify(sitl_pitch.LOG, structures=[LinearTilt()], starts=2)
     assert found.selection.chosen.label == "LinearTilt"
 
 

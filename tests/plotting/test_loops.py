@@ -10,6 +10,8 @@ import greybox as gb
 from greybox.models.rate import BasicRate
 from greybox.plotting.loops import gains_figure, loop_figures
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
 
 class RateLoop(gb.Controller):
     """Proportional control of the rate."""

@@ -10,6 +10,8 @@ import greybox as gb
 from greybox.models.specific_force import BodyDrag, RotorThrust
 from greybox.problems import nanobench_drag, nanobench_thrust
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 @cache
 def drag(**fixed):

@@ -9,6 +9,8 @@ import greybox as gb
 from greybox.models.moment import TiltMoment, TiltMomentAt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_moment
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def test_the_linearization_by_hand_is_that_of_the_nonlinear_model():
     values = {
@@ -39,7 +41,7 @@ def test_the_linearization_by_hand_is_that_of_the_nonlinear_model():
 
 @pytest.fixture(scope="module")
 def selection():
-    return pitch_moment.selection(starts=2)
+    return pitch_moment.selection(starts=1)
 
 
 def test_three_terms_are_supported_and_the_fourth_is_not_beyond_chance(selection):
@@ -47,7 +49,7 @@ def test_three_terms_are_supported_and_the_fourth_is_not_beyond_chance(selection
     assert selection.without.cost == pytest.approx(6.0845, abs=1e-4)
     assert selection.fit.cost == pytest.approx(pitch_moment.minimum, rel=1e-5)
     # Four terms do what separate parameters for the two tables do: the sum of the two fits alone.
-    separate = gb.fit(pitch_moment.separate(), starts=1, profiles=False)
+    separate = gb.fit(pitch_moment.separate(), starts=1, profiles=False, progress=False)
     last = {t.term: t for t in selection.trials if t.step == selection.trials[-1].step}
     assert last["b_vq"].cost == pytest.approx(separate.cost, rel=1e-4)
     assert last["b_vq"].p_value > last["b_vq"].limit
@@ -59,5 +61,5 @@ def test_three_terms_are_supported_and_the_fourth_is_not_beyond_chance(selection
 def test_what_two_tables_cannot_tell_apart_another_angle_tells(selection):
     assert selection.alike.keys() == {"b_vv", "b_vtheta"}
     assert all(others.keys() == {"b_thetatheta"} for others in selection.alike.values())
-    table = pitch_moment.flights(angles=(10.0,))
+    table = pitch_moment.flights(angles=(10.0,), starts=2)
     assert [float(line.split()[-1]) > 10 for line in table.splitlines()[2:]] == [True, True]

@@ -13,17 +13,19 @@ from greybox.problems import (
     pitch_two_points,
 )
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 @pytest.fixture(scope="module")
 def costs():
-    return pitch_operating_points.costs(starts=12)
+    return pitch_operating_points.costs(starts=3)
 
 
 def test_alone_each_table_is_explained_as_by_the_transfer_function(costs):
     """At 5° the drag has the slope a5 of the paper, in hover none: there (4.25) is the same with a5 = 0."""
     hover, moving = (alone for alone, _ in costs.values())
     assert moving == pytest.approx(pitch_5deg.minimum, rel=1e-5)
-    undamped = gb.fit(gb.Problem(Tilt(), pitch_hover.data(), fixed={"a5": 0.0}), 4, profiles=False)
+    undamped = gb.fit(gb.Problem(Tilt(), pitch_hover.data(), fixed={"a5": 0.0}), 2, profiles=False)
     assert hover == pytest.approx(undamped.cost, rel=1e-5)
 
 
@@ -44,12 +46,12 @@ def test_the_comparison_prints_both_tables(costs, monkeypatch):
 
 def test_a_free_drag_goes_to_its_lower_bound():
     parts = [part.with_(fixed={}) for part in pitch_operating_points.tables()]
-    fit = gb.fit(parts[0] + parts[1], 12, progress=False)
+    fit = gb.fit(parts[0] + parts[1], 2, progress=False)
     assert f"{fit.cost:.3f}" in pitch_operating_points.__doc__
     assert [q.name for q in fit.quantities if q.at_bound] == ["C_x"]
 
 
 def test_hover_at_finite_amplitude_explains_more_than_linear_drag():
-    linear = gb.fit(gb.Problem(Tilt(), pitch_hover.data(), free=("a5",)), 12, progress=False)
+    linear = gb.fit(gb.Problem(Tilt(), pitch_hover.data(), free=("a5",)), 2, progress=False)
     assert f"{linear.cost:.3f}" in pitch_hover_sines.__doc__
     assert pitch_hover_sines.minimum < linear.cost < pitch_hover.minimum

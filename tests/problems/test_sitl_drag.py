@@ -27,6 +27,7 @@ def fit(records, **fixed):
     return gb.fit(sitl_drag.problem(records, **fixed), starts=1, profiles=False, progress=False)
 
 
+@pytest.mark.usefixtures("unjudged")
 def test_both_drags_are_those_of_the_simulator():
     found = fit(sitl_drag.data())
     for name, value in settings().items():
@@ -34,6 +35,7 @@ def test_both_drags_are_those_of_the_simulator():
         assert found.standard_error[name] < 0.1 * value
 
 
+@pytest.mark.usefixtures("unjudged")
 def test_the_bias_does_not_move_within_a_flight_if_the_drag_is_that_of_the_simulator():
     """There was no wind; a bias that moves comes from the drag, which one speed cannot separate from it."""
     parts = zip(

@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.simulation.model_at_estimate import model_at
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {"a5": 0.2, "C_x": 0.05}
 BIASES = gb.OutputError(biases=("v", "theta"))
 

@@ -301,14 +301,14 @@ from test_batch import members
 
 run = ResponseSolver.run
 def slow(self, start, *others):
-    time.sleep(0.05)
+    time.sleep(0.1)
     return run(self, start, *others)
 ResponseSolver.run = slow
 store.UNWRITTEN = 0.2
 
 if __name__ == "__main__":
     workers = gb.solve.WorkerPool(2) if {workers} else None
-    gb.batch(members(24), sys.argv[1], executor=workers, progress=False)
+    gb.batch(members(), sys.argv[1], executor=workers, progress=False)
 """
 
 
@@ -328,7 +328,7 @@ def at_work(tmp_path, folder, *, workers):
     assert kept(folder) > before
 
 
-def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path, monkeypatch):
+def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path, monkeypatch, finished):
     folder = tmp_path / "study"
     with at_work(tmp_path, folder, workers=False):
         with monkeypatch.context() as hasty:
@@ -338,14 +338,9 @@ def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path, monkeypatc
         assert len(gb.study.read_study(folder).members) == 3  # reading is free
     with at_work(tmp_path, folder, workers=True):
         pass
-    study = gb.batch(members(24), folder, progress=False)
-    for member, stated in zip(study.members, members(24), strict=True):
-        require_same(
-            member.fit,
-            gb.fit(
-                stated.problem, stated.starts, stated.seed, search=stated.search, progress=False
-            ),
-        )
+    study = gb.batch(members(), folder, progress=False)
+    for member, expected in zip(study.members, read_members(finished), strict=True):
+        require_same(member.fit, expected.fit)
 
 
 def test_a_lock_that_is_let_go_in_a_moment_is_waited_for(tmp_path):
@@ -364,7 +359,7 @@ def kept(folder):
         return 0
 
 
-def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
+def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made, finished):
     add = StoredRuns.add
 
     def press(self, number, start, outcome):
@@ -383,13 +378,11 @@ def test_ctrl_c_keeps_what_was_done(tmp_path, monkeypatch, press_ctrl_c, made):
     assert stopped.value.study["other seed"].runs == 5
     monkeypatch.undo()
     study = gb.batch(members(), tmp_path, progress=False)
-    require_same(
-        study["other seed"].fit, gb.fit(RESPONSE, 12, 1, search="multistart", progress=False)
-    )
+    require_same(study["other seed"].fit, gb.study.read_study(finished)["other seed"].fit)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of the size of files are those of Unix")
-def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
+def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path, finished):
     from full_disk import limited_files
 
     with (
@@ -398,7 +391,7 @@ def test_a_full_disk_is_a_sentence_and_the_batch_goes_on(tmp_path):
     ):
         gb.batch(members(), tmp_path, progress=False)
     study = gb.batch(members(), tmp_path, progress=False)
-    require_same(study["response"].fit, gb.fit(RESPONSE, 12, search="multistart", progress=False))
+    require_same(study["response"].fit, gb.study.read_study(finished)["response"].fit)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ from greybox.models.drag import Drag
 from greybox.models.tilt import Tilt
 from greybox.study.data_file import read_data
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
 DRAG = ("fit", "--model", "drag:Drag", "--data")
 

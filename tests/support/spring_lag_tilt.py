@@ -69,6 +69,11 @@ def fit(problem, starts=ONE, *, profiles=False, **options):
     return gb.fit(problem, starts=starts, progress=False, profiles=profiles, **options)
 
 
+def fit_finely(problem, starts=ONE, **options):
+    """Fit with steps that need no refinement, which would take as long as the fit."""
+    return fit(problem, starts, **{"method": FINE, **options})
+
+
 def deviations(found, truth):
     """Errors of the estimate in standard errors."""
     return {

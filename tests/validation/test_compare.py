@@ -8,6 +8,8 @@ from drag_flights import LINEAR, QUADRATIC, Drag, LinearDrag, QuadraticDrag, fit
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 @pytest.fixture(scope="module")
 def quadratic():

@@ -9,6 +9,8 @@ import greybox as gb
 from greybox.models.tilt import PAPER_G
 from greybox.validation.nested_models import NotNestedError, nested_values
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 NAMES = ("small", "large")
 
 

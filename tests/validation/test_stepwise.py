@@ -110,8 +110,8 @@ def test_a_term_that_another_one_replaces_is_removed():
 
 
 def test_noise_brings_in_no_term():
-    found = [gb.stepwise(problem({}, seed=k), ["c1", "c9"], starts=1) for k in range(1, 5)]
-    assert [selection.terms for selection in found] == [()] * 4
+    found = [gb.stepwise(problem({}, seed=k), ["c1", "c9"], starts=1) for k in range(1, 3)]
+    assert [selection.terms for selection in found] == [()] * 2
     assert found[0].verdict.startswith("None of 2 candidates is supported")
     assert found[0].fit.cost == pytest.approx(found[0].without.cost)
 
@@ -239,8 +239,8 @@ def test_the_causes_of_a_misfit_are_candidates():
     wrong = flown(Hardening)
     plain = gb.fit(wrong, starts=1, progress=False)
     misfit = gb.misfit(plain, candidates={"hardening": lambda x, u, p: x.x**3 - x.x})
-    # Three of its causes: every further one costs a fit a step.
-    found = gb.stepwise(wrong, replace(misfit, causes=misfit.causes[:3]), starts=1)
+    # Two of its causes: every further one costs a fit a step.
+    found = gb.stepwise(wrong, replace(misfit, causes=misfit.causes[:2]), starts=1)
     (term,) = found.terms
     assert term == "hardening_in_v"
     assert found.fit.misfit.explains
@@ -279,7 +279,7 @@ def test_a_force_that_is_missing_is_missing_in_the_measured_acceleration_too():
     assert "and so does the output acc, 0.1 times" in cause.code
     assert cause.value == pytest.approx(-20, abs=4 * cause.error)
 
-    selected = gb.stepwise(wrong, misfit, starts=1)
+    selected = gb.stepwise(wrong, replace(misfit, causes=misfit.causes[:2]), starts=1)
     assert selected.terms == ("x_3_in_v",)
     assert selected.fit.misfit.explains
     for name, truth in {"x_3_in_v": -20.0, "k": 25.0, "d": 2.0}.items():
