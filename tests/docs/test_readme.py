@@ -30,12 +30,9 @@ RUNNING = [
 
 @pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.stem)
-def test_the_examples_run(page, tmp_path, monkeypatch, capsys, request):
+def test_the_examples_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    text = page.read_text(encoding="utf-8")
-    if "misfit" not in text:
-        request.getfixturevalue("unjudged")
-    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     names = {"__name__": "example"}
     for block in blocks:
         exec(compile(block, page.name, "exec"), names)
