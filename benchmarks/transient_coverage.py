@@ -198,6 +198,9 @@ def cases():
         (ShortPeriod(), SHORT_PERIOD, [first]),
         (ShortPeriod(), SHORT_PERIOD, [first, second]),
     )
+    edges = [(0.2, 0.9, 1.3), (0.5, 1.2, 1.9), (0.3, 1.6), (0.4, 0.8, 1.2, 2.4)]
+    short = [short_period_record(4.0, each, [0.0, 0.01]) for each in edges]
+    four = (ShortPeriod(), SHORT_PERIOD, short)
     both = (Lateral(), LATERAL, [lateral])
     pair = (["da", "dr"], ["roll", "yaw"])
     gusts = {
@@ -220,6 +223,7 @@ def cases():
         **gusts,
         "one 2-1-1 of 8 s": (*one, noisy(q=0.02), ["u"], ["q"], by_output),
         "2-1-1 and doublet": (*two, noisy(q=0.02), ["u"], ["q"], by_output),
+        "four of 4 s, six lines each": (*four, noisy(q=0.02), ["u"], ["q"], by_output),
         "two inputs, two outputs": (*both, noisy(roll=0.02, yaw=0.005), *pair, by_output),
         "noise louder at the beginning": (*both, louder, *pair, by_output),
         "correlated noise": (*both, correlated, *pair, by_output),
