@@ -150,7 +150,7 @@ def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[T
 
 
 def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
-    """Return the products of the residuals of parts; few are means of all parts of their kind.
+    """Return the products of residuals; those of few numbers are means of their noise group.
 
     With a variance of its own, a record of few samples that chances to be fitted well would decide
     the estimate, and so would a manoeuvre of few lines.

@@ -458,9 +458,10 @@ def compile_manoeuvres(
     """
     parts = [TransientPart(problem, expressions, z) for problem in problems]
     for group in grouped(parts, lambda part: part.noise_group):
-        in_order = sorted(group, key=lambda part: part.numbers)
-        degrees = 0.0 if in_order[0].few.any() else FEWEST
-        for part in in_order:
+        if not any(part.few.any() for part in group):
+            continue
+        degrees = 0.0
+        for part in sorted(group, key=lambda part: part.numbers):
             if degrees >= FEWEST and not part.few.any():
                 break
             part.few = np.full(len(part.outputs), 2 * len(part.data))
