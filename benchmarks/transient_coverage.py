@@ -265,6 +265,8 @@ def coverage(case, runs, seed):
         wide = fit.interval(1 - 0.05 / len(names))
         honest += speaks or all(wide[n][0] <= truth[n] <= wide[n][1] for n in names)
         interval = fit.interval()
+        # Where the standard error misleads.
+        interval |= {p.name: p.interval for p in (fit.profiles.profiles if fit.profiles else ())}
         inside.append([interval[n][0] <= truth[n] <= interval[n][1] for n in names])
         standardized.append([(fit.estimate[n] - truth[n]) / fit.standard_error[n] for n in names])
     rms = np.sqrt(np.nanmean(np.square(standardized), axis=0))

@@ -30,7 +30,7 @@ from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.diagnostics.records import resting_inputs, rounded_outputs
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.misfit_assessment import assessed_misfit
-from greybox.estimate.profile import profiled_where_misleading
+from greybox.estimate.profile import with_profiles_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Named, by_name
@@ -114,11 +114,12 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     profiles : bool
         After default starts, look for other minima that the data hardly distinguish from the best
         one; for records, if the model is linear and has more states than outputs. Profile the
-        likelihood of responses, as `greybox.profile` does, along parameters without an interval by
-        the standard error, or whose interval leaves the bounds, whose error exceeds half the value,
-        or changes by 30 % within one error: `Fit.profiles`. Slow problems (trims inside the
-        optimization, finite amplitudes, many parameters with constraints) are not profiled unless
-        you name the parameters in `greybox.profile`.
+        likelihood of responses and manoeuvres, as `greybox.profile` does, along parameters without
+        an interval by the standard error, or whose interval leaves the bounds, whose error exceeds
+        half the value, or changes by 30 % within one error: `Fit.profiles`. Where that would take
+        longer than the search, a note names these parameters. Slow problems (records, trims inside
+        the optimization, finite amplitudes) are not profiled unless you name the parameters in
+        `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of
         finished and of all runs.
@@ -275,10 +276,7 @@ def fit_with_storage(
         messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
         # A search that was cut short has no time for profiles.
         if profiles and answer.converged and not messages:
-            profiled = profiled_where_misleading(solver.nlp, answer)
-            if profiled:
-                messages = profiled.warnings
-                answer = replace(answer, profiles=profiled)
+            answer = with_profiles_where_misleading(solver.nlp, answer)
         seconds = time.perf_counter() - began
         answer = replace(answer, warnings=(*messages, *answer.warnings), seconds=seconds)
     # What CasADi built is freed here, not at the return while another thread builds.

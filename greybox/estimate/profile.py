@@ -25,14 +25,15 @@ from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
-from greybox.files.arrays import Array, Interval, Labels, Strings, frozen
+from greybox.files.arrays import Array, Interval, Labels, Strings, all_finite, frozen
 from greybox.files.progress import bar
-from greybox.files.text_table import as_names, number
+from greybox.files.text_table import as_names, listed, number
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.gauss_newton.settings import USUAL
 from greybox.solve.ipopt import WARM
 from greybox.solve.multistart import solver_for
 from greybox.solve.response_solver import TOLERANCE, ResponseSolver
@@ -57,11 +58,12 @@ def profile(
     - `RelativeError` (4.26), `SquaredRelativeError`, `RelativeLikelihood`: errors isotropic in the
       complex plane and of one relative size, which is estimated; Student's t.
     - `MaximumLikelihood`: errors of the given variances, scaled up if the residuals are larger.
-    - `OutputError`, `PredictionError`: normal errors of the outputs, with the variances of the
-      residuals. Where these are correlated in time, the ratio is scaled so that small changes have
-      the standard errors of the fit.
-    - `MagnitudePhase`, a criterion of your own that does not weigh points by their errors, and
-      manoeuvres: no likelihood, refused.
+    - `OutputError`, `PredictionError`, `EquationError`: normal errors of the outputs or of their
+      equation, with the variances of the residuals. Where these are correlated in time, or of
+      different sizes over a manoeuvre, the ratio is scaled so that small changes have the standard
+      errors of the fit.
+    - `MagnitudePhase`, and a criterion of your own that does not weigh points by their errors: no
+      likelihood, refused.
 
     Parameters
     ----------
@@ -77,8 +79,7 @@ def profile(
     Raises
     ------
     ValueError
-        If the criterion admits no likelihood ratio, for manoeuvres, and for a problem other than
-        the fitted one.
+        If the criterion admits no likelihood ratio, and for a problem other than the fitted one.
     LookupError
         If a loaded fit does not know its model.
 
@@ -98,11 +99,6 @@ def profile(
             f"the fit {fit.name!r} has priors, so its cost is not a likelihood: use the "
             "standard errors."
         )
-    if len(fit.responses) + len(fit.records) < len(fit.parts):
-        raise ValueError(
-            f"the fit {fit.name!r} has manoeuvres, which cannot be profiled: use the "
-            "standard errors; if there are none, its warnings say what to do."
-        )
 
     nlp = compiled_again(fit, problem)
     # A quantity that follows from constants alone has the standard error zero and no profile.
@@ -114,31 +110,41 @@ def profile(
     # Two fresh starts for every point of a response: another minimum may become the lowest away
     # from the estimate. For records, the states of the neighboring point lead to the minimum, and a
     # run from elsewhere takes seconds.
-    fresh = 0 if fit.records else 2
+    fresh = 0 if nlp.has_states else 2
     return _profiles(nlp, fit, [lines[name] for name in chosen], level, fresh)
 
 
-def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None:
-    """Profile the parameters whose standard error misleads; None if there are none."""
-    # Records with states and responses to finite amplitudes would take minutes: only the user can
-    # ask for these.
+def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
+    """Return the fit with profiles of the parameters whose standard error misleads.
+
+    With a note on these where profiles take more than a moment; unchanged where there is no
+    likelihood, and where finding these parameters would take long.
+    """
     is_batched = ResponseSolver.serves(nlp)
-    are_quick = len(fit.responses) == len(fit.parts) and (is_batched or nlp.limits)
-    if not (are_quick or all(part.is_static for part in nlp.parts)):
-        return None
-    # Without the batched search, profiles beyond these sizes take more than a second.
-    if not is_batched and nlp.numbers > 1000:
-        return None
-    if fit.directions is None or any(p.roots for p in nlp.programs):
-        return None
+    is_simulated = any(part.samples and not part.is_static for part in nlp.parts)
+    has_amplitudes = not (is_batched or nlp.has_states or nlp.limits)
+    is_large = nlp.numbers > 1000 and not is_batched
+    if is_simulated or has_amplitudes or is_large or any(p.roots for p in nlp.programs):
+        return fit
+    if fit.directions is None or any(_refusals(nlp, _estimate(nlp, fit), fit)):
+        return fit
 
     lines = [*_misleading(nlp, fit)]
-    if lines and (is_batched or len(lines) * len(nlp.free) <= 12):
+    if not lines:
+        return fit
+    # Each point is a run. With this much work, profiles take as long as a search from 20 starts.
+    work = len(lines) * len(nlp.free) * len(nlp.parts)
+    if is_batched or work <= (36 if nlp.has_states else 12):
         try:
-            return _profiles(nlp, fit, lines, 0.95, fresh=0)
+            profiles = _profiles(nlp, fit, lines, 0.95, fresh=0)
         except NoProfileError:
-            pass
-    return None
+            return fit
+        return replace(fit, profiles=profiles, warnings=(*profiles.warnings, *fit.warnings))
+    note = (
+        f"use profile likelihood (profile) for the intervals of {listed([q.name for q in lines])}: "
+        "their standard errors mislead."
+    )
+    return replace(fit, notes=(*fit.notes, note))
 
 
 def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
@@ -155,8 +161,10 @@ def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
     def errors(at: Array) -> Array:
         at = np.clip(at, nlp.lower, nlp.upper)
         z = nlp.scaling.to_solver(at)
-        # Only simulated samples need one. The costs of responses would take a third of the time.
-        trajectories = [part.trajectory(z) if part.samples else None for part in nlp.parts]
+        # Responses need none, and their costs would take a third of the time.
+        trajectories = [part.trajectory(z) if part.has_states else None for part in nlp.parts]
+        if not all(each is None or all_finite(each.products) for each in trajectories):
+            return np.full(len(x), math.inf)
         parts = informations(nlp, at, trajectories)
         jacobian = np.vstack([part.jacobian for part in parts])[:, : len(x)]
         return np.linalg.norm(np.linalg.pinv(np.nan_to_num(jacobian * size)), axis=1)
@@ -256,7 +264,8 @@ class HeldMinima:
 
     @cached_property
     def _solver(self) -> GaussNewton:
-        return GaussNewton(self.nlp)
+        # Ends move by 1e-6 of a standard error, and profiles take two thirds of the time.
+        return GaussNewton(self.nlp, settings=replace(USUAL, tol=1e-5))
 
     @cached_property
     def _newton(self) -> BatchedNewton | None:
@@ -337,12 +346,16 @@ def slope_of(quantity: ca.Function, z: Array) -> Array:
 # --- the cost as a likelihood
 
 
-def _refusals(minima: HeldMinima, fit: Fit) -> Iterator[str]:
-    """Yield why the costs at the minimum admit no likelihood ratio."""
+def _estimate(nlp: CompiledProblem, fit: Fit) -> Array:
+    return np.array([fit.estimate[name] for name in nlp.free])
+
+
+def _refusals(nlp: CompiledProblem, x: Array, fit: Fit) -> Iterator[str]:
+    """Yield why the costs at the minimum x (p,) admit no likelihood ratio."""
     # The costs of records are log-likelihoods. The cost of a response is one, up to a factor, if
     # every point has the same weight in units of its error: then the curvature gives the factor.
-    values = minima.nlp.all_values(minima.x)
-    for part in minima.nlp.parts_of(ResponsePart):
+    values = nlp.all_values(x)
+    for part in nlp.parts_of(ResponsePart):
         _, meat = part.criterion.spread(part.response(values), part.data, 1.0)
         if not part.criterion.weighs_alike and np.ptp(meat) > 1e-6 * meat.max(initial=0.0):
             yield (
@@ -434,13 +447,7 @@ class _Search:
             if not room > 0:
                 return points, "bound"
             value = last.value + direction * step if step < room else bound
-            ahead = last
-            # The other parameters move nearly along a line: extrapolated, a point takes few
-            # iterations.
-            if len(points) > 1:
-                previous = points[-2]
-                share = (value - last.value) / (last.value - previous.value)
-                ahead = replace(last, z=last.z + share * (last.z - previous.z))
+            ahead = on_line(value, last, points[-2]) if len(points) > 1 else last
 
             point = self.point(value, ahead, *self.starts)
             rise = direction * (self.root(point) - self.root(last))
@@ -467,12 +474,21 @@ class _Search:
         from scipy.optimize import root_scalar  # noqa: PLC0415
 
         ends = {point.value: point for point in (inner, outer)}
+        takes_long = self.minima.nlp.has_states
 
         def height(value: float) -> float:
-            return self.root(ends.get(value) or self.point(value, inner, outer)) - root
+            starts = (on_line(value, inner, outer),) if takes_long else (inner, outer)
+            return self.root(ends.get(value) or self.point(value, *starts)) - root
 
         tolerance = max(1e-3 * abs(outer.value - inner.value), 1e-12 * self.size)
         return root_scalar(height, bracket=(inner.value, outer.value), xtol=tolerance).root
+
+
+def on_line(value: float, point: Point, other: Point) -> Point:
+    """Return where a quantity has a value on the line through two points."""
+    # The other parameters move nearly along it: from there, a minimum takes few iterations.
+    share = (value - point.value) / (other.value - point.value)
+    return replace(point, z=point.z + share * (other.z - point.z))
 
 
 @one_thread_at_a_time
@@ -489,8 +505,8 @@ def _value_of(nlp: CompiledProblem, name: str) -> ca.Function:
 def _profiles(
     nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
-    minima = HeldMinima(nlp, np.array([fit.estimate[name] for name in nlp.free]))
-    for refusal in _refusals(minima, fit):
+    minima = HeldMinima(nlp, _estimate(nlp, fit))
+    for refusal in _refusals(nlp, minima.x, fit):
         raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
     starts = []
     if fresh:

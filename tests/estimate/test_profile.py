@@ -393,8 +393,6 @@ def test_a_fit_without_an_estimate_and_one_with_a_prior_have_no_profile(lag):
         match="has priors",
     ):
         gb.profile(replace(lag, name="run", priors={"K": (2.0, 0.1)}))
-    with pytest.raises(ValueError, match="manoeuvres"):
-        gb.profile(replace(lag, name="run", parts=(*lag.parts, SimpleNamespace())))
 
 
 def test_a_lower_cost_than_the_fits_is_told(lag):

@@ -314,6 +314,35 @@ def test_nested_and_other_models_are_compared(spectrum, fit):
     assert "T is needed" in str(gb.compare(known, fit))
 
 
+def test_a_misleading_standard_error_comes_with_a_profile(clean):
+    """Refits with the lead fixed at the ends cost equally much, as far as the standard error says."""
+
+    def problem(seed, **held):
+        noisy = study.short_period_in_gusts(clean, np.random.default_rng(seed), 3.0, 0.3)
+        spectrum = transient_spectrum(noisy, "u", "q", BAND)
+        return gb.Problem(ShortPeriod(), spectrum, gb.EquationError(gusts=True), fixed=held)
+
+    known = {name: SHORT_PERIOD[name] for name in ("z", "T")}
+    fit = fitted(problem(7, **known))
+    best, (low, high) = fit.estimate["T_z"], fit.profiles["T_z"].interval
+    assert high - best > 1.5 * (best - low)
+
+    def rise(value):
+        return fitted(problem(7, T_z=value, **known)).cost - fit.cost
+
+    at_low, at_high = rise(low), rise(high)
+    assert at_low == pytest.approx(at_high, rel=2e-3)
+    # The standard error follows from the expected curvature.
+    step = 0.05 * fit.standard_error["T_z"]
+    curvature = (rise(best - step) + rise(best + step)) / (2 * step**2)
+    half_width = fit.interval()["T_z"][1] - best
+    assert at_low == pytest.approx(curvature * half_width**2, rel=0.1)
+
+    many = fitted(problem(7) + problem(8))
+    assert many.profiles is None
+    assert "use profile likelihood" in many.notes[-1]
+
+
 def test_refusals(clean, spectrum):
     """In one sentence with the value and the cure."""
     with pytest.raises(ValueError, match="needs the input 'da'"):
