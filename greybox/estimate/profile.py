@@ -132,7 +132,7 @@ def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     lines = [*_misleading(nlp, fit)]
     if not lines:
         return fit
-    # Each point is a run. With this much work, profiles take as long as a search from 20 starts.
+    # Each point is a run: at most about twice the time of a search from 20 starts.
     work = len(lines) * len(nlp.free) * len(nlp.parts)
     if is_batched or work <= (36 if nlp.has_states else 12):
         try:

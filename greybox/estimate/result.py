@@ -385,7 +385,8 @@ class Fit(Printed):
     def interval(self, level: float = 0.95) -> dict[str, Interval]:
         """Return confidence intervals by Student's t, by name; NaN if the error is unknown.
 
-        Their centers are the values without their `Quantity.bias`.
+        Their centers are the values without their `Quantity.bias`. Where standard errors mislead,
+        `profiles` has other intervals, or a note asks for them.
         """
         intervals = {}
         for q in self.quantities:
