@@ -121,12 +121,14 @@ def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     likelihood, and where finding these parameters would take long.
     """
     is_batched = ResponseSolver.serves(nlp)
-    is_simulated = any(part.samples and not part.is_static for part in nlp.parts)
-    has_amplitudes = not (is_batched or nlp.has_states or nlp.limits)
+    # Records with states, responses to finite amplitudes and sums of both take minutes.
+    are_quick = is_batched or nlp.limits
+    if nlp.has_states:
+        are_quick = all(p.has_states and (p.is_static or not p.samples) for p in nlp.parts)
     is_large = nlp.numbers > 1000 and not is_batched
-    if is_simulated or has_amplitudes or is_large or any(p.roots for p in nlp.programs):
+    if is_large or not are_quick or any(p.roots for p in nlp.programs):
         return fit
-    if fit.directions is None or any(_refusals(nlp, _estimate(nlp, fit), fit)):
+    if fit.priors or any(_refusals(nlp, _estimate(nlp, fit), fit)):
         return fit
 
     lines = [*_misleading(nlp, fit)]

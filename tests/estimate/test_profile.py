@@ -212,6 +212,9 @@ def test_near_a_fold_an_interval_reaches_the_values_beyond_it():
     # Both minima have one cost, so each resistor has the interval of the other one.
     twin = np.array(fit.profiles["R2"].interval) / 2
     assert_allclose(fit.profiles["R1"].interval, twin, rtol=0.005)
+    # With a prior, the cost is no likelihood.
+    wide = gb.Problem(Ladder(), near, gb.RelativeLikelihood(), prior={"R1": (1.0, 50.0)})
+    assert gb.fit(wide, starts=3, progress=False).profiles is None
     apart = noisy(Ladder(), {"R1": 1.0, "R2": 20.0}, 0.05, 0, omega)
     assert fitted(Ladder(), apart, gb.RelativeLikelihood()).profiles is None
 
