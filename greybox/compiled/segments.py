@@ -26,7 +26,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
 from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, Indices, IntArray
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
@@ -381,28 +381,14 @@ class SubstepDerivatives:
     of the simulated output.
     """
 
-    @one_thread_at_a_time
     def __init__(
         self, step: SampleStep, active: Sequence[int], *, simulated: bool, shared: Indices
     ) -> None:
-        x, q, d = step.measurement.sx_in()
-        corrected, mean, change, residual, output = step.measurement(x, q, d)
-        parameters = as_column(q[i] for i in active)
-        place = ca.SX.sym("place")
-        p = q[: len(step.system.parameters)]
-        end = step.substep(x, mean + change * place, change / d[-1], p, d[-1] / step.substeps)
-
-        compared = output if simulated else residual
-        by_free = dense_jacobian(compared, ca.vertcat(x, parameters))
         self._substeps, self._active = step.substeps, len(active)
-        begin, self._corrected = _with_slopes(corrected, x, parameters)
-        further, self._following = _with_slopes(end, x, parameters)
-        self._begin, self._advance, self._substep = (
-            Columns(ca.Function("substep", inputs, outputs, {"cse": True}), shared)
-            for inputs, outputs in (
-                ([x, q, d], [*begin, by_free, residual]),
-                ([x, q, d, place], [end]),
-                ([x, q, d, place], [*further]),
+        # Finer steps call the same functions with shorter substeps.
+        self._begin, self._advance, self._substep, self._corrected, self._following = (
+            _substep_functions(
+                step.measurement, step.substep, id(step.substep), active, simulated, shared
             )
         )
 
@@ -414,19 +400,20 @@ class SubstepDerivatives:
         slopes = _following(_blocks(self._corrected, columns), values, by_parameters, slopes)
         blocks = _blocks(self._following, columns)
         # The states of some substeps come first: an operation on the columns of all of them takes
-        # hardly longer than on those of one.
-        rows = np.tile(np.arange(self._substeps)[:, None, None] / self._substeps - 0.5, columns)
-        most = CHUNK // (columns + 1) + 1
-        for group in np.split(rows, range(most, len(rows), most)):
+        # hardly longer than on those of one. Equal groups need only one layout of the registers.
+        share = np.array([1 / self._substeps])
+        rows = np.tile(np.arange(self._substeps)[:, None, None] * share - 0.5, columns)
+        for group in np.array_split(rows, math.ceil(len(rows) / (CHUNK // (columns + 1) + 1))):
             begins = [x[:, -columns:]]
             count = len(group)
             for place in group[:-1]:
-                begins += self._advance(begins[-1], q, data, place)
+                begins += self._advance(begins[-1], q, data, place, share)
             x, *parts = self._substep(
                 np.hstack(begins),
                 q if q.ndim == 1 else np.tile(q, count),
                 np.tile(data, count),
                 group.reshape(1, -1),
+                share,
             )
             for values, by_parameters in zip(
                 *(np.split(part, count, axis=1) for part in parts), strict=True
@@ -434,6 +421,39 @@ class SubstepDerivatives:
                 slopes = _following(blocks, values, by_parameters, slopes)
 
         return [slopes.T.reshape(-1, columns), by_free, residual]
+
+
+@once
+def _substep_functions(
+    measurement: ca.Function,
+    substep: ca.Function,
+    _: int,  # the identity of the substep, which distinguishes it
+    active: Sequence[int],
+    simulated: bool,
+    shared: Indices,
+) -> tuple[Columns, Columns, Columns, ca.Sparsity, ca.Sparsity]:
+    """Return what comes before the substeps, the end of one, and the same with its derivatives.
+
+    Then the patterns, transposed, of the derivatives by the state of the first and the last.
+    """
+    x, q, d = measurement.sx_in()
+    corrected, mean, change, residual, output = measurement(x, q, d)
+    parameters = as_column(q[i] for i in active)
+    place, share = ca.SX.sym("place"), ca.SX.sym("share")
+    p = q[: substep.size1_in(3)]
+    end = substep(x, mean + change * place, change / d[-1], p, d[-1] * share)
+
+    by_free = dense_jacobian(output if simulated else residual, ca.vertcat(x, parameters))
+    begin, of_corrected = _with_slopes(corrected, x, parameters)
+    further, of_end = _with_slopes(end, x, parameters)
+    before = ca.Function("before", [x, q, d], [*begin, by_free, residual], {"cse": True})
+    advance, with_slopes = (
+        Columns(
+            ca.Function("substep", [x, q, d, place, share], outputs, {"cse": True}), (*shared, 4)
+        )
+        for outputs in ([end], [*further])
+    )
+    return Columns(before, shared), advance, with_slopes, of_corrected, of_end
 
 
 def _with_slopes(
