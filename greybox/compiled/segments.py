@@ -18,6 +18,7 @@ next.
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -117,9 +118,12 @@ class Segments:
             shared = () if self._own else (1,)
             function: Any
             if self.step.repeats and name not in ("advance", "output"):
-                function = SubstepDerivatives(
-                    self.step, self.active.tolist(), simulated=name != "derivatives", shared=shared
+                # Finer steps call the same functions for shorter substeps.
+                step, substep = self.step, self.step.substep
+                derivatives = SubstepDerivatives(
+                    step.measurement, substep, id(substep), *key[:2], shared
                 )
+                function = partial(derivatives, step.substeps)
             else:
                 function = Columns(self._of_sample(name), shared=shared)
             # A minimum is polished, judged and tested along one trajectory. Outputs of a long
@@ -374,25 +378,45 @@ def _finite(values: Arrays) -> list[Array]:
     ]
 
 
+@once
 class SubstepDerivatives:
     """Derivatives of the next state and an output, as one function of a sample would give them.
 
-    They are those by the state and the `active` parameters, of the residual or, with `simulated`,
-    of the simulated output.
+    They are those by the state and the `active` parameters, and the output is the residual or the
+    simulated one, by their name in `Segments`. Substeps are distinguished by their identity.
     """
 
     def __init__(
-        self, step: SampleStep, active: Sequence[int], *, simulated: bool, shared: Indices
+        self,
+        measurement: ca.Function,
+        substep: ca.Function,
+        identity: int,
+        name: str,
+        active: Indices,
+        shared: Indices,
     ) -> None:
-        self._substeps, self._active = step.substeps, len(active)
-        # Finer steps call the same functions with shorter substeps.
-        self._begin, self._advance, self._substep, self._corrected, self._following = (
-            _substep_functions(
-                step.measurement, step.substep, id(step.substep), active, simulated, shared
+        x, q, d = measurement.sx_in()
+        corrected, mean, change, residual, output = measurement(x, q, d)
+        parameters = as_column(q[i] for i in active)
+        place = ca.SX.sym("place", 2)  # where in a sample a substep begins, and its share of it
+        p = q[: substep.size1_in(3)]
+        end = substep(x, mean + change * place[0], change / d[-1], p, d[-1] * place[1])
+
+        compared = residual if name == "derivatives" else output
+        by_free = dense_jacobian(compared, ca.vertcat(x, parameters))
+        self._active = len(active)
+        begin, self._corrected = _with_slopes(corrected, x, parameters)
+        further, self._following = _with_slopes(end, x, parameters)
+        self._begin, self._advance, self._substep = (
+            Columns(ca.Function("substep", inputs, outputs, {"cse": True}), shared)
+            for inputs, outputs in (
+                ([x, q, d], [*begin, by_free, residual]),
+                ([x, q, d, place], [end]),
+                ([x, q, d, place], [*further]),
             )
         )
 
-    def __call__(self, states: Array, q: Array, data: Array) -> Arrays:
+    def __call__(self, substeps: int, states: Array, q: Array, data: Array) -> Arrays:
         """Return the derivatives (n v, columns) and (k v, columns), and the residuals."""
         n, columns = states.shape
         slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))
@@ -401,19 +425,18 @@ class SubstepDerivatives:
         blocks = _blocks(self._following, columns)
         # The states of some substeps come first: an operation on the columns of all of them takes
         # hardly longer than on those of one. Equal groups need only one layout of the registers.
-        share = np.array([1 / self._substeps])
-        rows = np.tile(np.arange(self._substeps)[:, None, None] * share - 0.5, columns)
-        for group in np.array_split(rows, math.ceil(len(rows) / (CHUNK // (columns + 1) + 1))):
+        places = [[[k / substeps - 0.5], [1 / substeps]] for k in range(substeps)]
+        rows = np.tile(places, columns)
+        for group in np.array_split(rows, math.ceil(substeps / (CHUNK // (columns + 1) + 1))):
             begins = [x[:, -columns:]]
             count = len(group)
             for place in group[:-1]:
-                begins += self._advance(begins[-1], q, data, place, share)
+                begins += self._advance(begins[-1], q, data, place)
             x, *parts = self._substep(
                 np.hstack(begins),
                 q if q.ndim == 1 else np.tile(q, count),
                 np.tile(data, count),
-                group.reshape(1, -1),
-                share,
+                np.hstack(group),
             )
             for values, by_parameters in zip(
                 *(np.split(part, count, axis=1) for part in parts), strict=True
@@ -421,39 +444,6 @@ class SubstepDerivatives:
                 slopes = _following(blocks, values, by_parameters, slopes)
 
         return [slopes.T.reshape(-1, columns), by_free, residual]
-
-
-@once
-def _substep_functions(
-    measurement: ca.Function,
-    substep: ca.Function,
-    _: int,  # the identity of the substep, which distinguishes it
-    active: Sequence[int],
-    simulated: bool,
-    shared: Indices,
-) -> tuple[Columns, Columns, Columns, ca.Sparsity, ca.Sparsity]:
-    """Return what comes before the substeps, the end of one, and the same with its derivatives.
-
-    Then the patterns, transposed, of the derivatives by the state of the first and the last.
-    """
-    x, q, d = measurement.sx_in()
-    corrected, mean, change, residual, output = measurement(x, q, d)
-    parameters = as_column(q[i] for i in active)
-    place, share = ca.SX.sym("place"), ca.SX.sym("share")
-    p = q[: substep.size1_in(3)]
-    end = substep(x, mean + change * place, change / d[-1], p, d[-1] * share)
-
-    by_free = dense_jacobian(output if simulated else residual, ca.vertcat(x, parameters))
-    begin, of_corrected = _with_slopes(corrected, x, parameters)
-    further, of_end = _with_slopes(end, x, parameters)
-    before = ca.Function("before", [x, q, d], [*begin, by_free, residual], {"cse": True})
-    advance, with_slopes = (
-        Columns(
-            ca.Function("substep", [x, q, d, place, share], outputs, {"cse": True}), (*shared, 4)
-        )
-        for outputs in ([end], [*further])
-    )
-    return Columns(before, shared), advance, with_slopes, of_corrected, of_end
 
 
 def _with_slopes(
