@@ -108,7 +108,7 @@ class Segments:
         """Return a function of x, q and data, the same for all segments with this step.
 
         "advance" gives the next state, "output" residual and simulated output, "derivatives" those
-        of next state and residual by x and active parameters, and the residual, and
+        of both next state and residual by x and active parameters, and the residual, and
         "output_derivatives" those of the simulated output instead of the residual.
         """
         # Excerpts and refits share the step, and so the functions that take longest to build.
@@ -148,9 +148,9 @@ class Segments:
             if places:
                 values[places] = free[self.n :]
             of_free = self.step.function.call([free[: self.n], values, d], True, False)
-            slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
-            derivatives = [dense_jacobian(slope, free) for slope in slopes]
-            at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
+            followed = ca.vertcat(of_free[0], of_free[1 if name == "derivatives" else 2])
+            slopes = dense_jacobian(followed, free)
+            at_free = ca.Function("at_free", [free, q, d], [slopes, of_free[1]])
             results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
         # Common subexpressions are few, and looking for them takes four times as long as the rest.
         return ca.Function(name, [x, q, d], results)
@@ -304,8 +304,8 @@ class Segments:
 
         q = at.q[:, batch] if self._own else at.q
         part = Course(chosen(at.states), q, chosen(at.data))
-        A, C, e = _finite(self._evaluate("derivatives", part))
-        S, J = self.propagated(A, C, count)
+        slopes, e = _finite(self._evaluate("derivatives", part))
+        S, J = self.propagated(slopes, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
     def sample_derivatives(self, at: Course) -> ArrayPair:
@@ -313,30 +313,29 @@ class Segments:
 
         They are (v, n, columns) and (v, k, columns), of every sample alone.
         """
-        A, C, _ = _finite(self._evaluate("derivatives", at))
-        columns = at.data.shape[1]
-        v = self.n + len(self.active)
-        return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
+        slopes, _ = _finite(self._evaluate("derivatives", at))
+        slopes = slopes.reshape(-1, self.n + self.k, at.data.shape[1])
+        return slopes[:, : self.n], slopes[:, self.n :]
 
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
 
         Not finite from where the simulation is not.
         """
-        A, C, _ = self._evaluate("output_derivatives", at)
-        return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
+        slopes, _ = self._evaluate("output_derivatives", at)
+        return np.ascontiguousarray(self.propagated(slopes, self.count)[1].transpose(3, 0, 1, 2))
 
-    def propagated(self, A: Array, C: Array, count: int) -> ArrayPair:
+    def propagated(self, slopes: Array, count: int) -> ArrayPair:
         """Carry the derivatives of every sample through the segments.
 
         Returns those of ends (n, v, count) and rows (length, k, v, count).
 
-        A (v, n, columns) and C (v, k, columns) are the derivatives with respect to the state at a
-        sample and the parameters; CasADi stacks them column by column.
+        The slopes are those of next states and rows (n + k) by the v states and parameters at a
+        sample; CasADi stacks them column by column.
         """
         n, length = self.n, self.length
         v = n + len(self.active)
-        slopes = np.hstack([A.reshape(v, n, length, count), C.reshape(v, self.k, length, count)])
+        slopes = slopes.reshape(v, n + self.k, length, count)
         J = np.empty((length, self.k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
@@ -417,7 +416,7 @@ class SubstepDerivatives:
         )
 
     def __call__(self, substeps: int, states: Array, q: Array, data: Array) -> Arrays:
-        """Return the derivatives (n v, columns) and (k v, columns), and the residuals."""
+        """Return the derivatives ((n + k) v, columns), and the residuals."""
         n, columns = states.shape
         slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))
         x, values, by_parameters, by_free, residual = self._begin(states, q, data)
@@ -443,7 +442,8 @@ class SubstepDerivatives:
             ):
                 slopes = _following(blocks, values, by_parameters, slopes)
 
-        return [slopes.T.reshape(-1, columns), by_free, residual]
+        by_free = by_free.reshape(len(slopes.T), -1, columns)
+        return [np.hstack([slopes.T, by_free]).reshape(-1, columns), residual]
 
 
 def _with_slopes(
