@@ -236,8 +236,6 @@ class Segments:
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
-        if self.number == 1:
-            return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.
@@ -295,18 +293,16 @@ class Segments:
 
         They are those of the c segments of a `batch`, by node and active parameters.
         """
-        length = self.length
-        count = len(range(self.count)[batch])
 
         def chosen(values: Array) -> Array:
-            by_sample = values.reshape(len(values), length, self.count)[:, :, batch]
-            return by_sample.reshape(len(values), length * count)
+            by_sample = values.reshape(len(values), self.length, self.count)[:, :, batch]
+            return by_sample.reshape(len(values), -1)
 
         q = at.q[:, batch] if self._own else at.q
         part = Course(chosen(at.states), q, chosen(at.data))
         slopes, e = _finite(self._evaluate("derivatives", part))
-        S, J = self.propagated(slopes, count)
-        return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
+        S, J = self.propagated(slopes)
+        return S, J, e.reshape(self.k, self.length, -1).swapaxes(0, 1)
 
     def sample_derivatives(self, at: Course) -> ArrayPair:
         """Return derivatives of next states and residuals by state and active parameters.
@@ -323,24 +319,24 @@ class Segments:
         Not finite from where the simulation is not.
         """
         slopes, _ = self._evaluate("output_derivatives", at)
-        return np.ascontiguousarray(self.propagated(slopes, self.count)[1].transpose(3, 0, 1, 2))
+        return np.ascontiguousarray(self.propagated(slopes)[1].transpose(3, 0, 1, 2))
 
-    def propagated(self, slopes: Array, count: int) -> ArrayPair:
+    def propagated(self, slopes: Array) -> ArrayPair:
         """Carry the derivatives of every sample through the segments.
 
-        Returns those of ends (n, v, count) and rows (length, k, v, count).
+        Returns those of ends (n, v, c) and rows (length, k, v, c) of c segments.
 
         The slopes are those of next states and rows (n + k) by the v states and parameters at a
         sample; CasADi stacks them column by column.
         """
-        n, length = self.n, self.length
+        n = self.n
         v = n + len(self.active)
-        slopes = slopes.reshape(v, n + self.k, length, count)
-        J = np.empty((length, self.k, v, count))
-        S = np.zeros((n, v, count))
+        slopes = slopes.reshape(v, n + self.k, self.length, -1)
+        J = np.empty((self.length, self.k, v, slopes.shape[-1]))
+        S = np.zeros((n, *J.shape[2:]))
         S[range(n), range(n)] = 1
 
-        for i in range(length):
+        for i in range(self.length):
             following = _product(slopes[:n, :, i], S)
             # The parameters also act at this very sample, besides through the state.
             following[:, n:] += slopes[n:, :, i].swapaxes(0, 1)
