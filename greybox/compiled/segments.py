@@ -176,12 +176,14 @@ class Segments:
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
-        by_sample = values.reshape(len(values), self.length, self.count)
-        return by_sample.mT.reshape(values.shape)
+        return self._by_sample(values).mT.reshape(values.shape)
 
     def by_segment(self, values: Array) -> Array:
         """Return columns (r, columns) as (segments, length, r)."""
-        return values.reshape(len(values), self.length, self.count).T
+        return self._by_sample(values).T
+
+    def _by_sample(self, values: Array) -> Array:
+        return values.reshape(-1, self.length, self.count)
 
     # --- simulation
 
@@ -295,8 +297,7 @@ class Segments:
         """
 
         def chosen(values: Array) -> Array:
-            by_sample = values.reshape(len(values), self.length, self.count)[:, :, batch]
-            return by_sample.reshape(len(values), -1)
+            return self._by_sample(values)[:, :, batch].reshape(len(values), -1)
 
         q = at.q[:, batch] if self._own else at.q
         part = Course(chosen(at.states), q, chosen(at.data))
