@@ -171,19 +171,15 @@ class Segments:
 
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
-        by_segment = values.reshape(-1, self.count, self.length)
-        return by_segment.mT.reshape(values.shape)
+        return values.reshape(-1, self.count, self.length).mT.reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
-        return self._by_sample(values).mT.reshape(values.shape)
+        return self.by_segment(values).T.mT.reshape(values.shape)
 
     def by_segment(self, values: Array) -> Array:
         """Return columns (r, columns) as (segments, length, r)."""
-        return self._by_sample(values).T
-
-    def _by_sample(self, values: Array) -> Array:
-        return values.reshape(-1, self.length, self.count)
+        return values.reshape(-1, self.length, self.count).T
 
     # --- simulation
 
@@ -295,15 +291,12 @@ class Segments:
 
         They are those of the c segments of a `batch`, by node and active parameters.
         """
-
-        def chosen(values: Array) -> Array:
-            return self._by_sample(values)[:, :, batch].reshape(len(values), -1)
-
+        columns = np.arange(at.data.shape[1]).reshape(self.length, self.count)[:, batch]
         q = at.q[:, batch] if self._own else at.q
-        part = Course(chosen(at.states), q, chosen(at.data))
+        part = Course(at.states[:, columns.ravel()], q, at.data[:, columns.ravel()])
         slopes, e = _finite(self._evaluate("derivatives", part))
-        S, J = self.propagated(slopes)
-        return S, J, e.reshape(self.k, self.length, -1).swapaxes(0, 1)
+        S, J = self.propagated(slopes, columns.shape[1])
+        return S, J, e.reshape(self.k, *columns.shape).swapaxes(0, 1)
 
     def sample_derivatives(self, at: Course) -> ArrayPair:
         """Return derivatives of next states and residuals by state and active parameters.
@@ -320,21 +313,21 @@ class Segments:
         Not finite from where the simulation is not.
         """
         slopes, _ = self._evaluate("output_derivatives", at)
-        return np.ascontiguousarray(self.propagated(slopes)[1].transpose(3, 0, 1, 2))
+        return np.ascontiguousarray(self.propagated(slopes, self.count)[1].transpose(3, 0, 1, 2))
 
-    def propagated(self, slopes: Array) -> ArrayPair:
+    def propagated(self, slopes: Array, count: int) -> ArrayPair:
         """Carry the derivatives of every sample through the segments.
 
-        Returns those of ends (n, v, c) and rows (length, k, v, c) of c segments.
+        Returns those of ends (n, v, count) and rows (length, k, v, count).
 
         The slopes are those of next states and rows (n + k) by the v states and parameters at a
         sample; CasADi stacks them column by column.
         """
         n = self.n
         v = n + len(self.active)
-        slopes = slopes.reshape(v, n + self.k, self.length, -1)
-        J = np.empty((self.length, self.k, v, slopes.shape[-1]))
-        S = np.zeros((n, *J.shape[2:]))
+        slopes = slopes.reshape(v, n + self.k, self.length, count)
+        J = np.empty((self.length, self.k, v, count))
+        S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
 
         for i in range(self.length):
@@ -398,8 +391,9 @@ class SubstepDerivatives:
         p = q[: substep.size1_in(3)]
         end = substep(x, mean + change * place[0], change / d[-1], p, d[-1] * place[1])
 
-        compared = residual if name == "derivatives" else output
-        by_free = dense_jacobian(compared, ca.vertcat(x, parameters))
+        if name == "derivatives":
+            output = residual
+        by_free = dense_jacobian(output, ca.vertcat(x, parameters))
         self._active = len(active)
         begin, self._corrected = _with_slopes(corrected, x, parameters)
         further, self._following = _with_slopes(end, x, parameters)
@@ -432,7 +426,7 @@ class SubstepDerivatives:
                 np.hstack(begins),
                 q if q.ndim == 1 else np.tile(q, count),
                 np.tile(data, count),
-                np.hstack(group),
+                np.hstack([*group]),
             )
             for values, by_parameters in zip(
                 *(np.split(part, count, axis=1) for part in parts), strict=True
