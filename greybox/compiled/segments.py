@@ -18,6 +18,7 @@ next.
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -26,7 +27,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
 from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, Indices, IntArray
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
@@ -107,7 +108,7 @@ class Segments:
         """Return a function of x, q and data, the same for all segments with this step.
 
         "advance" gives the next state, "output" residual and simulated output, "derivatives" those
-        of next state and residual by x and active parameters, and the residual, and
+        of both next state and residual by x and active parameters, and the residual, and
         "output_derivatives" those of the simulated output instead of the residual.
         """
         # Excerpts and refits share the step, and so the functions that take longest to build.
@@ -117,9 +118,12 @@ class Segments:
             shared = () if self._own else (1,)
             function: Any
             if self.step.repeats and name not in ("advance", "output"):
-                function = SubstepDerivatives(
-                    self.step, self.active.tolist(), simulated=name != "derivatives", shared=shared
+                # Finer steps call the same functions for shorter substeps.
+                step, substep = self.step, self.step.substep
+                derivatives = SubstepDerivatives(
+                    step.measurement, substep, id(substep), *key[:2], shared
                 )
+                function = partial(derivatives, step.substeps)
             else:
                 function = Columns(self._of_sample(name), shared=shared)
             # A minimum is polished, judged and tested along one trajectory. Outputs of a long
@@ -144,9 +148,9 @@ class Segments:
             if places:
                 values[places] = free[self.n :]
             of_free = self.step.function.call([free[: self.n], values, d], True, False)
-            slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
-            derivatives = [dense_jacobian(slope, free) for slope in slopes]
-            at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
+            followed = ca.vertcat(of_free[0], of_free[1 if name == "derivatives" else 2])
+            slopes = dense_jacobian(followed, free)
+            at_free = ca.Function("at_free", [free, q, d], [slopes, of_free[1]])
             results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
         # Common subexpressions are few, and looking for them takes four times as long as the rest.
         return ca.Function(name, [x, q, d], results)
@@ -167,17 +171,15 @@ class Segments:
 
     def columns(self, values: Array) -> Array:
         """Return values (..., samples) in the order of the samples as columns."""
-        by_segment = values.reshape(-1, self.count, self.length)
-        return by_segment.mT.reshape(values.shape)
+        return values.reshape(-1, self.count, self.length).mT.reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
-        by_sample = values.reshape(len(values), self.length, self.count)
-        return by_sample.mT.reshape(values.shape)
+        return self.by_segment(values).T.mT.reshape(values.shape)
 
     def by_segment(self, values: Array) -> Array:
         """Return columns (r, columns) as (segments, length, r)."""
-        return values.reshape(len(values), self.length, self.count).T
+        return values.reshape(-1, self.length, self.count).T
 
     # --- simulation
 
@@ -232,8 +234,6 @@ class Segments:
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
-        if self.number == 1:
-            return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.
@@ -291,53 +291,46 @@ class Segments:
 
         They are those of the c segments of a `batch`, by node and active parameters.
         """
-        length = self.length
-        count = len(range(self.count)[batch])
-
-        def chosen(values: Array) -> Array:
-            by_sample = values.reshape(len(values), length, self.count)[:, :, batch]
-            return by_sample.reshape(len(values), length * count)
-
+        columns = np.arange(at.data.shape[1]).reshape(self.length, self.count)[:, batch]
         q = at.q[:, batch] if self._own else at.q
-        part = Course(chosen(at.states), q, chosen(at.data))
-        A, C, e = _finite(self._evaluate("derivatives", part))
-        S, J = self.propagated(A, C, count)
-        return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
+        part = Course(at.states[:, columns.ravel()], q, at.data[:, columns.ravel()])
+        slopes, e = _finite(self._evaluate("derivatives", part))
+        S, J = self.propagated(slopes, columns.shape[1])
+        return S, J, e.reshape(self.k, *columns.shape).swapaxes(0, 1)
 
     def sample_derivatives(self, at: Course) -> ArrayPair:
         """Return derivatives of next states and residuals by state and active parameters.
 
         They are (v, n, columns) and (v, k, columns), of every sample alone.
         """
-        A, C, _ = _finite(self._evaluate("derivatives", at))
-        columns = at.data.shape[1]
-        v = self.n + len(self.active)
-        return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
+        slopes, _ = _finite(self._evaluate("derivatives", at))
+        slopes = slopes.reshape(-1, self.n + self.k, at.data.shape[1])
+        return slopes[:, : self.n], slopes[:, self.n :]
 
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
 
         Not finite from where the simulation is not.
         """
-        A, C, _ = self._evaluate("output_derivatives", at)
-        return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
+        slopes, _ = self._evaluate("output_derivatives", at)
+        return np.ascontiguousarray(self.propagated(slopes, self.count)[1].transpose(3, 0, 1, 2))
 
-    def propagated(self, A: Array, C: Array, count: int) -> ArrayPair:
+    def propagated(self, slopes: Array, count: int) -> ArrayPair:
         """Carry the derivatives of every sample through the segments.
 
         Returns those of ends (n, v, count) and rows (length, k, v, count).
 
-        A (v, n, columns) and C (v, k, columns) are the derivatives with respect to the state at a
-        sample and the parameters; CasADi stacks them column by column.
+        The slopes are those of next states and rows (n + k) by the v states and parameters at a
+        sample; CasADi stacks them column by column.
         """
-        n, length = self.n, self.length
+        n = self.n
         v = n + len(self.active)
-        slopes = np.hstack([A.reshape(v, n, length, count), C.reshape(v, self.k, length, count)])
-        J = np.empty((length, self.k, v, count))
+        slopes = slopes.reshape(v, n + self.k, self.length, count)
+        J = np.empty((self.length, self.k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
 
-        for i in range(length):
+        for i in range(self.length):
             following = _product(slopes[:n, :, i], S)
             # The parameters also act at this very sample, besides through the state.
             following[:, n:] += slopes[n:, :, i].swapaxes(0, 1)
@@ -374,27 +367,34 @@ def _finite(values: Arrays) -> list[Array]:
     ]
 
 
+@once
 class SubstepDerivatives:
     """Derivatives of the next state and an output, as one function of a sample would give them.
 
-    They are those by the state and the `active` parameters, of the residual or, with `simulated`,
-    of the simulated output.
+    They are those by the state and the `active` parameters, and the output is the residual or the
+    simulated one, by their name in `Segments`. Substeps are distinguished by their identity.
     """
 
-    @one_thread_at_a_time
     def __init__(
-        self, step: SampleStep, active: Sequence[int], *, simulated: bool, shared: Indices
+        self,
+        measurement: ca.Function,
+        substep: ca.Function,
+        identity: int,
+        name: str,
+        active: Indices,
+        shared: Indices,
     ) -> None:
-        x, q, d = step.measurement.sx_in()
-        corrected, mean, change, residual, output = step.measurement(x, q, d)
+        x, q, d = measurement.sx_in()
+        corrected, mean, change, residual, output = measurement(x, q, d)
         parameters = as_column(q[i] for i in active)
-        place = ca.SX.sym("place")
-        p = q[: len(step.system.parameters)]
-        end = step.substep(x, mean + change * place, change / d[-1], p, d[-1] / step.substeps)
+        place = ca.SX.sym("place", 2)  # where in a sample a substep begins, and its share of it
+        p = q[: substep.size1_in(3)]
+        end = substep(x, mean + change * place[0], change / d[-1], p, d[-1] * place[1])
 
-        compared = output if simulated else residual
-        by_free = dense_jacobian(compared, ca.vertcat(x, parameters))
-        self._substeps, self._active = step.substeps, len(active)
+        if name == "derivatives":
+            output = residual
+        by_free = dense_jacobian(output, ca.vertcat(x, parameters))
+        self._active = len(active)
         begin, self._corrected = _with_slopes(corrected, x, parameters)
         further, self._following = _with_slopes(end, x, parameters)
         self._begin, self._advance, self._substep = (
@@ -406,18 +406,18 @@ class SubstepDerivatives:
             )
         )
 
-    def __call__(self, states: Array, q: Array, data: Array) -> Arrays:
-        """Return the derivatives (n v, columns) and (k v, columns), and the residuals."""
+    def __call__(self, substeps: int, states: Array, q: Array, data: Array) -> Arrays:
+        """Return the derivatives ((n + k) v, columns), and the residuals."""
         n, columns = states.shape
         slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))
         x, values, by_parameters, by_free, residual = self._begin(states, q, data)
         slopes = _following(_blocks(self._corrected, columns), values, by_parameters, slopes)
         blocks = _blocks(self._following, columns)
         # The states of some substeps come first: an operation on the columns of all of them takes
-        # hardly longer than on those of one.
-        rows = np.tile(np.arange(self._substeps)[:, None, None] / self._substeps - 0.5, columns)
-        most = CHUNK // (columns + 1) + 1
-        for group in np.split(rows, range(most, len(rows), most)):
+        # hardly longer than on those of one. Equal groups need only one layout of the registers.
+        places = [[[k / substeps - 0.5], [1 / substeps]] for k in range(substeps)]
+        rows = np.tile(places, columns)
+        for group in np.array_split(rows, math.ceil(substeps / (CHUNK // (columns + 1) + 1))):
             begins = [x[:, -columns:]]
             count = len(group)
             for place in group[:-1]:
@@ -426,14 +426,15 @@ class SubstepDerivatives:
                 np.hstack(begins),
                 q if q.ndim == 1 else np.tile(q, count),
                 np.tile(data, count),
-                group.reshape(1, -1),
+                np.hstack([*group]),
             )
             for values, by_parameters in zip(
                 *(np.split(part, count, axis=1) for part in parts), strict=True
             ):
                 slopes = _following(blocks, values, by_parameters, slopes)
 
-        return [slopes.T.reshape(-1, columns), by_free, residual]
+        by_free = by_free.reshape(len(slopes.T), -1, columns)
+        return [np.hstack([slopes.T, by_free]).reshape(-1, columns), residual]
 
 
 def _with_slopes(

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 import greybox as gb
 from greybox.compiled.sample_step import sample_step
 from greybox.compiled.segments import Course, Segments
+from greybox.modeling.one_thread import traced_once
 from greybox.modeling.realization import dynamics
 
 CELLS = 16
@@ -41,23 +42,31 @@ class Rod(gb.StateSpace):
 
 
 @pytest.mark.parametrize("own", [False, True])
+@traced_once()
 def test_derivatives_are_differences(own):
     model = Rod()
     system = dynamics(model)
     criterion = gb.PredictionError(corrected=("T0",))
     names = (*model.parameters, "K_T0_hot", "K_T0_cold")
-    step = sample_step(system, [False], criterion, names, gb.RungeKutta(), 9)
+    # The finer steps share what was built for the coarse ones.
+    coarse, step = (
+        sample_step(system, [False], criterion, names, gb.RungeKutta(), n) for n in (4, 9)
+    )
+    assert coarse.repeats
     assert step.repeats
     random = np.random.default_rng(0)
     count, length, active = 2, 3, np.array([1, 0, 3, 4])
     rows = random.normal(size=(step.width, count * length))
     rows[0], rows[-1] = 0, 0.5  # whole samples of delay, step
     q = np.array([6.0, 0.02, 10.0, 0.2, 0.3, 0.1])
-    segments = Segments(step, count, length, active, own=own)
+    before, segments = (Segments(s, count, length, active, own=own) for s in (coarse, step))
     data, nodes = segments.columns(rows), random.normal(size=(count, CELLS))
     by_segment = np.repeat(q[:, None], count, axis=1) if own else q
     states, _ = segments.simulate(nodes, by_segment, data)
-    ends, residuals, _ = segments.sensitivities(Course(states, by_segment, data), slice(None))
+    along = Course(states, by_segment, data)
+    others, *_ = before.sensitivities(along, slice(None))
+    ends, residuals, _ = segments.sensitivities(along, slice(None))
+    assert np.abs(ends - others).max() > 1e-4
 
     def run(node, values, segment):
         x, errors = node, []

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,8 @@ class AllParts:
 
     def simulated(self, z: Array) -> Iterate:
         """Return the iterate at z with nodes that are simulated from the first ones."""
-        return self.at(z, [part.trajectory(z, simulated=True).nodes for part in self.parts])
+        run = [replace(part.trajectory(z, simulated=True), simulated=False) for part in self.parts]
+        return Iterate(z, tuple(sharing(self.parts, run)))
 
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
