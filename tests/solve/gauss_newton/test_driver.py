@@ -23,6 +23,8 @@ from greybox.solve.gauss_newton.settings import Settings
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Runs
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def record(seed, samples=300):
     random = np.random.default_rng(seed)
