@@ -82,8 +82,8 @@ def _size(parameter: Parameter) -> float:
 
     Wider bounds would not do: IPOPT pushes starts away from bounds by a share of their distance.
     """
-    for pair in (parameter.box, parameter.bounds, (parameter.start, parameter.start)):
-        finite = [abs(v) for v in pair if math.isfinite(v) and v != 0]
+    for values in (parameter.box, parameter.bounds, (parameter.start,)):
+        finite = [abs(v) for v in values if math.isfinite(v) and v != 0]
         if finite:
             return max(finite)
     return 1.0

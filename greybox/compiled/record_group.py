@@ -121,7 +121,7 @@ class Groups:
         for lot, group, of_group in zip(self._lots, self.parts, nodes, strict=True):
             rows = group.segments.record_rows if isinstance(group, RecordGroup) else [slice(None)]
             result |= {k: of_group[of_part] for k, of_part in zip(lot, rows, strict=True)}
-        return [result[k] for k in range(len(self._all))]
+        return [result[k] for k in sorted(result)]
 
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Return the trajectories of every part, given those of every group."""
@@ -129,16 +129,16 @@ class Groups:
         result = dict[int, Trajectory]()
         for lot, t in zip(self._lots, trajectories, strict=True):
             for k in lot:
-                is_alone = len(lot) == 1
-                result[k] = t if is_alone else self._all[k].trajectory(t.z, nodes[k])
-        return sharing(self._all, [result[k] for k in range(len(self._all))])
+                result[k] = t if len(lot) == 1 else self._all[k].trajectory(t.z, nodes[k])
+        return sharing(self._all, [result[k] for k in sorted(result)])
 
 
 def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[Trajectory]:
-    """Return trajectories with `shared_products`."""
+    """Return trajectories with `shared_products`, where some part has few numbers."""
     result, products = [*trajectories], [t.products for t in trajectories]
+    is_shared = any(part.few.any() for part in parts)
     # The end terms of manoeuvres follow the variances of their outputs, and change these.
-    for _ in range(50):
+    for _ in range(50 * is_shared):
         shared = shared_products(parts, products)
         zipped = zip(parts, result, shared, strict=True)
         pairs = [part.with_products(t, p) for part, t, p in zipped]

@@ -644,11 +644,13 @@ def _refitted(parts: Sequence[Regression], determined: Array, key: Any = None) -
 
     # A step or two suffice where values are near the common ones; of resonances a factor of 20
     # apart, p falls from 0.4 without a step to 1e-38 with five. Frequency and damping of a term
-    # take ten. They end at a change of the log likelihood far below what is significant.
+    # take ten. They end at a change of the log likelihood far below what is significant. The method
+    # of Levenberg and Marquardt, which needs as many rows as unknowns, may begin with long steps.
     fit = least_squares(
         lambda values: table(*values)[:, 0],
         np.append(np.zeros(k), start),
         lambda values: table(*values)[:, 1:],  # pyright: ignore[reportArgumentType]
+        method="lm" if k + start.size <= sum(lengths) else "trf",
         x_scale="jac",
         max_nfev=10,
         ftol=0.3 / sum(lengths),

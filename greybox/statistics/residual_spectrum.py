@@ -252,9 +252,9 @@ def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[AnyArray]:
     return map(np.array, zip(*map(fields, averages), strict=True))
 
 
-def aicc_penalty(unknowns: float, n: float) -> float:
+def aicc_penalty(unknowns: Any, n: float) -> Any:
     """Return the penalty of AICc, which grows without limit as unknowns approach the numbers."""
-    return 2 * unknowns * n / max(n - unknowns - 1, 1e-3)
+    return 2 * unknowns * n / np.maximum(n - unknowns - 1, 1e-3)
 
 
 @frozen
@@ -506,22 +506,21 @@ class ResidualSpectra:
 
         # The autoregression of first order is among the slow parts.
         steps = [step for order, step in enumerate(levinson(r)) if order != 1]
-        orders = np.array([len(a) for a, _ in steps])
+        filters, variances = zip(*steps, strict=True)
+        orders = np.array([*map(len, filters)])
         slow_scale = (grid.band_weight / self.slow) @ np.maximum(banded, ROUNDING)
         # All members are equally likely before the data: a family counts with its mean likelihood,
         # whatever its number of members.
         slow_score = n * (np.log(slow_scale) + self._slow_level)
         slow_score += 2 * math.log(len(slow_scale)) + aicc_penalty(1, n)
-        variances = np.array([variance for _, variance in steps])
         scale = np.concatenate([variances, slow_scale])
-        penalties = np.array([aicc_penalty(order, n) for order in orders])
-        score = np.concatenate([n * np.log(variances) + penalties, slow_score])
+        score = np.concatenate([n * np.log(variances) + aicc_penalty(orders, n), slow_score])
         within = np.concatenate([2 * orders / n, np.full(len(slow_scale), 2 / n)])
 
         # Less likely spectra, by one to 10 000, do not change the mean.
         likely = score < score.min() + 18.0
         coefficients = np.zeros((len(steps), len(grid.delays)))
-        for row, (a, _) in zip(coefficients, steps, strict=True):
+        for row, a in zip(coefficients, filters, strict=True):
             row[: len(a)] = a
         responses = coefficients[likely[: len(steps)]] @ grid.delays
         shapes = [1 / np.abs(responses) ** 2, self.slow[likely[len(steps) :]]]

@@ -68,6 +68,11 @@ def test_errors_of_a_sensor_in_a_short_record_are_not_gusts():
     assert min(fit.dof for fit in fits) >= 1
 
 
+def test_slow_errors_of_a_sensor_in_a_slow_vehicle_are_not_gusts():
+    """They are a little likelier as gusts, as in 3 of 12 such fits, but not for certain."""
+    assert named([fitted(SlowLag, {"K": 2.0, "tau": 2.0}, 0.0, (0.95, 0.05), 200, seed=0)]) == 0
+
+
 def test_gusts_in_a_slow_vehicle_are_named():
     """Of 20 such fits, 7 named them."""
     truth = {"K": 2.0, "tau": 2.0}

@@ -218,9 +218,11 @@ def batch(T, samples, random):
     return gb.Record(time, {"T": np.full(samples, T), "A": A, "B": B})
 
 
-@pytest.mark.parametrize("samples", [5, 8])
-def test_batches_of_few_samples_are_judged_by_what_lines_and_initial_states_leave(samples):
-    random = np.random.default_rng(0)
+# Of 40 such fits with eight samples, three are called wrong, this one too, unless lines and initial
+# states count among what was fitted.
+@pytest.mark.parametrize(("samples", "seed"), [(5, 0), (8, 1014)])
+def test_batches_of_few_samples_are_judged_by_what_lines_and_initial_states_leave(samples, seed):
+    random = np.random.default_rng(seed)
     batches = [batch(T, samples, random) for T in random.uniform(-1, 1, 4)]
     fit = gb.fit(gb.several(Reaction(), batches), starts=1, progress=False)
     assert abs(fit.estimate["rate"] - 0.5) < 4 * fit.standard_error["rate"]
@@ -238,7 +240,7 @@ def test_three_samples_of_an_output_do_not_decide():
 
     flight = problem().record
     v = gb.simulate(Watched(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["v"]
-    random = np.random.default_rng(0)
+    random = np.random.default_rng(8)  # with which a line through them leaves next to nothing
     few, at = np.full(SAMPLES, np.nan), random.choice(SAMPLES, 3, replace=False)
     few[at] = v[at] + 0.1 * random.normal(size=3)
     data = flight.with_signals(v=few)

@@ -11,6 +11,8 @@ from greybox.experiment.sampled_loop import sampled_loop
 from greybox.models.ardupilot import AngleController, RateController
 from greybox.problems import yaw_hover
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.023}
 OMEGA = np.geomspace(1, 40, 30)
 

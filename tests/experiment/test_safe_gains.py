@@ -9,6 +9,8 @@ from rate_control import RATE, RateDynamics
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.03}
 
 

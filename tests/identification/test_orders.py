@@ -72,6 +72,8 @@ def test_the_table_has_every_structure_that_was_fitted(found):
         assert bic - least >= 0
     sizes = [len(candidate.fit.free) for candidate in found.candidates]
     assert sizes == sorted(sizes)
+    # By the BIC of least squares, structures of more than two parameters more are not fitted again.
+    assert max(sizes) == 5
 
 
 def test_structures_and_values_can_be_stated(data):

@@ -7,6 +7,8 @@ from unfinished_runs import without_continued_runs
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def test_a_run_that_ends_unfinished_and_lowest_goes_on_to_the_minimum():
     case = certified("Lanczos3")

@@ -29,6 +29,8 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import TOO_COARSE, Outcome, Run, Runs
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 COARSE = gb.MultipleShooting(integrator=gb.RungeKutta(1))
 
 

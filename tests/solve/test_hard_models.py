@@ -24,6 +24,8 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.multistart import solver_for
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def fit(problem, starts, **options):
     return gb.fit(problem, starts=starts, progress=False, profiles=False, **options)

@@ -17,6 +17,8 @@ from greybox.solve.multistart import FiniteStarts, multistart, solver_for
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome, Run
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 NOISY = gb.Problem(LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.05))
 CRITERIA = [
     gb.RelativeError(),

@@ -18,6 +18,8 @@ from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Run, Runs
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
 NOISY = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)

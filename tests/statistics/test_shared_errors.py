@@ -6,6 +6,8 @@ import pytest
 import greybox as gb
 from greybox.statistics.shared_errors import shared_covariance
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {"b": 4.0, "a": 3.0}
 GAINS = (1.0, 0.7, -2.0, 0.4, 1.5)
 

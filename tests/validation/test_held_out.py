@@ -10,6 +10,8 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.validation import held_out
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 @pytest.fixture(scope="module")
 def flights():

@@ -22,7 +22,7 @@ from greybox.solve.gauss_newton.iterate import (
 )
 from greybox.solve.gauss_newton.kinks import status_at_kink
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
-from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
+from greybox.solve.gauss_newton.normal_equations import exact_step, gauss_newton_step
 from greybox.solve.gauss_newton.stability import (
     are_stable,
     best_gains,
@@ -132,11 +132,9 @@ def _iterated(
             return End(end or iterate, CONVERGED, count, step.hessian)
         # With 50 iterations between two of these looks, 20 unknown initial states take a third more
         # time; on 29 hard problems neither time nor success change.
-        looks = not nodes_alone and (count + 1) % 10 == 0
-        # Steps along states that no output shows leave gaps beyond rounding.
-        closed = parts.made_continuous(iterate, step) if looks and progress.is_exact else iterate
-        if looks and _is_within_noise(parts, closed, progress):
-            return End(closed, CONVERGED, count, step.hessian)
+        looks = progress.is_exact and not nodes_alone and (count + 1) % 10 == 0
+        if looks and (end := _end_within_noise(parts, iterate, step, progress)):
+            return End(end, CONVERGED, count, step.hessian)
 
         # Line search.
         trial, length = line_search(parts, iterate, step, merit, start)
@@ -176,7 +174,7 @@ def _iterated(
         z = best_gains(parts, iterate, progress.gap_variance) if becomes_exact else iterate.z
         iterate = iterate if z is iterate.z else parts.at(z, iterate.nodes)
         # For a long record, they take a tenth of the memory.
-        del step, trial, closed
+        del step, trial
         linearizations = []
     return End(iterate, "iterations exceeded", iterations)
 
@@ -214,27 +212,28 @@ def _is_settled(
     return undamped.decrease <= progress.undamped_decrease
 
 
-def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress) -> bool:
-    """Return whether noise hides all that is left to gain, wherever bounds let a step go.
+def _end_within_noise(
+    parts: AllParts, iterate: Iterate, step: Step, progress: Progress
+) -> Iterate | None:
+    """Return the iterate, continuous, if noise hides all that is left to gain, else None.
 
     Where the data hardly determine some directions, short steps continue along them for thousands
     of iterations, for a hundredth of a unit of log-likelihood (the tanh chain is lost without
-    this). A plateau far from the data looks the same; but there the residuals are not noise.
+    this). A plateau far from the data looks the same; but there the residuals are not noise. What
+    lies beyond a bound is not to gain.
     """
-    if not (
-        progress.is_exact
-        and parts.is_continuous(iterate)
-        and all(part.explains_data(trajectory) for part, trajectory in parts.along(iterate))
-    ):
-        return False
+    # Steps along states that no output shows leave gaps beyond rounding.
+    closed = parts.made_continuous(iterate, step)
+    explained = (part.explains_data(trajectory) for part, trajectory in parts.along(closed))
+    if not (parts.is_continuous(closed) and all(explained)):
+        return None
     # The gaps of the last linearization are closed, which changes its residuals.
-    linearizations = parts.linearize(iterate, parts.residual_weights(iterate))
-    undamped = gauss_newton_step(parts, iterate, linearizations, replace(progress, damping=0.0))
+    undamped = exact_step(parts, closed, replace(progress, damping=0.0))
     # A step that is not stopped by a bound decreases the cost by its `distance`, and continues to
     # converge.
     stopped = undamped.decrease > 2 * undamped.distance
     # Noise moves the minimum by half a unit of log-likelihood per unknown on average. At a tenth
     # of a standard error, a hundredth of it is left; half of the square is used here.
-    unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
+    unknowns = len(closed.z) + sum(part.unknown_initial_states for part in parts.parts)
     is_noise = undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * unknowns / 2
-    return stopped and is_noise
+    return closed if stopped and is_noise else None

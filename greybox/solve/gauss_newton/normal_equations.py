@@ -28,8 +28,7 @@ def gauss_newton_step(
 ) -> Step:
     """Return the step of nodes and z from an iterate; with `states_only` of the nodes alone."""
     p = len(iterate.z)
-    exact = [None] * len(parts.parts)
-    variances = exact if progress.is_exact else progress.continuity_variance
+    variances = [None] * len(parts.parts) if progress.is_exact else progress.continuity_variance
     systems: list[Any] = []
     hessian = np.zeros((p, p))
     gradient = np.zeros(p)
@@ -83,6 +82,12 @@ def gauss_newton_step(
         multipliers,
         penalty,
     )
+
+
+def exact_step(parts: AllParts, iterate: Iterate, progress: Progress) -> Step:
+    """Return the step where continuity is exact."""
+    weights = parts.residual_weights(iterate)
+    return gauss_newton_step(parts, iterate, parts.linearize(iterate, weights), progress)
 
 
 def largest_multiplier(force: Array, normals: Array, slack: Array) -> float:

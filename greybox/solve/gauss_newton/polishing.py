@@ -14,10 +14,10 @@ import numpy as np
 
 from greybox.files.arrays import Array, column_lengths, positive_or_one
 from greybox.solve.gauss_newton.all_parts import AllParts
-from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Progress, Step
+from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Step
 from greybox.solve.gauss_newton.iteration import descend, followed
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
-from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
+from greybox.solve.gauss_newton.normal_equations import exact_step
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.statistics.column_space import triangle_of
 
@@ -41,12 +41,6 @@ def polished(parts: AllParts, start: Iterate) -> Iterate:
         damped = descend(parts, end, replace(EXACT, undamped_decrease=LONG_STEP), MOST_STEPS)
         end, _ = _undamped(parts, damped.iterate)
     return end
-
-
-def exact_step(parts: AllParts, iterate: Iterate, progress: Progress) -> Step:
-    """Return the step where continuity is exact."""
-    weights = parts.residual_weights(iterate)
-    return gauss_newton_step(parts, iterate, parts.linearize(iterate, weights), progress)
 
 
 def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:

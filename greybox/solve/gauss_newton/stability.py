@@ -1,6 +1,7 @@
 """Kalman gains within an iteration: good ones to begin with, and predictors that must be stable."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -21,11 +22,10 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Arrays) -> Array:
     `variances` (n,) for every part are the variances of the gaps; the process noise of the filters
     is a share of them.
     """
-    corrected = [
-        (gain, trajectory, size)
-        for gain, trajectory, size in zip(parts.gains, iterate.trajectories, variances, strict=True)
-        if gain
-    ]
+    rows: Any = zip(parts.gains, iterate.trajectories, variances, strict=True)
+    corrected = [row for row in rows if row[0]]
+    if not corrected:
+        return iterate.z
     candidates = [iterate.z] if are_stable(parts, iterate) else []
     for share in DECADES:
         # The same share for all records at a time: all combinations would be too many.

@@ -23,6 +23,8 @@ from greybox.solve.gauss_newton.settings import Settings
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Runs
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def record(seed, samples=300):
     random = np.random.default_rng(seed)
@@ -234,11 +236,12 @@ def test_another_value_of_what_is_fixed_is_refused():
         solver.cost(np.array([2.0, 2.5]))
 
 
-@pytest.mark.parametrize("seed", [10, 11, 21, 41])
+@pytest.mark.parametrize("seed", [7, 13])
 def test_a_run_that_still_converges_is_not_ended(seed):
     """Its last decrease is within noise, but far more than the next: the minimum is one step off.
 
-    Of 60 draws these fits named a second minimum, a fifth of a standard error away.
+    Of these four runs one ended 0.08 and 0.04 standard errors away, others of 60 draws at a second
+    minimum.
     """
     random = np.random.default_rng(seed)
     t = 0.05 * np.arange(300)
@@ -250,6 +253,9 @@ def test_a_run_that_still_converges_is_not_ended(seed):
     fit = gb.fit(problem, starts=4, progress=False, profiles=False)
     assert len(fit.minima) == 1
     assert fit.agreeing == 4
+    errors = np.array([fit.standard_error[name] for name in fit.free])
+    ends = (fit.runs.estimate - fit.runs[0].estimate) / errors
+    assert np.abs(ends).max() < 1e-3
 
 
 class Arm(gb.StateSpace):
