@@ -26,10 +26,15 @@ UNSTABLE = 4.6
 
 
 class DisturbedRecord:
-    """A record along its best trajectory, with a name and its signals (·, samples) in order."""
+    """A record along its best trajectory, with a name and its signals (·, samples) in order.
 
-    def __init__(self, part: RecordPart, trajectory: Trajectory, name: str) -> None:
-        self.part, self.trajectory, self.name = part, trajectory, name
+    Where its residuals are means, their deviations were `spread` (k, 1) times as large before.
+    """
+
+    def __init__(
+        self, part: RecordPart, trajectory: Trajectory, spread: Array, name: str
+    ) -> None:
+        self.part, self.trajectory, self.spread, self.name = part, trajectory, spread, name
         self._placed = trajectory.detail
         segments, data = part.segments, self._placed.data
         m, k = len(part.system.inputs), len(part.outputs)
