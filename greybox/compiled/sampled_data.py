@@ -129,18 +129,25 @@ class SampledData:
 
         return SampledData(tuple(pieces), self.segment_length)
 
+    @np.errstate(invalid="ignore")  # a mean of none is missing
     def averaged(self, factor: int, held: BoolArray) -> "SampledData":
         """Return every sample of this number, with means of the outputs around it.
 
         Inputs (m,) that are held have means from there to the next. Missing values do not count.
         """
+
+        def means(values: Array, before: int) -> Array:
+            firsts = np.maximum(np.arange(0, values.shape[1], factor) - before, 0)
+            sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
+            return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
+
         averaged = tuple(
             replace(
                 stretch.at(slice(0, None, factor)),
                 inputs=np.where(
-                    held[:, None], _means(stretch.inputs, factor, 0), stretch.inputs[:, ::factor]
+                    held[:, None], means(stretch.inputs, 0), stretch.inputs[:, ::factor]
                 ),
-                outputs=_means(stretch.outputs, factor, (factor - 1) // 2),
+                outputs=means(stretch.outputs, (factor - 1) // 2),
             )
             for stretch in self.stretches
         )
@@ -207,14 +214,6 @@ class SampledData:
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
 
         return self.padded(whole), self.padded(around)
-
-
-@np.errstate(invalid="ignore")  # a mean of none is missing
-def _means(values: Array, m: int, before: int) -> Array:
-    """Return means (k, c) of values (k, n), from `before` of each m-th one to the next mean."""
-    firsts = np.maximum(np.arange(0, values.shape[1], m) - before, 0)
-    sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
-    return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
 
 
 def joined(records: Sequence[SampledData]) -> SampledData:

@@ -170,7 +170,7 @@ def regression_of_record(
         _numbered(terms),
         lambda terms: rows(followed(terms)),
         outputs=outputs,
-        causes=tuple(offsets),
+        causes=[*offsets],
         is_unstable=record.growth > UNSTABLE,
         lost=sum(basis.shape[1] for basis in drifts),
         signals=partial(signals_of_record, record),
@@ -238,15 +238,13 @@ def _lines(measured: BoolArray) -> Array:
 
 @np.errstate(all="ignore")  # by larger steps, a simulation may diverge
 def shortened(
-    part: RecordPart, trajectory: Trajectory, numbers: Sequence[int]
-) -> tuple[RecordPart, Trajectory, Array]:
-    """Return a longer part with the first of these numbers of samples, and its trajectory there.
+    part: RecordPart, trajectory: Trajectory, name: str, numbers: Sequence[int]
+) -> DisturbedRecord:
+    """Return a record, a longer one with the first of these numbers of samples.
 
     Of a motion that is much slower than the samples, means of some residuals suffice, which show
-    slow effects over the whole record; other records are cut to excerpts of the last number. Also
-    return how much larger the deviations (k, 1) of the residuals were before.
+    slow effects over the whole record; other records are cut to excerpts of the last number.
     """
-    whole = np.ones((len(part.outputs), 1))
 
     def chosen(shorter: RecordPart, values: Array) -> Array:
         rows = np.zeros((len(values), len(part.model.record)))
@@ -264,7 +262,7 @@ def shortened(
     held = np.array([between.held for between in part.model.between])
     for samples in numbers:
         if part.samples <= samples:
-            return part, trajectory, whole
+            return DisturbedRecord(part, trajectory, name)
         coarse = part.with_data(residuals.averaged(-(-part.samples // samples), held))
         simulated = coarse.simulated_outputs(along(coarse))
         missed = np.std(simulated - chosen(coarse, outputs), axis=1)
@@ -277,9 +275,9 @@ def shortened(
             means = coarse.data.measured
             coarse = coarse.with_outputs(coarse.data.unpadded(means + simulated))
             before, after = (np.nanstd(e, axis=1) + TINY for e in (residuals.measured, means))
-            return coarse, along(coarse), (before / after)[:, None]
+            return DisturbedRecord(coarse, along(coarse), name, (before / after)[:, None])
     excerpt = part.excerpt(numbers[-1])
-    return excerpt, along(excerpt), whole
+    return DisturbedRecord(excerpt, along(excerpt), name)
 
 
 def regression_of_response(

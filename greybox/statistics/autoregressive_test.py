@@ -140,14 +140,7 @@ def autoregressive_p_values(
     # Where samples are few, an autoregression of means does not reach further back.
     fewest = min(sum(len(rows) // MEANS for rows in stretches) for stretches in outputs)
     m = MEANS if MEANS * fewest > ORDER * SAMPLES else 1
-    white = whitened(values[:, first:], weights, outputs)
-    kept, whole = (tests[:-1] @ (k * np.sum(_means(white, k) ** 2, axis=0)) for k in (m, 1))
-    # Of a faster term, means would show too little.
-    is_slow = kept > 0.9 * whole
-    if not is_slow.any():
-        return p_of_samples
-    p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
-    return np.where(is_slow, np.maximum(p_of_samples, p_of_means), p_of_samples)
+    return np.maximum(p_of_samples, p_values(*_fits(values, outputs, used, m, times=0)[:2]))
 
 
 def _fits(

@@ -77,19 +77,6 @@ def lagging(acting, seed=0, n=600, sensor=lambda v: v, **signals):
     return gb.fit(gb.Problem(Lag(), record), starts=1, progress=False, profiles=False).misfit
 
 
-def test_means_show_what_noise_hides_in_the_samples_of_a_long_record():
-    """With every fourth sample, the probability was 1."""
-    for cubic in (0.0, 0.2):
-        random = np.random.default_rng(1)
-        u = np.repeat(random.uniform(-1, 1, 120), 100)
-        v = lfilter([0, 0.015], [1, -0.99], u - cubic * u**3)
-        signals = {"u": u, "v": v + 0.3 * random.normal(size=u.size)}
-        record = gb.Record(0.005 * np.arange(u.size), signals, hold={"u": np.inf})
-        fit = gb.fit(gb.Problem(Lag(), record), starts=1, progress=False, profiles=False)
-        assert fit.misfit.explains == (cubic == 0)
-        assert not cubic or "saturation of u" in fit.misfit.likely[0].text
-
-
 def test_an_input_that_an_actuator_quantizes_is_named():
     u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 60), 10)
     misfit = lagging(np.round(u / 0.15) * 0.15, u=u)
