@@ -196,10 +196,13 @@ def assessed_misfit(
 
     # What explains most comes first, among what is significant, and what has no known form last.
     # Of terms with equal texts, the best is reported.
-    best = {cause.text: cause for misfit in misfits[::-1] for cause in misfit.causes[::-1]}
+    best = dict[str, Cause]()
+    for misfit in misfits:
+        for cause in misfit.causes:
+            best.setdefault(cause.text, cause)
     # Rounding must not order what explains as much.
     causes = sorted(
-        reversed(best.values()),
+        best.values(),
         key=lambda c: (c.p_value >= FALSE_ALARMS, not c.code, -round(c.share, 9)),
     )
     misfit = replace(
@@ -215,9 +218,8 @@ def assessed_misfit(
     is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
     is_slow = misfit.left > NOTICED and LARGE * (1 - misfit.drift) < 1
     is_plain = misfit.explains and not is_slow
-    if is_quick and any(np.any(record.spread != 1) for record in disturbed):
-        if is_plain and misfit.p_value > CLEAR:
-            return misfit
+    is_quick = is_quick and any(np.any(record.spread != 1) for record in disturbed)
+    if is_quick and not (is_plain and misfit.p_value > CLEAR):
         return assessed_misfit(nlp, x, trajectories, at_bound, candidates, solver, False)
     if is_plain or solver is None or responses or manoeuvres or is_excluded:
         return misfit
@@ -225,11 +227,13 @@ def assessed_misfit(
     # At biased values, residuals follow the inputs although no term is missing. A missing term
     # biases them, too, perhaps until residuals follow hardly anything but their past.
     x = _with_autoregressive_errors(nlp, x, disturbed)
+    other = None
     # Values at a bound are no better ones.
-    if np.any(np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)):
-        return misfit
-    other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates, None, False)
-    if other is None or misfit.explains != (other.p_value < IN_GUSTS):
+    if not np.any(np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)):
+        other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates, None, False)
+    # An autoregression of few slow motions is uncertain, and its probabilities are too small.
+    limit = IN_GUSTS / LARGE if is_slow else IN_GUSTS
+    if other is None or misfit.explains != (other.p_value < limit):
         return misfit
     if misfit.explains:
         return replace(other, left=misfit.left)
