@@ -38,13 +38,12 @@ class DisturbedRecord:
         placed = trajectory.detail
         segments, data = part.segments, placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        slopes = segments.sample_derivatives(trajectory.course)
         # Slopes of the next states (length, s, n, v), and of the residuals (length, s, k, v).
         self._slopes = [
             slope.reshape(*slope.shape[:2], segments.length, segments.count)
             .transpose(2, 3, 1, 0)
             .copy()
-            for slope in slopes
+            for slope in segments.sample_derivatives(trajectory.course)
         ]
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)

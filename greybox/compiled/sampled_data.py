@@ -141,17 +141,19 @@ class SampledData:
             sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
             return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
 
-        averaged = tuple(
-            replace(
-                stretch.at(slice(0, None, factor)),
-                inputs=np.where(
-                    held[:, None], means(stretch.inputs, 0), stretch.inputs[:, ::factor]
-                ),
-                outputs=means(stretch.outputs, (factor - 1) // 2),
-            )
-            for stretch in self.stretches
+        return replace(
+            self,
+            stretches=tuple(
+                replace(
+                    stretch.at(slice(0, None, factor)),
+                    inputs=np.where(
+                        held[:, None], means(stretch.inputs, 0), stretch.inputs[:, ::factor]
+                    ),
+                    outputs=means(stretch.outputs, (factor - 1) // 2),
+                )
+                for stretch in self.stretches
+            ),
         )
-        return replace(self, stretches=averaged)
 
     def padded(self, values: Arrays, fill: float | None = None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).

@@ -218,7 +218,6 @@ def assessed_misfit(
     is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
     is_slow = misfit.left > NOTICED and LARGE * (1 - misfit.drift) < 1
     is_plain = misfit.explains and not is_slow
-    is_quick = is_quick and any(np.any(record.spread != 1) for record in disturbed)
     if is_quick and not (is_plain and misfit.p_value > CLEAR):
         return assessed_misfit(nlp, x, trajectories, at_bound, candidates, solver, False)
     if is_plain or solver is None or responses or manoeuvres or is_excluded:
@@ -302,8 +301,7 @@ def _disturbed(
     # own has few numbers among them.
     outputs = sum(part.numbers / part.samples for part, *_ in records)
     most = int(max(6000 / max(outputs, 2 * len(records), 1), 500))
-    numbers = (FEW, most) if is_quick else (most,)
-    return [shortened(*row, numbers) for row in records]
+    return [shortened(*row, (FEW, most) if is_quick else (most,)) for row in records]
 
 
 def _group(parts: Sequence[Regression]) -> Group:
@@ -523,7 +521,7 @@ def _ranked(group: Group, terms: Mapping[Key, Term]) -> tuple[Counter[Any], list
         for pair in chosen:
             begin, end = end, end + len(pair)
             # The probability is NaN where nothing of a term is left.
-            if all(p <= 1 for _, p, *_ in tests[begin:end]):
+            if all(each[1] <= 1 for each in tests[begin:end]):
                 family, decrease = pair[0][0], sum(each[0] for each in tests[begin:end])
                 tried[family] += len(pair) * terms[pair[0]].count
                 # Of two records, either may have a value of its own: the first has, not rounding.

@@ -274,8 +274,8 @@ def shortened(
         if is_long and not part.gains and np.all(missed < 0.1 * np.std(outputs, axis=1)):
             means = coarse.data.measured
             coarse = coarse.with_outputs(coarse.data.unpadded(means + simulated))
-            before, after = (np.nanstd(e, axis=1) + TINY for e in (residuals.measured, means))
-            return DisturbedRecord(coarse, along(coarse), name, (before / after)[:, None])
+            spread = np.nanstd(residuals.measured, axis=1) / np.nanstd(means, axis=1)
+            return DisturbedRecord(coarse, along(coarse), name, spread[:, None])
     excerpt = part.excerpt(numbers[-1])
     return DisturbedRecord(excerpt, along(excerpt), name)
 

@@ -140,7 +140,14 @@ def autoregressive_p_values(
     # Where samples are few, an autoregression of means does not reach further back.
     fewest = min(sum(len(rows) // MEANS for rows in stretches) for stretches in outputs)
     m = MEANS if MEANS * fewest > ORDER * SAMPLES else 1
-    return np.maximum(p_of_samples, p_values(*_fits(values, outputs, used, m, times=0)[:2]))
+    white = whitened(values[:, first:], weights, outputs)
+    kept, whole = (tests[:-1] @ (k * np.sum(_means(white, k) ** 2, axis=0)) for k in (m, 1))
+    # Of a faster term, means would show too little. With a limit of 0.9, errors that oscillate
+    # slowly beneath white noise were called terms in 4 % of tests with p < 0.001.
+    is_slow = kept > 0.5 * whole
+    return np.maximum(
+        p_of_samples, is_slow * p_values(*_fits(values, outputs, used, m, times=0)[:2])
+    )
 
 
 def _fits(
