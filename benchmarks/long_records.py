@@ -57,11 +57,11 @@ class SpringWithSpeed(Spring):
 
 
 def simulated(defect, reference, step, errors, is_controlled):
-    """Return inputs (n,) and outputs (2, n), by Euler steps of at most 2 ms."""
+    """Return inputs (n,) and outputs (2, n), by Euler steps of at most 0.25 ms."""
     speed = place = slow = 0.0
     inputs, outputs = np.zeros(len(reference)), np.zeros((2, len(reference)))
     late = [0.0] * round(DELAY / step)
-    substeps = max(1, round(step / 0.002))
+    substeps = max(1, round(step / 0.00025))  # steps of 2 ms would be seen
     for i, wanted in enumerate(reference):
         outputs[:, i] = speed, place
         push = 1.5 * (wanted - place - errors[i]) if is_controlled else wanted

@@ -26,20 +26,24 @@ UNSTABLE = 4.6
 
 
 class DisturbedRecord:
-    """A record along its best trajectory, with a name and its signals (·, samples) in order."""
+    """A record along its best trajectory, with a name and its signals (·, samples) in order.
 
-    def __init__(self, part: RecordPart, trajectory: Trajectory, name: str) -> None:
-        self.part, self.trajectory, self.name = part, trajectory, name
-        self._placed = trajectory.detail
-        segments, data = part.segments, self._placed.data
+    Where its residuals are means, their deviations were `spread` (k, 1) times as large before.
+    """
+
+    def __init__(
+        self, part: RecordPart, trajectory: Trajectory, name: str, spread: Array | float = 1.0
+    ) -> None:
+        self.part, self.trajectory, self.spread, self.name = part, trajectory, spread, name
+        placed = trajectory.detail
+        segments, data = part.segments, placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        slopes = segments.sample_derivatives(trajectory.course)
         # Slopes of the next states (length, s, n, v), and of the residuals (length, s, k, v).
         self._slopes = [
             slope.reshape(*slope.shape[:2], segments.length, segments.count)
             .transpose(2, 3, 1, 0)
             .copy()
-            for slope in slopes
+            for slope in segments.sample_derivatives(trajectory.course)
         ]
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
@@ -51,7 +55,7 @@ class DisturbedRecord:
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
         self.present = segments.in_order(data[-1 - k : -1])
         self._half_steps = self._by_sample(part.data.steps)[..., None] / 2
-        self.parameters = self._placed.q
+        self.parameters = placed.q
 
     @cached_property
     def growth(self) -> float:
@@ -106,7 +110,7 @@ class DisturbedRecord:
         """The slopes of derivatives and outputs (n + k, parameters and inputs, samples)."""
         system = self.part.system
         # A gain that ended at zero would hide every term of its input.
-        q = self._placed.q[: len(system.parameters)]
+        q = self.parameters[: len(system.parameters)]
         return system.slopes(self.states, self.inputs, np.where(q == 0, 1e-12, q))
 
     def _by_formulas(self, slopes: Array, values: Array, is_held: bool = False) -> Effect:
@@ -151,8 +155,8 @@ class DisturbedRecord:
             place(-np.array([values for _, values in group]))
             for place, group in groupby(changes, itemgetter(0))
         ]
-        at_nodes = np.zeros((part.segments.count, part.states, len(changes)))
-        ends, rows = self._carried(at_nodes, effects)
+        following, residuals = (np.concatenate(each, axis=3) for each in zip(*effects, strict=True))
+        ends, rows = self._carried(0 * following[0], following, residuals)
         if part.states:
             rows += self._by_nodes[1] @ self._nodes(ends, rows)
         return rows.reshape(part.samples, -1, len(changes)).transpose(1, 2, 0)
@@ -173,15 +177,14 @@ class DisturbedRecord:
         """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
         part, n = self.part, self.part.states
         nodes = np.tile(np.eye(n), (part.segments.count, 1, 1))
-        following, residuals = (0 * slope[..., :n] for slope in self._slopes)
-        ends, J = self._carried(nodes, [(following, residuals)])
+        ends, J = self._carried(nodes, *(0 * slope[..., :n] for slope in self._slopes))
         # Known initial states cannot compensate for a term.
         unknown = ~part.known_states[:, None]
         ends, J = ends * unknown, J * unknown
         weighted = (self.weight.T @ self.weight) @ J.reshape(len(J), -1, len(self.weight), n)
         return ends, J, weighted.reshape(J.shape).mT
 
-    def _carried(self, S: Array, effects: Sequence[Effect]) -> ArrayPair:
+    def _carried(self, S: Array, following: Array, residuals: Array) -> ArrayPair:
         """Carry derivatives S (s, n, c) of nodes through the segments, with the effects of c terms.
 
         Returns those of ends (s, n, c) and of residuals (s, length · k, c). With many terms,
@@ -189,12 +192,10 @@ class DisturbedRecord:
         """
         # No residual follows where nothing was measured.
         present = self._by_sample(self.present)[..., None]
-        J = np.empty((len(S), len(present), len(self.weight), S.shape[2]))
-        for i, measured in enumerate(present):
-            A, C = (slope[i, ..., : S.shape[1]] for slope in self._slopes)
-            # Taken one sample after the other, they remain in the processor's cache.
-            of_sample = zip(*((following[i], e[i]) for following, e in effects), strict=True)
-            following, residuals = (np.concatenate(each, axis=2) for each in of_sample)
-            J[:, i] = (C @ S + residuals) * measured
-            S = A @ S + following
-        return S, J.reshape(len(S), -1, S.shape[2])
+        rows, n = list[Array](), S.shape[1]
+        for A, C, *effects, measured in zip(
+            *self._slopes, following, residuals, present, strict=True
+        ):
+            rows.append((C[..., :n] @ S + effects[1]) * measured)
+            S = A[..., :n] @ S + effects[0]
+        return S, np.hstack(rows)

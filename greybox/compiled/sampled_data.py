@@ -9,6 +9,7 @@ output directly, the sampled output jumps at whole samples, and so does the cost
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -128,11 +129,31 @@ class SampledData:
 
         return SampledData(tuple(pieces), self.segment_length)
 
-    def thinned(self, factor: int) -> "SampledData":
-        """Return every sample of this number."""
-        rows = slice(0, None, factor)
-        thinned = tuple(stretch.at(rows) for stretch in self.stretches)
-        return SampledData(thinned, self.segment_length)
+    @np.errstate(invalid="ignore")  # a mean of none is missing
+    def averaged(self, factor: int, held: BoolArray) -> "SampledData":
+        """Return every sample of this number, with means of the outputs around it.
+
+        Inputs (m,) that are held have means from there to the next. Missing values do not count.
+        """
+
+        def means(values: Array, before: int) -> Array:
+            firsts = np.maximum(np.arange(0, values.shape[1], factor) - before, 0)
+            sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
+            return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
+
+        return replace(
+            self,
+            stretches=tuple(
+                replace(
+                    stretch.at(slice(0, None, factor)),
+                    inputs=np.where(
+                        held[:, None], means(stretch.inputs, 0), stretch.inputs[:, ::factor]
+                    ),
+                    outputs=means(stretch.outputs, (factor - 1) // 2),
+                )
+                for stretch in self.stretches
+            ),
+        )
 
     def padded(self, values: Arrays, fill: float | None = None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).

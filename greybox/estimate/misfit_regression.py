@@ -13,7 +13,6 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
-from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.misfit import FALSE_ALARMS, Cause
@@ -162,13 +161,16 @@ def regression_of_record(
         count,
     )
     return Regression(
-        rows(np.nan_to_num(data.measured)[:, None], [column_basis(_lines(row)) for row in present]),
+        rows(
+            np.nan_to_num(data.measured / record.spread)[:, None],
+            [column_basis(_lines(row)) for row in present],
+        ),
         rows(record.residuals[:, None]),
         rows(by_parameters),
         _numbered(terms),
         lambda terms: rows(followed(terms)),
         outputs=outputs,
-        causes=tuple(offsets),
+        causes=[*offsets],
         is_unstable=record.growth > UNSTABLE,
         lost=sum(basis.shape[1] for basis in drifts),
         signals=partial(signals_of_record, record),
@@ -236,54 +238,46 @@ def _lines(measured: BoolArray) -> Array:
 
 @np.errstate(all="ignore")  # by larger steps, a simulation may diverge
 def shortened(
-    part: RecordPart, trajectory: Trajectory, samples: int
-) -> tuple[RecordPart, Trajectory]:
-    """Return a longer part with about this many samples, and its trajectory there.
+    part: RecordPart, trajectory: Trajectory, name: str, numbers: Sequence[int]
+) -> DisturbedRecord:
+    """Return a record, a longer one with the first of these numbers of samples.
 
-    Of a motion that is much slower than the samples, every second, third ... one suffices, which
-    shows slow effects over the whole record; other records are cut to excerpts.
+    Of a motion that is much slower than the samples, means of some residuals suffice, which show
+    slow effects over the whole record; other records are cut to excerpts of the last number.
     """
-    if part.samples <= samples:
-        return part, trajectory
 
     def chosen(shorter: RecordPart, values: Array) -> Array:
-        whole = np.zeros((len(values), len(part.model.record)))
+        rows = np.zeros((len(values), len(part.model.record)))
         for stretch, row in zip(part.data.stretches, part.data.unpadded(values), strict=True):
-            whole[:, stretch.rows] = row
-        return shorter.data.at_samples(whole)
+            rows[:, stretch.rows] = row
+        return shorter.data.at_samples(rows)
 
     def along(shorter: RecordPart) -> Trajectory:
         states = chosen(shorter, part.segments.in_order(trajectory.states))
         nodes = states[:, :: shorter.data.segment_length].T
         return shorter.trajectory(trajectory.z, nodes)
 
-    coarse = part.with_data(_thinned(part.data, -(-part.samples // samples)))
-    simulated = coarse.simulated_outputs(along(coarse))
-    exact = chosen(coarse, part.simulated_outputs(trajectory))
-    missed, moved = np.std(simulated - exact, axis=1), np.std(exact, axis=1)
-    # The gains of a predictor belong to its step, and short stretches would have too few samples.
-    is_long = np.mean([*map(len, coarse.data.stretches)]) >= FEWEST
-    # A simulation by larger steps may miss an output by a tenth of what the term moves: so little
-    # do terms differ.
-    if is_long and not part.gains and np.all(missed < 0.1 * moved):
-        # With the residuals that the whole part has there.
-        coarse = coarse.with_outputs(coarse.data.unpadded(coarse.data.measured + simulated - exact))
-        return coarse, along(coarse)
-    excerpt = part.excerpt(samples)
-    return excerpt, along(excerpt)
-
-
-def _thinned(data: SampledData, factor: int) -> SampledData:
-    """Return every sample of this number, or of the next with which all outputs keep their share.
-
-    An output at a rate of its own, such as one at every tenth row from the fifth on, may have no
-    sample in every second row.
-    """
-    thinned = data.thinned(factor)
-    counts, chosen = (np.isfinite(each.measured).sum(axis=1) for each in (data, thinned))
-    # Half of its share, unless even that is too few samples for the test.
-    is_shared = factor * (2 * chosen + FEWEST) >= counts
-    return thinned if np.all(is_shared) else _thinned(data, factor + 1)
+    outputs = part.simulated_outputs(trajectory)
+    residuals = part.with_outputs(part.data.unpadded(part.data.measured - outputs)).data
+    held = np.array([between.held for between in part.model.between])
+    for samples in numbers:
+        if part.samples <= samples:
+            return DisturbedRecord(part, trajectory, name)
+        coarse = part.with_data(residuals.averaged(-(-part.samples // samples), held))
+        simulated = coarse.simulated_outputs(along(coarse))
+        missed = np.std(simulated - chosen(coarse, outputs), axis=1)
+        # The gains of a predictor belong to its step, and short stretches would have too few
+        # samples.
+        is_long = np.mean([*map(len, coarse.data.stretches)]) >= FEWEST
+        # A simulation by larger steps may miss an output by a tenth of what the term moves: so
+        # little do terms differ.
+        if is_long and not part.gains and np.all(missed < 0.1 * np.std(outputs, axis=1)):
+            means = coarse.data.measured
+            coarse = coarse.with_outputs(coarse.data.unpadded(means + simulated))
+            spread = np.nanstd(residuals.measured, axis=1) / np.nanstd(means, axis=1)
+            return DisturbedRecord(coarse, along(coarse), name, spread[:, None])
+    excerpt = part.excerpt(numbers[-1])
+    return DisturbedRecord(excerpt, along(excerpt), name)
 
 
 def regression_of_response(

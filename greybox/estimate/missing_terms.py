@@ -21,6 +21,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import (
     Array,
     ComplexArray,
+    IntArray,
     Labels,
     NamedArrays,
     StringPair,
@@ -309,8 +310,8 @@ class Term:
         zero for the values themselves.
     tries : int
         Number of samples from which the residuals chose that of the term.
-    is_likely : bool
-        Whether the term is worth a simulation in this record. It counts as tried without, too.
+    count : int
+        Number of terms that count as tried with it: of these, it is among the likeliest ones.
     """
 
     kind: str
@@ -329,7 +330,7 @@ class Term:
     levels: tuple[float, ...] = ()
     knots: int = 0
     tries: int = 1
-    is_likely: bool = True
+    count: int = 1
 
     @property
     def start(self) -> Array:
@@ -446,18 +447,16 @@ def signals_of_record(record: DisturbedRecord) -> NamedArrays:
 def _of_loads(record: DisturbedRecord, constants: Constants) -> Iterator[Term]:
     """Yield constants and offsets from some sample on."""
     time = _time(record)
-    tries = 1 + len(time) // PARTS
     for constant, effect in zip(constants.terms, constants.effects.swapaxes(0, 1), strict=True):
         if kind := LATER.get(constant.kind):
-            for sample, is_likely in _onsets(record, effect):
-                level = float(time[sample])
+            for level in time[_onsets(record, effect)].tolist():
                 yield replace(
                     constant,
                     kind=kind,
                     values=1.0 * (time >= level),
                     level=level,
-                    tries=tries,
-                    is_likely=is_likely,
+                    tries=1 + len(time) // PARTS,
+                    count=PARTS // BEGINNINGS,
                 )
 
 
@@ -466,11 +465,10 @@ def _time(record: DisturbedRecord) -> Array:
     return record.part.data.at_samples(record.part.model.record.time)[0]
 
 
-def _onsets(record: DisturbedRecord, effect: Array) -> list[tuple[int, bool]]:
-    """Return for each part of the record where a constant of this effect (k, samples) may begin.
+def _onsets(record: DisturbedRecord, effect: Array) -> IntArray:
+    """Return the likeliest samples at which a constant of this effect (k, samples) may begin.
 
-    From a later sample on, the effect is that from the first one, shifted. The second value is true
-    for the likeliest samples of all.
+    From a later sample on, the effect is that from the first one, shifted.
     """
     # Slow errors, an offset and a trend hardly change from sample to sample.
     e, effect = np.diff([record.residuals * record.present, effect], prepend=0)
@@ -480,9 +478,8 @@ def _onsets(record: DisturbedRecord, effect: Array) -> list[tuple[int, bool]]:
     following = np.cumsum(np.sum(weight * effect**2, axis=0))[::-1]
     parts = np.array_split(np.arange(n), min(PARTS, n))
     share = along**2 / (following + 1e-300)
-    best = [part[np.argmax(share[part])] for part in parts]
-    least = np.sort(share[best])[-BEGINNINGS:][0]
-    return [(sample, share[sample] >= least) for sample in best]
+    best = np.array([part[np.argmax(share[part])] for part in parts])
+    return np.sort(best[np.argsort(-share[best], kind="stable")[:BEGINNINGS]])
 
 
 def _along(samples: int) -> list[Array]:
@@ -613,14 +610,7 @@ def _of_output(
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     by_input, name = partial(record.by_input, 0), record.part.system.inputs[0]
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        # A stretch may have one sample.
-        rate = record.by_stretch(
-            _backward
-            if record.is_predicted
-            else lambda row, step: np.gradient(np.append(row, row[-1]), step)[:-1],
-            y,
-        )
-        for signal, row in ((b, y), (f"{b}'", rate)):
+        for signal, row in ((b, y), (f"{b}'", record.by_stretch(_backward, y))):
             yield Term("feedback function", row, by_input, signal, name, knots=KNOTS)
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)

@@ -36,7 +36,7 @@ def repeated_residuals(
         rows = []
         stretches = zip(*map(data.unpadded, (record.inputs, record.residuals)), strict=True)
         for u, e in stretches:
-            n = _period(u)
+            n = period(u)
             previous = np.hstack([0 * e[:, :n], e[:, : e.shape[1] - n]])
             for names, inputs, residuals in earlier:
                 if names == outputs and inputs.shape == u.shape and _are_same(inputs, u):
@@ -56,7 +56,7 @@ def repeated_residuals(
         yield terms, np.maximum(values == 0, resolved)
 
 
-def _period(inputs: Array) -> int:
+def period(inputs: Array) -> int:
     """Return the samples after which inputs (m, n) repeat to the end, and n if they do not."""
     n = inputs.shape[1]
     near = ROUNDING * np.ptp(inputs, axis=1, keepdims=True)

@@ -34,6 +34,24 @@ def test_noise_of_any_color_is_rarely_called_a_term(pole):
     assert np.sum(np.array(p_values) < 0.05) <= 11
 
 
+def test_slow_errors_beneath_white_noise_are_no_faster_term():
+    """Gusts that a lightly damped motion turns into errors with a period of 100 samples."""
+    rng = np.random.default_rng(0)
+    motion = [1.0, -2 * 0.982 * np.cos(0.06), 0.982**2]
+    fitted = np.column_stack([np.ones(600), np.arange(600.0)])
+    p_values = []
+    for _ in range(16):
+        gusts = lfilter([1.0], [1.0, -0.96], rng.standard_normal(1100))
+        errors = np.asarray(lfilter([1.0], motion, gusts))[500:]
+        inputs = np.repeat(rng.choice([-1.0, 1.0], (60, 10)), 10, axis=0)
+        effects = np.asarray(lfilter([1.0], motion, inputs, axis=0))
+        terms = effects / effects.std(axis=0) + 0.3 * inputs
+        residuals = errors / errors.std() + 0.1 * rng.standard_normal(600)
+        p_values.extend(autoregressive_p_values(residuals, fitted, terms, [[np.arange(600)]]))
+    # Differences of samples alone, with which such terms were tested, had 21 below.
+    assert np.sum(np.array(p_values) < 0.1) <= 16
+
+
 def test_a_slow_term_is_seen_although_it_colors_the_residuals():
     rng = np.random.default_rng(4)
     residuals = 20 * TERM[:, 0] + rng.standard_normal(N)
