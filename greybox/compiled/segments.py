@@ -148,8 +148,8 @@ class Segments:
             if places:
                 values[places] = free[self.n :]
             of_free = self.step.function.call([free[: self.n], values, d], True, False)
-            followed = ca.vertcat(of_free[0], of_free[1 if name == "derivatives" else 2])
-            slopes = dense_jacobian(followed, free)
+            compared = of_free[1 if name == "derivatives" else 2]
+            slopes = dense_jacobian(ca.vertcat(of_free[0], compared), free)
             at_free = ca.Function("at_free", [free, q, d], [slopes, of_free[1]])
             results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
         # Common subexpressions are few, and looking for them takes four times as long as the rest.
@@ -234,6 +234,8 @@ class Segments:
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
+        if self.number == 1:
+            return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.

@@ -157,7 +157,7 @@ class Remembering(Rebuilt):
 
     def __init__(self, function: Callable[..., Arrays]) -> None:
         self._function = function
-        self._last: list[tuple[tuple[Array, ...], Arrays]] = []
+        self._last: list[tuple[Any, Arrays]] = []
 
     def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs."""

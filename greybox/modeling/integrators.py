@@ -115,12 +115,10 @@ def repeated(
 
     `mean` and `change` (m,) are those of the inputs over the sample, which lasts h.
     """
-    slope = change / h
-    span = h / substeps
     for k in range(substeps):
         # The input at the beginning of the substep; `change` is that over the whole sample.
         u = mean + change * (k / substeps - 0.5)
-        x = substep(x, u, slope, p, span)
+        x = substep(x, u, change / h, p, h / substeps)
     return x
 
 
