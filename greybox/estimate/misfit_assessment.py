@@ -301,7 +301,7 @@ def _disturbed(
     # own has few numbers among them.
     outputs = sum(part.numbers / part.samples for part, *_ in records)
     most = int(max(6000 / max(outputs, 2 * len(records), 1), 500))
-    return [shortened(*row, numbers=(FEW, most) if is_quick else (most,)) for row in records]
+    return [shortened(*row, numbers=[FEW, most] if is_quick else [most]) for row in records]
 
 
 def _group(parts: Sequence[Regression]) -> Group:
