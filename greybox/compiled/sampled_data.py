@@ -131,13 +131,15 @@ class SampledData:
 
     @np.errstate(invalid="ignore")  # a mean of none is missing
     def averaged(self, factor: int, held: BoolArray) -> "SampledData":
-        """Return every sample of this number, with means of the outputs around it.
+        """Return every sample of this number, with means of the outputs from there to the next.
 
-        Inputs (m,) that are held have means from there to the next. Missing values do not count.
+        Inputs (m,) that are held have means, too. Missing values do not count.
         """
 
-        def means(values: Array, before: int) -> Array:
-            firsts = np.maximum(np.arange(0, values.shape[1], factor) - before, 0)
+        def means(values: Array) -> Array:
+            # Around the samples, they would overlap with inputs that return the noise at once, and
+            # show a direct effect of these.
+            firsts = np.arange(0, values.shape[1], factor)
             sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
             return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
 
@@ -147,9 +149,9 @@ class SampledData:
                 replace(
                     stretch.at(slice(0, None, factor)),
                     inputs=np.where(
-                        held[:, None], means(stretch.inputs, 0), stretch.inputs[:, ::factor]
+                        held[:, None], means(stretch.inputs), stretch.inputs[:, ::factor]
                     ),
-                    outputs=means(stretch.outputs, (factor - 1) // 2),
+                    outputs=means(stretch.outputs),
                 )
                 for stretch in self.stretches
             ),

@@ -231,7 +231,7 @@ def assessed_misfit(
     if not np.any(np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)):
         other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates, None, False)
     # An autoregression of few slow motions is uncertain, and its probabilities are too small.
-    limit = IN_GUSTS / LARGE if is_slow else IN_GUSTS
+    limit = FALSE_ALARMS / LARGE if is_slow else IN_GUSTS
     if other is None or misfit.explains != (other.p_value < limit):
         return misfit
     if misfit.explains:
@@ -301,7 +301,7 @@ def _disturbed(
     # own has few numbers among them.
     outputs = sum(part.numbers / part.samples for part, *_ in records)
     most = int(max(6000 / max(outputs, 2 * len(records), 1), 500))
-    return [shortened(*row, numbers=(FEW, most) if is_quick else (most,)) for row in records]
+    return [shortened(*row, numbers=[FEW, most] if is_quick else [most]) for row in records]
 
 
 def _group(parts: Sequence[Regression]) -> Group:

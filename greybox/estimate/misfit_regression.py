@@ -162,7 +162,7 @@ def regression_of_record(
     )
     return Regression(
         rows(
-            np.nan_to_num(data.measured / record.spread)[:, None],
+            (record.outputs / record.spread + record.residuals)[:, None],
             [column_basis(_lines(row)) for row in present],
         ),
         rows(record.residuals[:, None]),

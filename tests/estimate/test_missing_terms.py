@@ -77,6 +77,16 @@ def lagging(acting, seed=0, n=600, sensor=lambda v: v, **signals):
     return gb.fit(gb.Problem(Lag(), record), starts=1, progress=False, profiles=False).misfit
 
 
+def test_what_white_noise_leaves_is_that_of_samples_and_not_of_their_means():
+    u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 150), 10)
+    misfit = lagging(
+        u, n=1500, sensor=lambda v: v + np.random.default_rng(2).normal(size=1500), u=u
+    )
+    assert misfit.explains
+    # The noise has a variance of 1, and the signal one of 0.25.
+    assert 0.75 < misfit.noise < misfit.left < 0.85
+
+
 def test_an_input_that_an_actuator_quantizes_is_named():
     u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 60), 10)
     misfit = lagging(np.round(u / 0.15) * 0.15, u=u)
