@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from itertools import groupby
+from itertools import compress, groupby
 from operator import itemgetter
 from typing import Any
 
@@ -17,12 +17,14 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
+from greybox.estimate.covariance import active_constraints
 from greybox.estimate.misfit import EXACT, FALSE_ALARMS, LARGE, NOTICED, Cause, Misfit, Shape
 from greybox.estimate.misfit_regression import (
     STEP,
     TINY,
     Key,
     Regression,
+    is_held,
     regression_of_manoeuvre,
     regression_of_record,
     regression_of_response,
@@ -48,7 +50,7 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import beside, column_basis, outside, triangle_of
+from greybox.statistics.column_space import beside, column_basis, null_space, outside, triangle_of
 from greybox.statistics.score_test import (
     correlated_fits,
     joint_test,
@@ -153,24 +155,28 @@ def assessed_misfit(
     Parameters that a bound holds, `at_bound`, absorb nothing. `candidates` has the terms of the
     user. With a `solver`, a model that does not explain records at `x` is tried at other values.
     """
+    active, _ = active_constraints(nlp, x)
     moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    # Directions in which the fit can move.
+    free = np.eye(moves.size)[:, moves] @ null_space(active[:, moves])
     # Flights of one model are often all named like it.
     names = numbered_where_alike([part.name for part in nlp.parts])
     responses = [
-        regression_of_response(part, name, values, nlp.names, moves)
+        regression_of_response(part, name, values, nlp.names, free)
         for part, name in nlp.rows_of(ResponsePart, names)
     ]
     manoeuvres = [
-        regression_of_manoeuvre(part, name, trajectory, values, nlp.names, moves)
+        regression_of_manoeuvre(part, name, trajectory, values, nlp.names, free)
         for part, name, trajectory in nlp.rows_of(TransientPart, names, trajectories)
     ]
     disturbed = _disturbed(nlp, trajectories, names)
     # Records are linearized by the solver's variables, responses by the parameters.
-    by_x = np.diag(nlp.scaling.slope(x))[moves]
+    by_x = free.T * nlp.scaling.slope(x)
+    held = [*compress(nlp.free, is_held(free))]
     regressions = []
     for record, (repeated, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True):
         constants = constants_of_record(record)
-        terms = [*terms_of_record(record, constants, at_bound, candidates), *repeated]
+        terms = [*terms_of_record(record, constants, held, candidates), *repeated]
         regressions.append(
             regression_of_record(record, constants, terms, by_x, is_new, len(disturbed))
         )
@@ -213,11 +219,11 @@ def assessed_misfit(
     # biases them, too, perhaps until residuals follow hardly anything but their past.
     x, group = _with_autoregressive_errors(nlp, x, disturbed)
     [(_, ranked)] = answers
-    # Values at a bound are no better ones. Terms that residuals follow there for certain, also as
+    # Values at a bound or a constraint are no better ones. Terms that residuals follow there for certain, also as
     # they act here, need no other test.
-    is_held = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
+    is_at_bound = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
     is_certain = misfit.tried * min(group.chances(ranked), default=1.0) < IN_GUSTS**2
-    if (is_certain and not misfit.explains) or is_held.any():
+    if (is_certain and not misfit.explains) or is_at_bound.any() or active_constraints(nlp, x)[1]:
         return misfit
     other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates)
     if other is None or misfit.explains != (other.p_value < IN_GUSTS):

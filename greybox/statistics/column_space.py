@@ -14,6 +14,12 @@ def column_basis(columns: Array) -> Array:
     return vectors[:, singular > DEPENDENT * max(singular, default=0.0)]
 
 
+def null_space(rows: Array) -> Array:
+    """Return an orthonormal basis (p, r) of the directions in which no row (a, p) sees a change."""
+    _, singular, directions = np.linalg.svd(rows)
+    return directions[int(np.sum(singular > 1e-12 * singular.max(initial=0.0))) :].T
+
+
 def triangle_of(columns: Array) -> Array:
     """Return the triangular factor R (k, p) of columns (n, p): RᵀR is the product with itself."""
     return np.asarray(np.linalg.qr(columns, mode="r"))
