@@ -308,12 +308,8 @@ class _Fits:
 
 
 def _best(trials: Sequence[Trial]) -> Trial | None:
-    """Return the addition with the least cost; of equal costs the first in the list.
-
-    Slow residuals give every test degrees of freedom of its own, so that of two terms, the one with
-    the smaller p-value may explain much less.
-    """
-    cost = min((t.cost for t in trials), default=0.0)
+    """Return the addition with the smallest p-value; of equal costs the first in the list."""
+    _, cost = min(((t.p_value, t.cost) for t in trials), default=(1.0, 0.0))
     # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
     # test sees.
     return next((t for t in trials if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
