@@ -601,7 +601,9 @@ def _of_output(
     later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
     yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
     for row, T in _delays(record, y) if len(outputs) > 1 else ():
-        yield Term("sensor", row, by_output, b=b, scale=abs(T))
+        # The error of a sample corrects the later outputs of a predictor.
+        if T > 0 or not record.is_predicted:
+            yield Term("sensor", row, by_output, b=b, scale=abs(T))
     yield from (Term("cross", row, by_output, a, b) for row, a in outputs if a != b)
     for u, a, between in inputs:
         # A controller responds at once: the noise of a sample is in the input at the same time.
