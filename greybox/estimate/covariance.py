@@ -32,7 +32,7 @@ from greybox.files.arrays import (
 )
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
-from greybox.statistics.column_space import null_space, triangle_of
+from greybox.statistics.column_space import open_directions, triangle_of
 from greybox.statistics.shared_errors import shared_covariance
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
@@ -494,11 +494,10 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
 
     Directions closed by a bound or an active constraint are in neither.
     """
-    p = jacobian.shape[1]
-    basis = null_space(np.vstack([active, np.eye(p)[bounded]]))
+    basis = open_directions(active, bounded)
 
     _, singular, rows = np.linalg.svd(triangle_of(jacobian @ basis), full_matrices=True)
-    rank = int(np.sum(singular > DEAD))
+    rank = np.sum(singular > DEAD)
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 

@@ -50,7 +50,13 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import beside, column_basis, null_space, outside, triangle_of
+from greybox.statistics.column_space import (
+    beside,
+    column_basis,
+    open_directions,
+    outside,
+    triangle_of,
+)
 from greybox.statistics.score_test import (
     correlated_fits,
     joint_test,
@@ -155,10 +161,9 @@ def assessed_misfit(
     Parameters that a bound holds, `at_bound`, absorb nothing. `candidates` has the terms of the
     user. With a `solver`, a model that does not explain records at `x` is tried at other values.
     """
-    active, _ = active_constraints(nlp, x)
-    moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    values, bounded = nlp.all_values(x), np.flatnonzero(np.isin(nlp.free, at_bound))
     # Directions in which the fit can move.
-    free = np.eye(moves.size)[:, moves] @ null_space(active[:, moves])
+    free = open_directions(active_constraints(nlp, x)[0], bounded)
     # Flights of one model are often all named like it.
     names = numbered_where_alike([part.name for part in nlp.parts])
     responses = [
@@ -219,8 +224,8 @@ def assessed_misfit(
     # biases them, too, perhaps until residuals follow hardly anything but their past.
     x, group = _with_autoregressive_errors(nlp, x, disturbed)
     [(_, ranked)] = answers
-    # Values at a bound or a constraint are no better ones. Terms that residuals follow there for certain, also as
-    # they act here, need no other test.
+    # Values at a bound or a constraint are no better ones. Terms that residuals follow there for
+    # certain, also as they act here, need no other test.
     is_at_bound = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
     is_certain = misfit.tried * min(group.chances(ranked), default=1.0) < IN_GUSTS**2
     if (is_certain and not misfit.explains) or is_at_bound.any() or active_constraints(nlp, x)[1]:
@@ -438,7 +443,7 @@ def _shares(
     # Perhaps only one of the outputs of a record follows a missing term.
     of_outputs = [
         [
-            float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY))
+            sum_of_squares(e[rows]) / (sum_of_squares(measured[rows]) + TINY)
             for e in (residuals, noise)
         ]
         for rows in [*map(np.concatenate, group.outputs)] or [...]

@@ -35,6 +35,7 @@ from greybox.files.arrays import (
     NamedArrays,
     frozen,
     real_and_imaginary,
+    sum_of_squares,
 )
 from greybox.statistics.autoregressive_test import Outputs
 from greybox.statistics.column_space import column_basis, outside
@@ -294,7 +295,7 @@ def is_held(free: Array) -> BoolArray:
 def regression_of_response(
     part: ResponsePart, part_name: str, values: Array, names: Labels, free: Array
 ) -> Regression:
-    """Return the regression of a response at all `values`, fitted in the directions `free` (p, d)."""
+    """Return the regression of a response at all `values`; the fit moves along `free` (p, d)."""
     response, criterion, data = part.response(values), part.error_model, part.data
     # Where the modeled response is zero, all of the measured one is misfit.
     size = criterion.error_size(response if response.any() else data.response, data)
@@ -343,7 +344,7 @@ def regression_of_response(
         terms=terms_of_response(*data.omega.tolist()),
         orders=orders,
     )
-    is_unlike = 2 * np.sum(regression.residuals**2) >= np.sum(regression.measured**2)
+    is_unlike = 2 * sum_of_squares(regression.residuals) >= sum_of_squares(regression.measured)
     # Of 1614 simulated right fits, whose errors are white, correlated along frequency, or larger at
     # one end, at both ends or in a band, 2.2 % are below this probability, and of those in white
     # ones 1 %.
@@ -358,7 +359,7 @@ def regression_of_manoeuvre(
     names: Labels,
     free: Array,
 ) -> Regression:
-    """Return the regression of a manoeuvre at all `values`, fitted in the directions `free` (p, d).
+    """Return the regression of a manoeuvre at all `values`; the fit moves along `free` (p, d).
 
     Its integrals at the lines of all outputs follow one another, as those of a response.
     """

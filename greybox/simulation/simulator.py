@@ -283,7 +283,6 @@ class Simulator:
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halved ones change no sample noticeably."""
-        chosen = self._integrator.substeps is not None
         if not self._substeps:
             # By the poles near rest: not at zero itself, where the slope of |v| v vanishes and that
             # of a root is infinite.
@@ -302,12 +301,17 @@ class Simulator:
             states = result.along.states
             finite = all_finite(states)
             most = self._substeps >= MOST_SUBSTEPS
-            if chosen or not states.size:
+            if self._integrator.substeps or not states.size:
                 return result
             # Steps that are too long may be the reason why states are not finite.
             error = self._local_error(result) if finite else np.inf
             # Windows in which a formula has left its domain are left out instead.
-            if self._is_automatic and most and error > UNSTABLE and (finite or not result.estimates):
+            if (
+                self._is_automatic
+                and most
+                and error > UNSTABLE
+                and (finite or not result.estimates)
+            ):
                 # What is stiff far from rest.
                 explicit = self._integrator, self._substeps, self._steps
                 self._is_automatic, self._integrator = False, Radau()

@@ -134,7 +134,7 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
     longest = []
     for name, record in by_name.items():
         steps = np.diff(record.time)
-        wide = int(np.count_nonzero(steps > GAP * record.step))
+        wide = np.count_nonzero(steps > GAP * record.step)
         # 20 steps show the usual one. A message with gaps in 5 % of its steps comes irregularly.
         if steps.size >= 20 and 0 < wide <= 0.05 * steps.size:
             start = record.time[steps.argmax()]
@@ -146,7 +146,7 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
     if len(texts) <= 3:
         return texts
 
-    return [f"{len(texts)} messages have gaps. {texts[int(np.argmax(longest))]}"]
+    return [f"{len(texts)} messages have gaps. {texts[np.argmax(longest)]}"]
 
 
 def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
@@ -176,7 +176,7 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
     findings = ()
     dropped = time.size - rows.size
     if dropped:
-        wrong = int(np.count_nonzero(~np.isfinite(time)))
+        wrong = np.count_nonzero(~np.isfinite(time))
         reasons = [f"{wrong} with implausible times"] if wrong else []
         reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
         is_unsorted = 2 * dropped > time.size + wrong
