@@ -146,7 +146,7 @@ def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Arr
     samples). States whose jumps no output shows are left out, and those after which the outputs
     grow without end: then process noise has no spectrum.
     """
-    longest = int(np.argmax([len(stretch) for stretch in data.stretches]))
+    longest = np.argmax([len(stretch) for stretch in data.stretches])
     begins = directions[data.begins_stretch][longest]
     scale = np.abs(begins).max(axis=1, initial=0.0)
     begins, scale = begins[scale > 0], scale[scale > 0, None]

@@ -74,7 +74,7 @@ def finite_numbers(name: str, values: ArrayLike) -> Array:
 def require(name: str, values: NDArray, sound: BoolArray, cure: str) -> None:
     """Raise ValueError with the first of the values (n,) that is not `sound`."""
     if not sound.all():
-        index = int(np.argmin(sound))
+        index = np.argmin(sound)
         raise ValueError(f"{name} is {values[index]:g} at index {index}: {cure}.")
 
 

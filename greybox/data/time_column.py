@@ -88,7 +88,7 @@ def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, Strings
             return (times - finite[0]) * (tick(ticks) or 1.0), (text,)
 
     # Ticks of a counter are whole; seconds since the start rarely are.
-    is_whole = bool(np.all(finite == np.round(finite)))
+    is_whole = np.all(finite == np.round(finite))
     if name.lower().startswith("timestamp") and is_whole and step >= 1:
         if np.all(np.diff(finite) == 1):
             raise ValueError(

@@ -32,7 +32,7 @@ from greybox.files.arrays import (
 )
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
-from greybox.statistics.column_space import triangle_of
+from greybox.statistics.column_space import open_directions, triangle_of
 from greybox.statistics.shared_errors import shared_covariance
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
@@ -191,7 +191,7 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
     shares = [_share(part, p, paid) for part in parts]
     jacobian = np.vstack([share.limit * share.root[:, :p] for share in shares])
     at_bound = _at_bound(nlp, x, shares, trajectories)
-    active, holding = _active_constraints(nlp, x)
+    active, holding = active_constraints(nlp, x)
 
     # A column may be mere rounding, relative to the parameter or after the initial states have
     # compensated for it. It must not count as information.
@@ -494,13 +494,10 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
 
     Directions closed by a bound or an active constraint are in neither.
     """
-    p = jacobian.shape[1]
-    closed = np.vstack([active, np.eye(p)[bounded]])
-    _, singular, rows = np.linalg.svd(closed)
-    basis = rows[int(np.sum(singular > 1e-12 * singular.max(initial=0.0))) :].T
+    basis = open_directions(active, bounded)
 
     _, singular, rows = np.linalg.svd(triangle_of(jacobian @ basis), full_matrices=True)
-    rank = int(np.sum(singular > DEAD))
+    rank = np.sum(singular > DEAD)
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 
@@ -553,7 +550,7 @@ def _at_bound(
 
 
 @one_thread_at_a_time
-def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, Strings]:
+def active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, Strings]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
     values = nlp.all_values(x)
     gradient = nlp.constraint.jacobian()(values, 0).full()[:, : len(nlp.free)]

@@ -108,10 +108,10 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     """Draw parameter sets from the distribution of an estimate.
 
     The spread of predictions with them is the uncertainty that the fit leaves. The draws have the
-    covariance of the estimate, the tails of Student's t, and stay within the bounds. Along every
-    draw the distance follows the likelihood, as a profile does, if the problem can be compiled
-    again (without priors, ties, constraints and values of earlier fits). Noise of sensors and
-    gusts are not included.
+    covariance of the estimate, the tails of Student's t, and stay within the bounds, but may pass
+    constraints. Along every draw the distance follows the likelihood, as a profile does, if the
+    problem can be compiled again (without priors, ties, constraints and values of earlier fits).
+    Noise of sensors and gusts are not included.
 
     Parameters
     ----------

@@ -318,7 +318,7 @@ def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator
     """Return how many of `count` starts were run before Ctrl-C or the time limit."""
     done = len(search.brought)
     total = counted(count, "start")
-    is_over = bool(np.any(search.runs.status == SEARCH_OVER))
+    is_over = np.any(search.runs.status == SEARCH_OVER)
     if (interrupted and done < count) or is_over:
         cause = "the time limit ended the search" if is_search_over() else "interrupted"
         machine = ", and a faster machine may answer otherwise" if is_search_over() else ""

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from itertools import groupby
+from itertools import compress, groupby
 from operator import itemgetter
 from typing import Any
 
@@ -17,12 +17,14 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
+from greybox.estimate.covariance import active_constraints
 from greybox.estimate.misfit import EXACT, FALSE_ALARMS, LARGE, NOTICED, Cause, Misfit, Shape
 from greybox.estimate.misfit_regression import (
     STEP,
     TINY,
     Key,
     Regression,
+    is_held,
     regression_of_manoeuvre,
     regression_of_record,
     regression_of_response,
@@ -48,7 +50,13 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import beside, column_basis, outside, triangle_of
+from greybox.statistics.column_space import (
+    beside,
+    column_basis,
+    open_directions,
+    outside,
+    triangle_of,
+)
 from greybox.statistics.score_test import (
     correlated_fits,
     joint_test,
@@ -159,15 +167,17 @@ def assessed_misfit(
     user. With a `solver`, a model that does not explain records at `x` is tried at other values.
     If residuals are white, a quick test of their means may suffice.
     """
-    moves, values = ~np.isin(nlp.free, at_bound), nlp.all_values(x)
+    values, bounded = nlp.all_values(x), np.flatnonzero(np.isin(nlp.free, at_bound))
+    # Directions in which the fit can move.
+    free = open_directions(active_constraints(nlp, x)[0], bounded)
     # Flights of one model are often all named like it.
     names = numbered_where_alike([part.name for part in nlp.parts])
     responses = [
-        regression_of_response(part, name, values, nlp.names, moves)
+        regression_of_response(part, name, values, nlp.names, free)
         for part, name in nlp.rows_of(ResponsePart, names)
     ]
     manoeuvres = [
-        regression_of_manoeuvre(part, name, trajectory, values, nlp.names, moves)
+        regression_of_manoeuvre(part, name, trajectory, values, nlp.names, free)
         for part, name, trajectory in nlp.rows_of(TransientPart, names, trajectories)
     ]
     # Means show what white residuals hide, but repeat less often than inputs of another period.
@@ -178,11 +188,12 @@ def assessed_misfit(
     )
     disturbed = _disturbed(nlp, trajectories, names, is_quick)
     # Records are linearized by the solver's variables, responses by the parameters.
-    by_x = np.diag(nlp.scaling.slope(x))[moves]
+    by_x = free.T * nlp.scaling.slope(x)
+    held = [*compress(nlp.free, is_held(free))]
     regressions = []
     for record, (repeated, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True):
         constants = constants_of_record(record)
-        terms = [*terms_of_record(record, constants, at_bound, candidates), *repeated]
+        terms = [*terms_of_record(record, constants, held, candidates), *repeated]
         regressions.append(
             regression_of_record(record, constants, terms, by_x, is_new, len(disturbed))
         )
@@ -227,8 +238,9 @@ def assessed_misfit(
     # biases them, too, perhaps until residuals follow hardly anything but their past.
     x = _with_autoregressive_errors(nlp, x, disturbed)
     other = None
-    # Values at a bound are no better ones.
-    if not np.any(np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)):
+    # Values at a bound or a constraint are no better ones.
+    is_at_bound = np.isclose(x, nlp.lower) | np.isclose(x, nlp.upper)
+    if not (is_at_bound.any() or active_constraints(nlp, x)[1]):
         other = assessed_misfit(nlp, x, solver.profile(x).trajectories, (), candidates, None, False)
     # An autoregression of few slow motions is uncertain, and its probabilities are too small.
     limit = FALSE_ALARMS / LARGE if is_slow else IN_GUSTS
@@ -433,7 +445,7 @@ def _shares(
     # Perhaps only one of the outputs of a record follows a missing term.
     of_outputs = [
         [
-            float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY))
+            sum_of_squares(e[rows]) / (sum_of_squares(measured[rows]) + TINY)
             for e in (residuals, noise)
         ]
         for rows in [*map(np.concatenate, group.outputs)] or [...]

@@ -34,6 +34,7 @@ from greybox.files.arrays import (
     NamedArrays,
     frozen,
     real_and_imaginary,
+    sum_of_squares,
 )
 from greybox.statistics.autoregressive_test import Outputs
 from greybox.statistics.column_space import column_basis, outside
@@ -280,10 +281,15 @@ def shortened(
     return DisturbedRecord(excerpt, along(excerpt), name)
 
 
+def is_held(free: Array) -> BoolArray:
+    """Return which parameters (p,) cannot move alone in the directions (p, d) of a fit."""
+    return np.linalg.norm(free, axis=1) < 1 - 1e-9
+
+
 def regression_of_response(
-    part: ResponsePart, part_name: str, values: Array, names: Labels, moves: BoolArray
+    part: ResponsePart, part_name: str, values: Array, names: Labels, free: Array
 ) -> Regression:
-    """Return the regression of a response at all `values`; of the free ones some are fitted."""
+    """Return the regression of a response at all `values`; the fit moves along `free` (p, d)."""
     response, criterion, data = part.response(values), part.error_model, part.data
     # Where the modeled response is zero, all of the measured one is misfit.
     size = criterion.error_size(response if response.any() else data.response, data)
@@ -294,7 +300,7 @@ def regression_of_response(
         size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
     used = size > 0
     # A single outlier would look like a narrow mode.
-    worst = largest_deviation(part, values, moves.size)
+    worst = largest_deviation(part, values, len(free))
     if worst and len(used) * worst.probability < SIZE:
         used[worst.index] = False
     order = np.argsort(data.omega, kind="stable")
@@ -328,11 +334,11 @@ def regression_of_response(
         rows,
         values,
         names,
-        moves,
+        free,
         terms=terms_of_response(*data.omega.tolist()),
         orders=orders,
     )
-    is_unlike = 2 * np.sum(regression.residuals**2) >= np.sum(regression.measured**2)
+    is_unlike = 2 * sum_of_squares(regression.residuals) >= sum_of_squares(regression.measured)
     # Of 1614 simulated right fits, whose errors are white, correlated along frequency, or larger at
     # one end, at both ends or in a band, 2.2 % are below this probability, and of those in white
     # ones 1 %.
@@ -345,9 +351,9 @@ def regression_of_manoeuvre(
     trajectory: Trajectory,
     values: Array,
     names: Labels,
-    moves: BoolArray,
+    free: Array,
 ) -> Regression:
-    """Return the regression of a manoeuvre at all `values`; of the free ones some are fitted.
+    """Return the regression of a manoeuvre at all `values`; the fit moves along `free` (p, d).
 
     Its integrals at the lines of all outputs follow one another, as those of a response.
     """
@@ -380,7 +386,7 @@ def regression_of_manoeuvre(
         rows,
         values,
         names,
-        moves,
+        free,
         terms=terms,
         orders=[("own", part_name, 1.0)],
     )
@@ -396,7 +402,7 @@ def _of_curve(
     rows: Callable[[ComplexArray], Array],
     values: Array,
     names: Labels,
-    moves: BoolArray,
+    free: Array,
     *,
     terms: Iterable[Term],
     orders: Sequence[tuple[str, str, Any]],
@@ -407,7 +413,7 @@ def _of_curve(
     `rows` returns real rows of columns (n, c), in which errors are alike. Values may depend on what
     `orders` lists, as kinds of terms with a name and the number that grows.
     """
-    places = np.flatnonzero(moves)
+    places, p = np.flatnonzero(~is_held(free)), len(free)
 
     def modeled(x: Array) -> ComplexPair:
         # Where a response is zero, the effects of its parameters are not.
@@ -417,10 +423,10 @@ def _of_curve(
 
     def again(change: Array, factors: ComplexArray) -> Array:
         x = values.copy()
-        x[places] += change
+        x[:p] += free @ change
         model, slopes = modeled(x)
         by_term = model * (factors[1:] - factors[0]) / STEP
-        columns = -np.vstack([slopes[:, places].T * factors[0], by_term])
+        columns = -np.vstack([(slopes[:, :p] @ free).T * factors[0], by_term])
         return rows(np.column_stack([measured - model * factors[0], *columns]))
 
     model, slopes = modeled(values)
@@ -429,14 +435,14 @@ def _of_curve(
         Term(kind, column * value, a=name, b=b)
         for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
         for kind, b, value in (
-            orders if k in places else [("bound" if k < moves.size else "fixed", "", 1.0)]
+            orders if k in places else [("bound" if k < p else "fixed", "", 1.0)]
         )
     ]
     residuals = rows((measured - model)[:, None])
     return Regression(
         rows(measured[:, None]),
         residuals,
-        rows(-slopes[:, places]),
+        rows(-slopes[:, :p] @ free),
         _numbered([*terms, *own]) if residuals.size else {},
         lambda terms: rows(np.column_stack([model * term.values for term in terms])),
         again if residuals.size else None,

@@ -198,9 +198,9 @@ TEXTS = {
         "free=['{a}'] in the problem, no fixed value of it, and finite bounds in the model",
     ),
     "bound": (
-        "a value of {a} that is larger by {size} ± {error} than its bound",
-        "a value of {a} that is smaller by {size} ± {error} than its bound",
-        "wider bounds of {a}",
+        "a value of {a} that is larger by {size} ± {error} than its bound or constraint allows",
+        "a value of {a} that is smaller by {size} ± {error} than its bound or constraint allows",
+        "wider bounds or constraints of {a}",
     ),
     "own": (
         "a value of {a} that is larger by {size} ± {error} in '{b}' than elsewhere",
@@ -384,7 +384,7 @@ class Constants(NamedTuple):
 def terms_of_record(
     record: DisturbedRecord,
     constants: Constants,
-    at_bound: Labels,
+    held: Labels,
     candidates: Mapping[str, Formula],
 ) -> Iterator[Term]:
     """Yield the terms that the model of a record may lack; `candidates` are the user's.
@@ -406,7 +406,7 @@ def terms_of_record(
     else:
         yield from _of_feedback(record)
     yield from _of_loads(record, constants)
-    yield from _of_parameters(record, at_bound)
+    yield from _of_parameters(record, held)
 
 
 def constants_of_record(record: DisturbedRecord) -> Constants:
@@ -488,7 +488,7 @@ def _along(samples: int) -> list[Array]:
     return [slope, *(1.0 * (slope > share) for share in JUMPS)]
 
 
-def _of_parameters(record: DisturbedRecord, at_bound: Labels) -> Iterator[Term]:
+def _of_parameters(record: DisturbedRecord, held: Labels) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
     ones = np.ones(part.samples)
     # Among several records, one may need different values.
@@ -510,7 +510,7 @@ def _of_parameters(record: DisturbedRecord, at_bound: Labels) -> Iterator[Term]:
         if part.model.parameters[k] in gains:
             continue
         name, by_parameter = part.model.outside_names[k], partial(record.by_parameter, place)
-        for kind, row, b in [("bound", ones, "")] if name in at_bound else changes:
+        for kind, row, b in [("bound", ones, "")] if name in held else changes:
             yield Term(kind, row, by_parameter, name, b)
     for k in range(len(part.system.parameters)):
         if k not in part.model.active:
@@ -598,7 +598,9 @@ def _of_output(
     later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
     yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
     for row, T in _delays(record, y) if len(outputs) > 1 else ():
-        yield Term("sensor", row, by_output, b=b, scale=abs(T))
+        # The error of a sample corrects the later outputs of a predictor.
+        if T > 0 or not record.is_predicted:
+            yield Term("sensor", row, by_output, b=b, scale=abs(T))
     yield from (Term("cross", row, by_output, a, b) for row, a in outputs if a != b)
     for u, a, between in inputs:
         # A controller responds at once: the noise of a sample is in the input at the same time.

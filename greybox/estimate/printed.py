@@ -281,7 +281,7 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
         error = part.relative_residuals
         # A response that contains a zero has no relative residual: it has no line.
         if all_finite(error):
-            worst = int(np.argmax(error))
+            worst = np.argmax(error)
             place = f" ({part.name})" if part.name and len(responses) > 1 else ""
             line = (
                 f"residual {percent(rms(error))} % rms, largest {percent(error[worst])} % at "

@@ -226,7 +226,7 @@ def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
     _, singular, rows = np.linalg.svd(jacobian * size)
     # In 23 structures of the literature at four points each, directions without an effect have
     # singular values of at most 6e-15, all others at least 1e-5, with columns of unit length.
-    rank = int(np.sum(singular > 1e-10))
+    rank = np.sum(singular > 1e-10)
     scaled = rows[:rank] * size
     weight = (1e-12 / singular[:rank, None]) ** 2
     return KnownDirections(scaled.T @ (weight * scaled), rows[rank:].T, size, x)

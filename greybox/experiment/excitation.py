@@ -362,14 +362,14 @@ def _from_zero(harmonics: IntArray, phases: Array, count: int) -> Array:
     from scipy.optimize import brentq  # noqa: PLC0415  (slow import)
 
     values = _sum(harmonics, phases, count)
-    k = int(np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0])
+    k = np.flatnonzero((values <= 0) & (np.roll(values, -1) > 0))[0]
 
     def value(shift: float) -> float:
         return float(np.sum(np.sin(math.tau * harmonics * shift + phases)))
 
     # Between samples, so that the signal starts exactly at zero.
     crossing: Any = brentq(value, k / count, (k + 1) / count, xtol=1e-16)
-    return phases + math.tau * harmonics * float(crossing)
+    return phases + math.tau * harmonics * crossing
 
 
 def _sum(harmonics: IntArray, phases: Array, count: int) -> Array:

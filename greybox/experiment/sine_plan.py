@@ -374,7 +374,7 @@ def with_spare_sines(
     seconds = by_name(chosen.tolist(), duration.tolist())
     while len(seconds) < min(count, len(omega)):
         edges = [-1, *sorted(seconds), len(omega)]
-        k = int(np.argmax(np.diff(edges)))
+        k = np.argmax(np.diff(edges))
         middle = (edges[k] + edges[k + 1]) // 2
         seconds[middle] = periods * HZ / omega[middle]
     order = sorted(seconds)

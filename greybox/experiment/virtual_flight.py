@@ -224,7 +224,7 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], St
         )
         flown, local = np.split(log, [len(names) + n])
         wrong = ~(np.abs(flown) < 1e9)  # no state of a vehicle in SI units is that large
-        reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
+        reached = np.argmax(wrong.any(axis=0)) if wrong.any() else time.size
         with np.errstate(invalid="ignore"):
             error = relative_change(
                 local[:, :reached], flown[len(names) :, :reached], states[:n, :reached]
@@ -237,7 +237,7 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], St
             continue
         if wrong.any():
             labels = [*map(repr, names), *(f"the state {n!r}" for n in loop.system.states)]
-            row = int(np.flatnonzero(wrong[:, reached])[-1])  # a state, if one is wrong
+            row = np.flatnonzero(wrong[:, reached])[-1]  # a state, if one is wrong
             raise ValueError(
                 f"the flight of {loop.label} diverges: {labels[row]} is {flown[row, reached]:.3g} "
                 f"at {time[reached]:.2f} s; give a controller that stabilizes the plant, or a "

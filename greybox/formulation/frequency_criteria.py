@@ -128,7 +128,7 @@ class Criterion(AnyCriterion):
 
     def size_of(self, errors: ComplexArray, correction: float) -> float:
         """Return the standard deviation of one component of errors (n,), from their squares."""
-        return correction * math.sqrt(float(np.mean(np.abs(errors) ** 2)) / 2)
+        return correction * math.sqrt(np.mean(np.abs(errors) ** 2) / 2)
 
     def noise_ratio(self, model: ComplexArray, data: FrequencyResponse) -> float:
         """Return the squared residuals over the given variances; only for `known_noise`."""

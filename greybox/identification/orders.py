@@ -263,7 +263,7 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, Values]
     longest = turn
     while True:
         grid = np.linspace(0.0, longest, DELAYS)
-        best = int(np.argmin([squares for squares, _ in _at_delays(data, orders, grid)]))
+        best = np.argmin([squares for squares, _ in _at_delays(data, orders, grid)])
         if best < DELAYS - 1 or longest > 8 * turn:
             break
         longest *= 2

@@ -175,7 +175,7 @@ def _rounded(
     else:
         a = steps * amplitudes
         moved = motion[
-            [int(np.argmin([abs(s.omega - omega) for s in used])) for omega in response.omega]
+            [np.argmin([abs(s.omega - omega) for s in used]) for omega in response.omega]
         ]
     # The sine itself is part of the motion, and is taken out of it: a²/2 is its variance.
     relative = rounding_error(a, real_root(moved**2 - a**2 / 2))

@@ -324,7 +324,7 @@ def _first_half_wave(time: Array, values: Array, corners: IntArray, crossings: A
     middle = values[corners].mean()
     periods = np.diff(crossings)
     longest = (1 + OFF_SWEEP) * max(periods[0], periods[0] ** 2 / periods[1])
-    from_ = int(np.searchsorted(time, crossings[0] - longest))
+    from_ = np.searchsorted(time, crossings[0] - longest)
     beyond = np.flatnonzero((values[from_:peak] - middle) / (values[peak] - middle) <= FOLLOWS)
     return float(time[from_ + beyond[-1]]) if beyond.size else float(crossings[0])
 

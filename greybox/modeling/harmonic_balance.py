@@ -531,7 +531,7 @@ def harmonic_response(
     response, harmonics = directly_found(model, values, omega, sine, **signals)
     finite = np.isfinite(response)
     if not finite.all():
-        k = int(np.argmin(finite))
+        k = np.argmin(finite)
         raise ValueError(
             f"no periodic motion of {model.label} was found at omega = {omega[k]:g} rad/s in which "
             f"{sine.signal} is a sine of amplitude {sine.amplitudes(omega)[k]:g}: give another "

@@ -116,7 +116,7 @@ def _own_trim(model: Model, at: Values, p: ca.SX) -> Trimmed:
     # Constants in the user's formula may be rounded.
     tolerance = 1e-6 * (1 + np.abs(np.asarray(point)).max(initial=0))
     if not np.all(np.abs(derivative) < tolerance):
-        worst = int(np.argmax(np.abs(np.nan_to_num(derivative, nan=np.inf))))
+        worst = np.argmax(np.abs(np.nan_to_num(derivative, nan=np.inf)))
         raise ValueError(
             f"{model.label}.trim at {dict(at)} is not an equilibrium: the derivative of "
             f"{model.state_names[worst]!r} is {derivative[worst]:.3g} there; correct the trim."

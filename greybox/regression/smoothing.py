@@ -149,9 +149,7 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
 
     def score(logarithm: Array) -> float:
         removed = 1 - _weight(omega, math.exp(logarithm[0]))
-        return math.log(float(removed**2 @ power) + 1e-300) - 2 * math.log(
-            float(np.sum(removed)) + 1e-300
-        )
+        return math.log(removed**2 @ power + 1e-300) - 2 * math.log(np.sum(removed) + 1e-300)
 
     # A cutoff below the third sine would take nearly all of the signal for noise.
     low, high = np.log([np.sort(omega)[2], omega.max()])

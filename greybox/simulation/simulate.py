@@ -129,7 +129,7 @@ def simulate(
         unknown |= dict.fromkeys(without_error)
         bad = diverged(signals)
         if bad.any():
-            when = int(np.argmax(bad))
+            when = np.argmax(bad)
             name = next(name for name, row in signals.items() if not abs(row[when]) < DIVERGED)
             raise ValueError(
                 f"the simulation of {estimated.label} diverges at "
@@ -300,11 +300,11 @@ def _not_finite(simulated: WindowSimulations, windows: Windows, model: ModelAtEs
         return ""
 
     # The first signal that is lost points to the formula to mend.
-    first = int(np.argmax(simulated.not_finite))
+    first = np.argmax(simulated.not_finite)
     names = (*model.system.states, *windows.outputs)
     lost = ~np.isfinite(np.hstack([simulated.states[first], simulated.outputs[first]]))
-    when = int(np.argmax(lost.any(axis=1)))
-    name = names[int(np.argmax(lost[when]))] if lost.any() else "the sensitivity of its outputs"
+    when = np.argmax(lost.any(axis=1))
+    name = names[np.argmax(lost[when])] if lost.any() else "the sensitivity of its outputs"
     time = windows.record.time[windows.rows[first, when]]
     kind, place = (
         ("window", f"at {time:.6g} s") if windows.lead else ("row", f"in row {time + 1:.0f}")

@@ -45,6 +45,9 @@ from greybox.simulation.state_estimation import (
 # Largest change of a state in one sample by halved substeps, relative to its size. A thousand such
 # errors in one direction add up to 1e-4 of the state, below the noise of any sensor.
 TOLERANCE = 1e-7
+# Such a change by the smallest steps means that they are unstable, although the states stay finite:
+# in stiff kinetics they alternate about the solution.
+UNSTABLE = 0.01
 # Most substeps to begin with: the fastest mode at rest may not occur in the simulation.
 MOST_AT_FIRST = 8
 DIVERGED = 1e20  # counts of cells and pressures exceed 1e9; an unstable model soon exceeds this
@@ -280,7 +283,6 @@ class Simulator:
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halved ones change no sample noticeably."""
-        chosen = self._integrator.substeps is not None
         if not self._substeps:
             # By the poles near rest: not at zero itself, where the slope of |v| v vanishes and that
             # of a root is infinite.
@@ -299,18 +301,28 @@ class Simulator:
             states = result.along.states
             finite = all_finite(states)
             most = self._substeps >= MOST_SUBSTEPS
-            if self._is_automatic and most and not (finite or result.estimates):
-                # What is stiff far from rest; a jump would stop Newton's iteration, not RK4.
-                # Windows in which a formula has left its domain are left out instead.
-                self._is_automatic, self._integrator = False, Radau()
-                self._substeps = MOST_AT_FIRST
-                self._steps = {}
-                continue
-            if chosen or not states.size or most:
+            if self._integrator.substeps or not states.size:
                 return result
             # Steps that are too long may be the reason why states are not finite.
             error = self._local_error(result) if finite else np.inf
-            if error <= TOLERANCE:
+            # Windows in which a formula has left its domain are left out instead.
+            if (
+                self._is_automatic
+                and most
+                and error > UNSTABLE
+                and (finite or not result.estimates)
+            ):
+                # What is stiff far from rest.
+                explicit = self._integrator, self._substeps, self._steps
+                self._is_automatic, self._integrator = False, Radau()
+                self._substeps, self._steps = MOST_AT_FIRST, {}
+                implicit = self._accurate(step, run)
+                if not finite or all_finite(implicit.along.states):
+                    return implicit
+                # A jump, such as that of dry friction at rest, stops Newton's iteration, not RK4.
+                self._integrator, self._substeps, self._steps = explicit
+                return result
+            if most or error <= TOLERANCE:
                 return result
             factor = substep_growth(error, TOLERANCE, self._integrator.order)
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)

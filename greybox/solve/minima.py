@@ -102,7 +102,7 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
     ended = runs[~runs.converged & (runs.status != TOO_COARSE) & np.isfinite(runs.cost)]
     # A start that was only screened has not been run: it is the last choice.
     tried = ended[ended.stage != SCREENED] or ended
-    return tried[int(np.argmin(tried.cost))] if tried else None
+    return tried[np.argmin(tried.cost)] if tried else None
 
 
 def agreeing_runs(nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]) -> Indices:
@@ -161,7 +161,7 @@ def find_minima(
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
-        k = int(np.argmax(ungrouped))
+        k = np.argmax(ungrouped)
         cost = float(costs[k])
 
         # Responses decide, since different parameters may have one response: their differences are

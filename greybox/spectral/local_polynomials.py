@@ -441,7 +441,7 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> Band:
 
     y = lines.values[1, quartic.rows]
     weights = quartic.weights(omega) - quadratic.weights(omega)
-    noise = np.sum(np.abs(quartic.residuals(y)) ** 2) / quartic.trace()
+    noise = sum_of_squares(quartic.residuals(y)) / quartic.trace()
     # Noise alone makes the two polynomials differ by this variance.
     squared = np.abs(weights @ y) ** 2
     variance = noise * np.sum(np.abs(weights) ** 2, axis=1)

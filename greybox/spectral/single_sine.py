@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, median_step, require_time
 from greybox.data.test_segment import Segment, checked_segments
-from greybox.files.arrays import Array, ComplexArray, all_finite
+from greybox.files.arrays import Array, ComplexArray, all_finite, sum_of_squares
 from greybox.spectral.demodulation import (
     UnusableSegmentError,
     least_squares,
@@ -242,8 +242,8 @@ def estimate_by_lines(
     error = lines[1] - response * lines[0]
     scatter = error - smooth @ (to_polynomial @ error)
     free = m.size - smooth.shape[1]
-    noise = np.sum(np.abs(scatter) ** 2) / free
-    variance = noise * (1 + np.sum(at_omega**2)) / abs(u) ** 2
+    noise = sum_of_squares(scatter) / free
+    variance = noise * (1 + sum_of_squares(at_omega)) / abs(u) ** 2
     control_noise = float(np.sqrt(np.mean(np.abs(lines[0]) ** 2)))
     return SinePoint(complex(response), float(variance), 2.0 * free, control_noise)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, positive_or_one, unit_length
+from greybox.files.arrays import Array, IntArray, positive_or_one, unit_length
 
 DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rounding errors
 
@@ -12,6 +12,16 @@ def column_basis(columns: Array) -> Array:
     # Parameters have different units: without scaling, the rank would depend on these.
     vectors, singular, _ = np.linalg.svd(unit_length(columns, 0), full_matrices=False)
     return vectors[:, singular > DEPENDENT * max(singular, default=0.0)]
+
+
+def open_directions(active: Array, bounded: IntArray) -> Array:
+    """Return an orthonormal basis (p, r) of directions that constraints and bounds leave open.
+
+    Rows of `active` (a, p) are gradients of constraints that hold, and `bounded` are the places of
+    the parameters that bounds hold.
+    """
+    _, singular, directions = np.linalg.svd(np.vstack([active, np.eye(active.shape[1])[bounded]]))
+    return directions[np.sum(singular > 1e-12 * singular.max(initial=0.0)) :].T
 
 
 def triangle_of(columns: Array) -> Array:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, frozen
+from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, frozen, sum_of_squares
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -157,7 +157,7 @@ def size_test(squares: Array, dof: Array | float) -> float:
     score = (squares - 1) / (1 + 2 * squares / dof) * np.sqrt(1 + 4 / dof)
     trends, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, len(squares)), 3, increasing=True))
     # The statistic has the chi-squared distribution with two degrees of freedom.
-    return math.exp(-np.sum((score @ trends[:, 1:]) ** 2) / 2)
+    return math.exp(-sum_of_squares(score @ trends[:, 1:]) / 2)
 
 
 def mean_test(stretches: Sequence[ArrayLike]) -> FloatPair:

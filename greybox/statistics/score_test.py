@@ -17,7 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayTriple, column_lengths, of_diagonal, real_root
+from greybox.files.arrays import (
+    Array,
+    ArrayTriple,
+    column_lengths,
+    of_diagonal,
+    real_root,
+    sum_of_squares,
+)
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.neighbor_correlation import slow_errors
 
@@ -103,7 +110,7 @@ def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Arr
     # Directions shorter than a fifth of the longest are not tested.
     kept = lengths > max(0.2 * max(lengths, default=0.0), REMAINS * longest)
     directions = axes[:, kept] / lengths[kept]
-    share = np.sum((residuals @ effects @ directions) ** 2) / (residuals @ residuals + TINY)
+    share = sum_of_squares(residuals @ effects @ directions) / (residuals @ residuals + TINY)
     remaining = len(residuals) - basis.shape[1] - np.sum(kept)
     p_value = chance(max(1 - share, 0.0), remaining, max(np.sum(kept), 1))
     return float(p_value), directions

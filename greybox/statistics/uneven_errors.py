@@ -17,7 +17,13 @@ fits (six systems, seven inputs, two bands, output and equation error; white err
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, real_and_imaginary, unit_length
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    real_and_imaginary,
+    sum_of_squares,
+    unit_length,
+)
 
 
 def uneven_errors(
@@ -81,8 +87,8 @@ def uneven_errors(
     mean = np.einsum("iiclx->x", form) - np.einsum("qqx->x", inner)
     mean += np.einsum("xr,rs,xs->x", units, certain, units)
     # The degrees of freedom of all parameters hardly differ.
-    spread = np.sum(form**2) - 2 * np.sum(turned**2) + np.sum(inner**2)
-    squares = np.sum(mean**2)
+    spread = sum_of_squares(form) - 2 * sum_of_squares(turned) + sum_of_squares(inner)
+    squares = sum_of_squares(mean)
     dof = float(squares / spread) if min(squares, spread) > 0 else np.inf
     return spread_of_scores + certain, dof
 

@@ -149,3 +149,22 @@ def test_intervals_allow_for_a_size_of_gusts_that_few_numbers_show():
     for name, quantile in quantiles.items():
         low, high = fit.interval()[name]
         assert 0.95 < (high - low) / 2 / errors[name] / quantile < 1.08
+
+
+class WithRate(Spring):
+    """The spring with a sensor of its speed, too."""
+
+    outputs = ("y", "rate")
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+def test_a_sensor_is_not_called_early_because_a_predictor_follows_gusts():
+    """The error of a sample corrects the states of the next one, which an early sensor would show."""
+    truth, inputs = {"k": 4.0, "c": 1.0, "b": 2.0}, doublets(1, 60, 1.0, 1)
+    sensors = {"y": 0.02, "rate": 0.05}
+    record = disturbed(WithRate(), truth, inputs, STEP, {"v": 3.0}, sensors, 1)
+    filtered = gb.PredictionError(process_noise=("v",), inputs="held")
+    fit = gb.fit(gb.Problem(WithRate(), record, filtered), starts=1, progress=False)
+    assert fit.misfit.explains

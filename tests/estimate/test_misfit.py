@@ -1251,15 +1251,17 @@ class NarrowSpring(Spring):
     k = gb.Parameter(40.0, bounds=(30, 200))
 
 
-def test_a_parameter_at_a_wrong_bound_needs_wider_ones():
+@pytest.mark.parametrize(
+    ("model", "constraints"), [(NarrowSpring(), ()), (Spring(), [lambda p: p.k - 30])]
+)
+def test_a_parameter_at_a_wrong_bound_or_constraint_needs_wider_ones(model, constraints):
     s = 1j * np.geomspace(0.6, 30, 16)
     noise = np.random.default_rng(7).normal(size=(16, 2)) @ [1, 1j]
     measured = 25 / (s**2 + 2 * s + 25) * (1 + 0.02 * noise)
-    response = gb.Problem(NarrowSpring(), gb.FrequencyResponse(s.imag, measured, "u", "x"))
-    record = gb.Problem(NarrowSpring(), problem().record)
-    for of in (response, record):
-        misfit = gb.fit(of, starts=1, progress=False).misfit
-        [cause] = [cause for cause in misfit.causes if cause.code == "wider bounds of k"]
+    for data in (gb.FrequencyResponse(s.imag, measured, "u", "x"), problem().record):
+        stated = gb.Problem(model, data, constraints=constraints)
+        misfit = gb.fit(stated, starts=1, progress=False).misfit
+        [cause] = [cause for cause in misfit.causes if cause.code.endswith("constraints of k")]
         assert not misfit.explains
         assert cause in misfit.likely
         assert cause.text.startswith("a value of k that is smaller by ")

@@ -264,6 +264,12 @@ def test_gusts_that_do_not_blow_have_no_time_constant():
     assert not any("not determined" in text for text in found.warnings)
 
 
+def test_a_time_constant_of_a_sample_is_that_of_white_noise():
+    found = fit(gb.Problem(Spring(), flown(1.0, n=100), GUSTY))
+    assert found.by_name["T_gust_v"].at_bound
+    assert any("white noise, process_noise=('v',)" in text for text in found.warnings)
+
+
 def test_steps_that_overshoot_settle():
     """Damping that fell after each of them let runs go to and fro beside this minimum to their end."""
     gusty = gb.PredictionError(disturbance={"y": "colored"}, inputs="held")

@@ -322,6 +322,28 @@ def test_answers_print_themselves():
     assert set(found.record.signals) == {"position", "position_error", "velocity"}
 
 
+class FastFarFromRest(gb.StateSpace):
+    """A state that follows the root of its input, at a rate that grows with it: 8e3 1/s at 2."""
+
+    states = outputs = ("x",)
+    inputs = ("u",)
+    k = gb.Parameter(2000.0)
+
+    def derivative(self, x, u, p):
+        return (p.k * abs(x.x) * (u.u - x.x**2),)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_a_model_that_is_stiff_far_from_rest_follows_its_slow_solution():
+    time = np.arange(10) / 10
+    drive = gb.Record(time, {"u": 2 + np.sin(time)}, hold={"u": 0.0})
+    motion = gb.simulate(FastFarFromRest(), {}, drive, initial={"x": 1.4})
+    # It lags by u' / (2 k x²), and explicit steps of 0.4 ms leave it without growing.
+    assert motion["x"][1:] == pytest.approx(np.sqrt(drive["u"][1:]), abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [

@@ -114,9 +114,13 @@ def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
         q = answer.by_name[name]
         low, high = q.bounds
         side, bound = ("lower", low) if q.value - low < high - q.value else ("upper", high)
+        cure = "widen the bound if the physics allow, or fix the parameter"
+        if side == "lower" and name.startswith("T_gust_"):
+            # Gusts that last longer than those of the data bias the values.
+            cure = f"gusts of less than a sample are white noise, process_noise={(name[7:],)}"
         yield (
             f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as "
-            "known there: widen the bound if the physics allow, or fix the parameter."
+            f"known there: {cure}."
         )
 
     for limit in accuracy.active:

@@ -109,8 +109,8 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     lost = ~np.isfinite(np.vstack([slopes, residual, later]))
     if not lost.any():
         return None
-    at = int(np.argmax(lost.any(axis=0)))
-    first = int(np.argmax(lost[:, at]))
+    at = np.argmax(lost.any(axis=0))
+    first = np.argmax(lost[:, at])
     times = sampled.at_samples(part.model.record.time)
     label, method = part.problem.model.label, part.model.method
     cure = f"start elsewhere, or bound the parameters to where {label} has finite values"

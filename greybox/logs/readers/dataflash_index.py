@@ -137,7 +137,7 @@ def _chain(
     last, end = -1, 0
     while end <= len(data) - len(HEAD) - 1:
         # All messages up to the next break follow each other: they need not be visited one by one.
-        first = int(np.searchsorted(starts, end))
+        first = np.searchsorted(starts, end)
         if first < starts.size and starts[first] == end:
             last = int(breaks[np.searchsorted(breaks, first)])
             is_message[first : last + 1] = True

@@ -146,7 +146,7 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
     if len(texts) <= 3:
         return texts
 
-    return [f"{len(texts)} messages have gaps. {texts[int(np.argmax(longest))]}"]
+    return [f"{len(texts)} messages have gaps. {texts[np.argmax(longest)]}"]
 
 
 def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
@@ -176,7 +176,7 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
     findings = ()
     dropped = time.size - rows.size
     if dropped:
-        wrong = int(np.count_nonzero(~np.isfinite(time)))
+        wrong = np.count_nonzero(~np.isfinite(time))
         reasons = [f"{wrong} with implausible times"] if wrong else []
         reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
         is_unsorted = 2 * dropped > time.size + wrong

@@ -66,7 +66,7 @@ def _mixed(first: Sequence[Any], second: Sequence[Any], share: float) -> list[An
 def _kinked(parts: AllParts, first: Sequence[Any], second: Sequence[Any]) -> str:
     """Return the name of the part whose gradients differ most, or of its record."""
     changes = [np.abs(a[-1] - b[-1]).max(axis=-1) for a, b in zip(first, second, strict=True)]
-    place = int(np.argmax([change.max() for change in changes]))
+    place = np.argmax([change.max() for change in changes])
     part = parts.parts[place]
     records = part.parts if isinstance(part, RecordGroup) else (part,)
-    return records[int(np.argmax(changes[place])) % len(records)].name
+    return records[np.argmax(changes[place]) % len(records)].name
