@@ -71,8 +71,8 @@ TOGETHER = 5
 # this and `FALSE_ALARMS`, and of 148 wrong ones without gusts none.
 IN_GUSTS = 0.001
 # Samples whose means are tested first if residuals are white, and the probability above which there
-# is no other test: that of all of 3000 samples takes three times as long. Of 120 right models in
-# white and colored noise, 5 were below it.
+# is no other test: that of all of 3000 samples takes three times as long. Probabilities allow for
+# the number of terms, so that those of right models are mostly one.
 FEW, CLEAR = 500, 0.3
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
