@@ -259,8 +259,8 @@ def coverage(case, runs, seed):
             starts=1,
             progress=False,
         )
-        words = ("correlated", "turbulence", "poorly")
-        speaks = any(word in text for word in words for text in fit.warnings)
+        words = ("correlated", "turbulence", "poorly", "mislead")
+        speaks = any(word in text for word in words for text in (*fit.warnings, *fit.notes))
         named += speaks
         wide = fit.interval(1 - 0.05 / len(names))
         honest += speaks or all(wide[n][0] <= truth[n] <= wide[n][1] for n in names)

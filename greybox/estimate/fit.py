@@ -117,9 +117,9 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         likelihood of responses and manoeuvres, as `greybox.profile` does, along parameters without
         an interval by the standard error, or whose interval leaves the bounds, whose error exceeds
         half the value, or changes by 30 % within one error: `Fit.profiles`. Where that would take
-        much longer than the search, a note names these parameters. Slow problems (records, trims
-        inside the optimization, finite amplitudes) are not profiled unless you name the parameters
-        in `greybox.profile`.
+        a second or longer, a note names these parameters. Slow problems (records, trims inside the
+        optimization, finite amplitudes) are not profiled unless you name the parameters in
+        `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of
         finished and of all runs.

@@ -134,18 +134,15 @@ def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     lines = [*_misleading(nlp, fit)]
     if not lines:
         return fit
-    # Each point is a run: at most about twice the time of a search from 20 starts.
-    work = len(lines) * len(nlp.free) * len(nlp.parts)
-    if is_batched or work <= (36 if nlp.has_states else 12):
+    # Each point is a run: more work than this takes a second and longer.
+    if is_batched or len(lines) * len(nlp.free) * len(nlp.parts) <= 12:
         try:
             profiles = _profiles(nlp, fit, lines, 0.95, fresh=0)
         except NoProfileError:
             return fit
         return replace(fit, profiles=profiles, warnings=(*profiles.warnings, *fit.warnings))
-    note = (
-        f"use profile likelihood (profile) for the intervals of {listed([q.name for q in lines])}: "
-        "their standard errors mislead."
-    )
+    names = listed([line.name for line in lines])
+    note = f"standard errors that mislead: {names}; gb.profile (greybox profile) gives intervals."
     return replace(fit, notes=(*fit.notes, note))
 
 

@@ -340,7 +340,7 @@ def test_a_misleading_standard_error_comes_with_a_profile(clean):
 
     many = fitted(problem(7) + problem(8))
     assert many.profiles is None
-    assert "use profile likelihood" in many.notes[-1]
+    assert "standard errors that mislead: K, T_z" in many.notes[-1]
 
 
 def test_refusals(clean, spectrum):
