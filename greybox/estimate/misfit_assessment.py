@@ -229,7 +229,8 @@ def assessed_misfit(
     is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
     is_slow = misfit.left > NOTICED and LARGE * (1 - misfit.drift) < 1
     is_plain = misfit.explains and not is_slow
-    if is_quick and not (is_plain and misfit.p_value > CLEAR):
+    are_means = any(np.any(record.spread != 1) for record in disturbed)
+    if is_quick and are_means and not (is_plain and misfit.p_value > CLEAR):
         return assessed_misfit(nlp, x, trajectories, at_bound, candidates, solver, False)
     if is_plain or solver is None or responses or manoeuvres or is_excluded:
         return misfit

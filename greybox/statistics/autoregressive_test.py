@@ -145,9 +145,10 @@ def autoregressive_p_values(
     # Of a faster term, means would show too little. With a limit of 0.9, errors that oscillate
     # slowly beneath white noise were called terms in 4 % of tests with p < 0.001.
     is_slow = kept > 0.5 * whole
-    return np.maximum(
-        p_of_samples, is_slow * p_values(*_fits(values, outputs, used, m, times=0)[:2])
-    )
+    if not is_slow.any():
+        return p_of_samples
+    p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
+    return np.where(is_slow, np.maximum(p_of_samples, p_of_means), p_of_samples)
 
 
 def _fits(
