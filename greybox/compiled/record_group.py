@@ -135,10 +135,11 @@ class Groups:
 
 def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[Trajectory]:
     """Return trajectories with `shared_products`, where some part has few numbers."""
+    if not any(part.few.any() for part in parts):
+        return [*trajectories]
     result, products = [*trajectories], [t.products for t in trajectories]
-    is_shared = any(part.few.any() for part in parts)
     # The end terms of manoeuvres follow the variances of their outputs, and change these.
-    for _ in range(50 * is_shared):
+    for _ in range(50):
         shared = shared_products(parts, products)
         zipped = zip(parts, result, shared, strict=True)
         pairs = [part.with_products(t, p) for part, t, p in zipped]

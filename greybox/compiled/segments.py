@@ -175,7 +175,7 @@ class Segments:
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
-        return self.by_segment(values).T.mT.reshape(values.shape)
+        return values.reshape(-1, self.length, self.count).mT.reshape(values.shape)
 
     def by_segment(self, values: Array) -> Array:
         """Return columns (r, columns) as (segments, length, r)."""
