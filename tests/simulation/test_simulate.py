@@ -199,8 +199,10 @@ def test_windows_on_an_unstable_plant_do_not_diverge():
     assert found.rms("theta") < 2.5 * 0.002
     assert found.rms("v") < 1.3 * 0.05
     assert found.rms("theta", 1.0) < 3 * found.rms("theta", 0.05)
-    free = gb.simulate(NonlinearTilt(), TRUTH | {"a4": 200.5}, record, inputs="held")
-    assert np.abs(free["theta"] - record["theta"]).max() > 10 * found.rms("theta", 1.0)
+    # Before it turns over: beyond, explicit and implicit steps take seconds.
+    early = record.between(0.0, 3.0)
+    free = gb.simulate(NonlinearTilt(), TRUTH | {"a4": 200.5}, early, inputs="held")
+    assert np.abs(free["theta"] - early["theta"]).max() > 10 * found.rms("theta", 1.0)
     # One sample ahead the truth leaves white errors of the size that it says.
     assert 0.95 < np.nanmean(found.one_step**2) < 1.1
     assert abs(np.nanmean(found.one_step[:, :, 1:] * found.one_step[:, :, :-1])) < 0.06
@@ -375,7 +377,7 @@ def test_a_model_that_is_stiff_far_from_rest_follows_its_slow_solution():
         ),
         (
             lambda r: gb.simulate(
-                Spring(), {"stiffness": 4.0, "damping": -90.0}, r.rows(np.arange(400))
+                Spring(), {"stiffness": 4.0, "damping": -90.0}, r.rows(np.arange(200))
             ),
             "diverges at",
         ),

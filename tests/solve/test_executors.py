@@ -41,6 +41,8 @@ from greybox.solve.executors import (
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.runs import Memory, Outcome
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 )

@@ -24,6 +24,8 @@ import greybox as gb
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.study.store import StoredRuns, locked, read_members
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 )

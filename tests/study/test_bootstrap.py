@@ -25,6 +25,8 @@ from greybox.problems import pitch_hover, yaw_hover
 from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
 from greybox.study.replicates import response_draws
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 OMEGA = np.geomspace(0.5, 20, 8)
 SIGMA = 0.05
 
