@@ -192,7 +192,7 @@ def test_relative_error_over_the_model_magnitude():
 
 
 def test_intervals_of_relative_criteria_are_about_what_the_likelihood_finds():
-    data = measured(Lags(), np.geomspace(1, 60, 120), LAGS, 0.15)
+    data = measured(Lags(), np.geomspace(1, 60, 60), LAGS, 0.2)
     unbiased = fitted(gb.Problem(Lags(), data, criterion=gb.RelativeLikelihood()), LAGS)
     unbiased_profile = gb.profile(unbiased, "K")["K"]
     center, error = np.mean(unbiased.interval()["K"]), unbiased.standard_error["K"]
