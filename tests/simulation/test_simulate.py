@@ -382,6 +382,12 @@ def test_a_model_that_is_stiff_far_from_rest_follows_its_slow_solution():
             "diverges at",
         ),
         (
+            lambda r: gb.simulate(
+                Spring(), {}, r.with_signals(force=np.where(np.arange(len(r)) % 2, np.nan, 1.0))
+            ),
+            "has no two consecutive samples with all inputs",
+        ),
+        (
             lambda r: gb.predict(Spring(), {}, r, horizon=0.0),
             "horizon is 0.0: give a length above 0",
         ),
