@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from declared_models import TILT, TILT_OMEGA, measured
 from hardening_spring import Spring, driven, forced
+from rate_lag import Lag
 from scipy.integrate import solve_ivp
 
 import greybox as gb
@@ -383,7 +384,7 @@ def test_a_model_that_is_stiff_far_from_rest_follows_its_slow_solution():
         ),
         (
             lambda r: gb.simulate(
-                Spring(), {}, r.with_signals(force=np.where(np.arange(len(r)) % 2, np.nan, 1.0))
+                Lag(), {}, gb.Record(r.time, {"u": np.where(np.arange(len(r)) % 2, np.nan, 1.0)})
             ),
             "has no two consecutive samples with all inputs",
         ),
