@@ -113,6 +113,15 @@ def unjudged_file():
 
 
 @pytest.fixture
+def judged(monkeypatch):
+    """Make fits with their misfit in a test of a file without."""
+    from greybox.estimate.misfit_assessment import assessed_misfit
+
+    module = import_module("greybox.estimate.fit")
+    monkeypatch.setattr(module, "assessed_misfit", assessed_misfit)
+
+
+@pytest.fixture
 def undrawn(monkeypatch):
     """Write figures without their pixels, which cost most of a second each."""
     from matplotlib.figure import Figure

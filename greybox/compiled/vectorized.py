@@ -132,7 +132,7 @@ def second_order(inputs: Sequence[ca.SX], cost: ca.SX) -> Columns:
     """
     hessian, gradient = ca.hessian(cost, inputs[0])
     outputs = [ca.densify(value) for value in (cost, gradient, ca.vec(hessian))]
-    derivatives = ca.Function("derivatives", [*inputs], outputs, {"cse": True})
+    derivatives = ca.Function("derivatives", [*inputs], outputs)
     return Columns(derivatives, fewest=FEWEST_IN_A_FEW_CALLS)
 
 

@@ -1,5 +1,7 @@
 """Bad tables and contradictory options: refused in a sentence with the cure, and nothing is written."""
 
+import shutil
+
 import numpy as np
 import pytest
 from command_line import run
@@ -9,10 +11,10 @@ SINE = np.sin(3 * TIME)
 PAIR = ("--input", "u", "--output", "y", "--whole")
 
 
-@pytest.fixture
-def tables(tmp_path, monkeypatch):
-    """Tables of time, u and y, each with a defect, in the working folder."""
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Tables of time, u and y, each with a defect."""
+    folder = tmp_path_factory.mktemp("tables")
     columns = {
         "sine": (TIME, SINE, np.sin(3 * TIME - 1)),
         "reversed": (TIME[::-1], SINE, SINE),
@@ -22,11 +24,23 @@ def tables(tmp_path, monkeypatch):
     }
     for name, values in columns.items():
         np.savetxt(
-            f"{name}.csv", np.transpose(values), delimiter=",", header="time [s],u,y", comments=""
+            folder / f"{name}.csv",
+            np.transpose(values),
+            delimiter=",",
+            header="time [s],u,y",
+            comments="",
         )
     counts = np.transpose((np.arange(TIME.size), SINE, SINE))
-    np.savetxt("counted.csv", counts, delimiter=",", header="timestamp,u,y", comments="")
-    return tmp_path
+    header = "timestamp,u,y"
+    np.savetxt(folder / "counted.csv", counts, delimiter=",", header=header, comments="")
+    return folder
+
+
+@pytest.fixture
+def tables(written, tmp_path, monkeypatch):
+    """Return the working folder, with the tables."""
+    monkeypatch.chdir(tmp_path)
+    return shutil.copytree(written, tmp_path, dirs_exist_ok=True)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ import pytest
 import greybox as gb
 from greybox.problems import pitch_hover
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 OMEGA = np.geomspace(0.5, 20, 14)
 TRUTH = {"k": 2.0, "T": 0.06}
 

@@ -8,6 +8,8 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
 
 

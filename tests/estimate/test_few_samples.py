@@ -6,6 +6,8 @@ from scipy.optimize import minimize_scalar
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 K, LATE = 0.5, 0.2  # 1/s
 
 

@@ -5,6 +5,8 @@ import pytest
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RATE, SAMPLES = 20.0, 300  # Hz
 TRUTH = {"K": 2.0, "T": 0.4}
 

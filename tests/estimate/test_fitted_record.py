@@ -8,6 +8,8 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Two(gb.StateSpace):
     """A lag, seen as it is and doubled."""

@@ -5,6 +5,8 @@ import pytest
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RATE, SAMPLES = 10.0, 1000  # Hz
 
 

@@ -7,6 +7,8 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.validation.nested_models import cost_scale, nested_test_at
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Lag(gb.TransferFunction):
     input, output = "u", "y"

@@ -16,6 +16,8 @@ from greybox.estimate.identifiability import (
     identifiability,
 )
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 N, STEP = 1000, 0.02
 RANDOM = np.random.default_rng(7)
 U = np.repeat(RANDOM.normal(size=N // 20), 20)

@@ -13,6 +13,8 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.transcribed_program import TranscribedProgram
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RECORD_PROBLEM = lag_problem(samples=40)
 MANY = 20_000  # starts that would take minutes
 RESPONSE_PROBLEM = gb.Problem(

@@ -14,6 +14,8 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import LinearTilt
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {
     "a1": -14.6,
     "a2": 3.0,

@@ -10,6 +10,8 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.estimate.diagnostics.repeated import once
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 COUNT = 14
 POOR = 9  # the record with much noise, counted from 1
 

@@ -6,6 +6,8 @@ from stiff_lag import StiffLag
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Tank(gb.StateSpace):
     """A root leaves its domain where the level is below the drain."""

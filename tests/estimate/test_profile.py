@@ -19,6 +19,8 @@ from greybox.models.tilt import PAPER_G
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.gauss_newton.driver import GaussNewton
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 OMEGA = np.geomspace(0.3, 30, 15)
 
 

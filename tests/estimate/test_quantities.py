@@ -7,6 +7,8 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def lag(name, seed=0, **values):
     return measured(

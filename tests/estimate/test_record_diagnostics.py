@@ -21,6 +21,8 @@ from greybox.estimate.diagnostics.records import (
 from greybox.statistics.metrics import cross_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {"K": 2.0, "T": 0.1, "d": 0.023}
 STEP = 0.01
 

@@ -6,6 +6,8 @@ from spring_lag_tilt import HELD, SPRING, Lag, Spring, fit, spring
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 DATA = spring(100)
 
 

@@ -13,6 +13,8 @@ from spring_lag_tilt import SPRING, Spring, fit
 
 import greybox as gb
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 TRUTH = {name: SPRING[name] for name in ("k", "c", "b")}
 WIND = gb.PredictionError(process_noise=("v",), inputs="held")
 

@@ -11,6 +11,8 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.spectral import transient_spectrum
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 study = benchmark("transient_coverage")
 BAND, LATERAL, SHORT_PERIOD = study.BAND, study.LATERAL, study.SHORT_PERIOD
 Lateral, ShortPeriod = study.Lateral, study.ShortPeriod
@@ -24,6 +26,11 @@ def fitted(problem, starts=1):
 @pytest.fixture(scope="module")
 def clean():
     return study.short_period_record(*MOVING)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return study.cases()
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +82,10 @@ def test_coupled_inputs_and_outputs():
     "name",
     ["one 2-1-1 of 8 s", "turbulence, equation error", "noise louder at the beginning"],
 )
-def test_intervals_hold_the_truth(name):
+def test_intervals_hold_the_truth(name, cases):
     """One manoeuvre of 8 s, from 0.5 to 10 rad/s; the whole table is in benchmarks/results."""
     # Of 20 intervals of 95 %, seven miss with a probability of 3e-5.
-    shares, rms, _ = study.coverage(study.cases()[name], 4, seed=3)
+    shares, rms, _ = study.coverage(cases[name], 4, seed=3)
     assert np.mean(list(shares.values())) >= 0.7
     assert 0.5 < np.sqrt(np.mean(rms**2)) < 1.6
 
@@ -317,10 +324,14 @@ def test_nested_and_other_models_are_compared(spectrum, fit):
 def test_a_misleading_standard_error_comes_with_a_profile(clean):
     """Refits with the lead fixed at the ends cost equally much, as far as the standard error says."""
 
-    def problem(seed, **held):
+    def measured(seed):
         noisy = study.short_period_in_gusts(clean, np.random.default_rng(seed), 3.0, 0.3)
-        spectrum = transient_spectrum(noisy, "u", "q", BAND)
-        return gb.Problem(ShortPeriod(), spectrum, gb.EquationError(gusts=True), fixed=held)
+        return transient_spectrum(noisy, "u", "q", BAND)
+
+    spectra = {seed: measured(seed) for seed in (7, 8)}
+
+    def problem(seed, **held):
+        return gb.Problem(ShortPeriod(), spectra[seed], gb.EquationError(gusts=True), fixed=held)
 
     known = {name: SHORT_PERIOD[name] for name in ("z", "T")}
     fit = fitted(problem(7, **known))
@@ -384,6 +395,7 @@ class Gain(gb.StateSpace):
         return (p.K * u.u,)
 
 
+@pytest.mark.usefixtures("judged")
 @pytest.mark.parametrize("criterion", [gb.OutputError(), gb.EquationError()])
 def test_a_model_without_states_is_fitted_to_a_manoeuvre(criterion):
     random = np.random.default_rng(0)

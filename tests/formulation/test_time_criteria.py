@@ -86,7 +86,7 @@ def test_a_free_delay_is_found_to_a_tenth_of_a_sample(samples, held):
     problem = gb.Problem(
         Lag(), data, gb.OutputError(inputs="held" if held else "linear"), free=("d",)
     )
-    found = fit(problem, [{"d": 0.18}, {"d": 0.02}, {"d": 0.1}])
+    found = fit(problem, [{"d": 0.18}, {"d": 0.02}, {"d": 0.1}], method=FINE)
     assert found.converged
     assert abs(found.estimate["d"] / 0.05 - samples) < 0.1
     assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.02)
@@ -102,7 +102,7 @@ def test_a_held_input_that_reaches_the_output_directly_has_the_value_before_its_
     """The delay is then found within its sample; a mean of both values would draw it to the next whole one."""
     exact = direct(samples, 0)
     starts = [{"d": d} for d in (0.0, 0.02, 0.07, 0.12)]
-    found = fit(gb.Problem(Direct(), exact, HELD, free=("d",)), starts)
+    found = fit(gb.Problem(Direct(), exact, HELD, free=("d",)), starts, method=FINE)
     assert found.estimate["d"] / 0.05 == pytest.approx(samples, abs=0.06)
     assert_allclose([found.estimate["K"], found.estimate["T"]], [3, 0.2], rtol=0.03)
     assert np.nanmean(found.records[0].residual("y") ** 2) < 1.2 * 0.01**2

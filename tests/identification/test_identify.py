@@ -273,10 +273,13 @@ def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
     about = found.measurement.response.about
     assert about["gyro-filter"] == "LowPass(20.0, 0.7071067811865476)"
 
-    stated |= {"structures": structures, "points": 8}
-    assert gb.identify(filtered_rate_log, through=(), **stated).through == ()
+    # Half of the log is enough for what is stated.
+    stated |= {"structures": structures, "points": 8, "band": (1.5, 10.0)}
+    records = {name: record.between(0, 16) for name, record in filtered_rate_log.items()}
+    early = replace(filtered_rate_log, records=records)
+    assert gb.identify(early, through=(), **stated).through == ()
     with pytest.raises(ValueError, match="it has gyro-filter, gyro-notch"):
-        gb.identify(filtered_rate_log, through=("d-term-filter",), **stated)
+        gb.identify(early, through=("d-term-filter",), **stated)
 
 
 def test_the_signals_of_px4_are_known():

@@ -10,6 +10,8 @@ from hardening_spring import Spring, driven
 import greybox as gb
 from greybox.plotting.time_history import history_figure
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 mpl.use("Agg")
 WHOLE = driven(20.0, noise=0.05, seed=2)
 GAPPED = WHOLE.rows(np.flatnonzero((WHOLE.time < 6) | (WHOLE.time > 7.5)))

@@ -65,10 +65,9 @@ def force(t):
     return np.sin(np.multiply.outer(t, WAVES) + PHASES) @ np.ones(9) / 3
 
 
-def solved(derivative, start, time):
-    return solve_ivp(
-        derivative, (time[0], time[-1]), start, t_eval=time, rtol=1e-7, atol=1e-9, max_step=0.05
-    ).y
+def solved(derivative, start, time, **options):
+    options = {"rtol": 1e-7, "atol": 1e-9, "max_step": 0.05, **options}
+    return solve_ivp(derivative, (time[0], time[-1]), start, t_eval=time, **options).y
 
 
 @cache
@@ -97,7 +96,7 @@ def tilt(model, values, seconds=40.0, step=0.01):
         acceleration = -p.a1 * theta - p.a2 * q - p.a3 * v + p.a4 * rotor
         return PAPER_G * theta - drag, acceleration, q, (control(t, y) - rotor) / p.T_rotor
 
-    y = solved(derivative, [0, 0, 0, 0], time)
+    y = solved(derivative, [0, 0, 0, 0], time, method="DOP853", max_step=0.2)
     u = np.array([control(t, column) for t, column in zip(time, y.T, strict=True)])
     return gb.Record(
         time, {"u": u, "v": y[0], "q": y[1], "theta": y[2], "rotor": y[3]}, name="tilt"

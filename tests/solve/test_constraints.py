@@ -13,6 +13,8 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.constraints import Limits, constraints_of
 from greybox.solve.gauss_newton.driver import GaussNewton
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 class Lag(gb.StateSpace):
     """First-order lag."""

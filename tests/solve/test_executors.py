@@ -41,6 +41,8 @@ from greybox.solve.executors import (
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.runs import Memory, Outcome
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 )
@@ -289,10 +291,9 @@ def test_a_script_without_its_guard_is_told_what_is_missing(tmp_path):
         textwrap.dedent(
             """
             import greybox as gb
-            from greybox.problems import pitch_hover, roll_hover
-            problems = pitch_hover.problem(), roll_hover.problem()
-            members = [gb.study.Member(p, 20, search="multistart") for p in problems]
-            gb.batch(members, "study", executor=gb.solve.WorkerPool(1), progress=False)
+            from greybox.problems import rotors
+            workers = gb.solve.WorkerPool(1)
+            gb.fit(rotors.problem(), [{}, {}], search="multistart", executor=workers)
             """
         )
     )

@@ -1,12 +1,15 @@
 """Many responses from wide boxes: starts with process noise, held against SciPy from the truth."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.process_noise_start import ProcessNoise
+
+pytestmark = pytest.mark.usefixtures("unjudged_file")
 
 OMEGA = np.geomspace(0.5, 20, 12)
 FREE = [(0, 0), (0, 1), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2), (0, 3), (0, 4), (1, 3)]

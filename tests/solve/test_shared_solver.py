@@ -1,8 +1,11 @@
 """Many responses of one model: a search that takes long still ends at a minimum."""
 
 import numpy as np
+import pytest
 
 import greybox as gb
+
+pytestmark = pytest.mark.usefixtures("unjudged_file")
 
 TRUTH = {"Y_v": -0.12, "L_p": -5.0, "L_q": 1.2, "L_v": -0.09, "M_q": -2.2, "M_p": -0.6}
 

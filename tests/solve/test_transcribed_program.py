@@ -14,6 +14,8 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.runs import NOT_FINITE
 from greybox.solve.transcribed_program import TranscribedProgram
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 def record(samples, seed):
     random = np.random.default_rng(seed)

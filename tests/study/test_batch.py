@@ -24,6 +24,8 @@ import greybox as gb
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.study.store import StoredRuns, locked, read_members
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 )
@@ -32,10 +34,10 @@ OTHER = gb.Problem(
 )
 
 
-def members(starts=12):
+def members(starts=6):
     return [
         gb.study.Member(RESPONSE, starts, name="response", search="multistart"),
-        gb.study.Member(lag_problem(), 4, name="record"),
+        gb.study.Member(lag_problem(), 2, name="record"),
         gb.study.Member(RESPONSE, starts, seed=1, name="other seed", search="multistart"),
     ]
 
@@ -183,7 +185,7 @@ def test_equal_models_of_a_study_are_traced_once(tmp_path, workers):
 
 
 @pytest.mark.parametrize(
-    ("damage", "missing"), [("answer and run", [3]), ("fit", []), ("database", [*range(12)])]
+    ("damage", "missing"), [("answer and run", [3]), ("fit", []), ("database", [*range(6)])]
 )
 def test_what_is_damaged_is_made_again_and_nothing_else(tmp_path, made, finished, damage, missing):
     first = members()[:1]
@@ -207,9 +209,9 @@ def test_what_is_damaged_is_made_again_and_nothing_else(tmp_path, made, finished
 
 def test_more_starts_keep_the_old_ones(tmp_path, made, finished):
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
-    study = gb.batch(members(20), tmp_path, progress=False)
-    assert made == 2 * list(range(12, 20))
-    require_same(study["response"].fit, gb.fit(RESPONSE, 20, search="multistart", progress=False))
+    study = gb.batch(members(10), tmp_path, progress=False)
+    assert made == 2 * list(range(6, 10))
+    require_same(study["response"].fit, gb.fit(RESPONSE, 10, search="multistart", progress=False))
 
 
 def test_more_members_join_those_in_the_folder(tmp_path, made):
@@ -217,7 +219,7 @@ def test_more_members_join_those_in_the_folder(tmp_path, made):
     made.clear()
     study = gb.batch(members()[1:2], tmp_path, progress=False)
     assert [member.name for member in study.members] == ["response", "record"]
-    assert len(made) == 4
+    assert len(made) == 2
 
 
 def test_a_member_that_fails_does_not_stop_the_rest(tmp_path):
@@ -262,13 +264,13 @@ def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_
     with pytest.raises(
         ValueError, match="the answer of 'response' in this study belongs to another"
     ):
-        gb.batch([gb.study.Member(OTHER, 12, name="response")], tmp_path, progress=False)
+        gb.batch([gb.study.Member(OTHER, 6, name="response")], tmp_path, progress=False)
     other = StoredRuns(tmp_path, "response")
     with pytest.raises(ValueError, match="belong to another problem"):
         other.stored(fingerprint(OTHER, SolverChoice()))
     with pytest.raises(ValueError, match="began at other starts, from number 1 on"):
         gb.batch(
-            [gb.study.Member(RESPONSE, 12, seed=5, name="response", search="multistart")],
+            [gb.study.Member(RESPONSE, 6, seed=5, name="response", search="multistart")],
             tmp_path,
             progress=False,
         )
@@ -301,7 +303,7 @@ from test_batch import members
 
 run = ResponseSolver.run
 def slow(self, start, *others):
-    time.sleep(0.1)
+    time.sleep(0.3)
     return run(self, start, *others)
 ResponseSolver.run = slow
 store.UNWRITTEN = 0.2

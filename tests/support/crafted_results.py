@@ -176,8 +176,13 @@ def inflated_chunk(file):
 
 def many_links(link):
     def change(file):
+        root, more = file["/"], file.create_group("more")
+        links = more.id.links  # by paths of h5py, it would take seconds
         for k in range(20_000):
-            file[f"more/{k}"] = h5py.SoftLink("/x") if link == "soft" else file["x"]
+            if link == "soft":
+                links.create_soft(b"%d" % k, b"/x")
+            else:
+                links.create_hard(b"%d" % k, root.id, b"x")
 
     return change
 

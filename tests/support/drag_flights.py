@@ -64,7 +64,7 @@ def flight(values, seed, duration=30.0, noise=0.05, color=0.0, amplitude=0.1):
     )
 
 
-def fitted(model, record, **options):
+def fitted(model, record, method=None, **options):
     problem = gb.Problem(model, record, **options)
     start = [{name: p.start for name, p in problem.parameters.items() if not p.fixed}]
-    return gb.fit(problem, starts=start, progress=False, profiles=False)
+    return gb.fit(problem, starts=start, method=method, progress=False, profiles=False)

@@ -8,6 +8,8 @@ import greybox as gb
 from greybox.statistics.metrics import LAGS, whiteness
 from greybox.validation.measures import information_rows
 
+pytestmark = pytest.mark.usefixtures("unjudged_file")
+
 
 @pytest.fixture(scope="module")
 def quadratic():

@@ -34,7 +34,9 @@ def place(record, small, large, **options):
 def fitted_once(record, model, **options):
     key = f"{type(model).__name__} {options}"
     if key not in FITS:
-        FITS[key] = fitted(model, record, **options)
+        # Four steps a sample need no refinement, which takes longer than the fits.
+        method = gb.MultipleShooting(integrator=gb.RungeKutta(4))
+        FITS[key] = fitted(model, record, method, **options)
     return FITS[key]
 
 

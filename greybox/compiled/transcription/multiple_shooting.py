@@ -32,7 +32,7 @@ class MultipleShooting(Shooting):
     --------
     >>> from greybox.models.specific_force import RotorThrust
     >>> from greybox.problems import nanobench_thrust
-    >>> problem = gb.Problem(RotorThrust(), nanobench_thrust.data()[0])
+    >>> problem = gb.Problem(RotorThrust(), nanobench_thrust.data()[0].between(5, 10))
     >>> fits = [gb.fit(problem, 1, method=gb.MultipleShooting(segment=k)) for k in (5, 20)]
     >>> abs(fits[0].cost - fits[1].cost) < 1e-3
     True
