@@ -61,7 +61,7 @@ def simulate(
     integrator : Integrator, optional
         `RungeKutta()`, or `Radau()` for stiff models; by default as the model needs. Unless it has
         a number of substeps, they are halved until this changes no state by more than 1e-7 of its
-        size in a sample.
+        size in a sample, and by 1e-9 in the mean of all samples.
     part : int, optional
         Part of the fit; by default that of `record`, else its first record.
 
