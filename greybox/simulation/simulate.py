@@ -60,8 +60,8 @@ def simulate(
         `OutputError`.
     integrator : Integrator, optional
         `RungeKutta()`, or `Radau()` for stiff models; by default as the model needs. Unless it has
-        a number of substeps, they are halved until this changes no state by more than 1e-7 of its
-        size in a sample, and by 1e-9 in the mean of all samples.
+        a number of substeps, they are halved until this changes no state by more than 3e-10 of its
+        size in a sample, on average.
     part : int, optional
         Part of the fit; by default that of `record`, else its first record.
 

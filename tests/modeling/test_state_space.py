@@ -22,7 +22,7 @@ def declare(**body):
             r"Broken\.inputs = \('u', 'u'\) must be a tuple of different names",
         ),
         ({"outputs": "y"}, r"Broken\.outputs = 'y' must be a tuple"),
-        ({"inputs": ("x",)}, r"Broken has 'x' both as state and as input: use two names"),
+        ({"inputs": ("x",)}, r"Broken has 'x' as input and as state or output: use two names"),
         ({"delays": {"v": "T"}}, r"Broken\.inputs has no input 'v'; it has u"),
         ({"delays": {"u": "T"}}, r"Broken has no parameter 'T'; it has none"),
     ],
