@@ -26,9 +26,9 @@ from greybox.estimate.covariance import (
 from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
 from greybox.estimate.diagnostics.noise_level import better_weights, unused_noise
-from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.diagnostics.records import resting_inputs, rounded_outputs
+from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import with_profiles_where_misleading

@@ -345,8 +345,7 @@ def _initial_states(
     """Return the first states (stretches, n) of every stretch; zero where none are given."""
     # On the record of the fit, its initial states were estimated with the parameters.
     if fitted_initial:
-        fitted = model.part.initial
-        initial = selected(fitted, model.system.states)
+        initial = selected(model.part.initial, model.system.states)
     initial = {} if initial is None else initial
     require_kind("initial", initial, Mapping, "{state: value}")
     require_known(initial, model.system.states, "state", model.label)

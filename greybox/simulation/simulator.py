@@ -329,7 +329,7 @@ class Simulator:
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 
     def _local_error(self, result: _Run) -> float:
-        """Return the largest mean change of a state in a sample by halved substeps, over its size."""
+        """Return the mean change in a sample by halved substeps, over the size of its state."""
         states = result.along.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
         # At 400 of all samples, since each costs two evaluations of the model.

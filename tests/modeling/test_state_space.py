@@ -23,6 +23,7 @@ def declare(**body):
         ),
         ({"outputs": "y"}, r"Broken\.outputs = 'y' must be a tuple"),
         ({"inputs": ("x",)}, r"Broken has 'x' as input and as state or output: use two names"),
+        ({"outputs": ("u",)}, r"Broken has 'u' as input and as state or output"),
         ({"delays": {"v": "T"}}, r"Broken\.inputs has no input 'v'; it has u"),
         ({"delays": {"u": "T"}}, r"Broken has no parameter 'T'; it has none"),
     ],
