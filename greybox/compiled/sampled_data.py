@@ -265,7 +265,8 @@ def sampled_data(
                 f"{_called(record)} has no {what} with all inputs and an output "
                 f"({names}; {listed(outputs)})."
             )
-        delay = float(np.max(lead, initial=0.0))
+        # A held input of a single sample is late by an unknown time.
+        delay = np.nan_to_num(np.max(lead, initial=0.0), posinf=0.0)
         reason = f" after the longest delay in the bounds, {delay:.3g} s" if delay else ""
         raise ValueError(
             f"{_called(record)} has no usable stretch, {shortest} samples in a row with all inputs"

@@ -144,7 +144,7 @@ class Record(Printed):
         lost = [
             f"{name} has values beyond 1e75, which count as missing: check its sensor."
             for name, values in measured.items()
-            if np.isnan(signals[name][np.isfinite(values)]).any()
+            if np.isnan(signals[name][~np.isnan(values)]).any()
         ]
         for name, values in signals.items():
             require_size(name, values, "time" if self.has_time else next(iter(signals)), time.size)

@@ -28,6 +28,7 @@ from greybox.estimate.diagnostics.identifiability import determined_together
 from greybox.estimate.diagnostics.noise_level import better_weights, unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.diagnostics.records import resting_inputs, rounded_outputs
+from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import with_profiles_where_misleading
@@ -406,7 +407,7 @@ def assemble(
         answer,
         warnings=warnings(search, accuracy, answer, error),
         notes=(
-            *unused_noise(nlp.problem),
+            *once(unused_noise(nlp.problem)),
             # No weight could account for the misfit of a wrong model.
             *(better_weights(accuracy) if answer.is_explained else ()),
             *resting_inputs(nlp),

@@ -229,10 +229,8 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], St
             error = relative_change(
                 local[:, :reached], flown[len(names) :, :reached], states[:n, :reached]
             )
-        # Infinite instead of NaN: such a flight needs more substeps, too.
-        error = math.inf if math.isnan(error) else error
-        # A divergence is judged last: too few substeps make a stable flight diverge.
-        if error > TOLERANCE and substeps < MOST_SUBSTEPS:
+        # A divergence is judged last: too few substeps make a stable flight diverge, or NaN.
+        if not error <= TOLERANCE and substeps < MOST_SUBSTEPS:
             substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, 4))
             continue
         if wrong.any():

@@ -115,8 +115,9 @@ def figure_grid(figures: Sequence[Figure]) -> Element:
 def figure_element(figure: Figure, is_alone: bool = False) -> Element:
     """Return a figure; the script draws into the element of class ``plot``."""
     # In an attribute, which is escaped: a name in the data could end a script element.
-    options = {"ensure_ascii": False, "separators": (",", ":")}
-    data = json.dumps(figure, allow_nan=False, default=_plain, **options)
+    data = json.dumps(
+        figure, allow_nan=False, default=_plain, ensure_ascii=False, separators=(",", ":")
+    )
     caption = tag("figcaption", tag("strong", figure.title), f" {figure.caption}".rstrip())
     wide = "wide" if figure.is_wide or is_alone else None
     return tag("figure", caption, tag("div", class_="plot", data_figure=data), class_=wide)

@@ -53,10 +53,11 @@ class StateSpace(Model):
         require_signal_names(cls, "states", "inputs", "outputs")
 
         # Neither formulas nor data could distinguish them.
-        twice = set(cls.states) & set(cls.inputs)
+        twice = {*cls.states, *cls.outputs} & set(cls.inputs)
         if twice:
             raise ValueError(
-                f"{cls.__name__} has {twice.pop()!r} both as state and as input: use two names."
+                f"{cls.__name__} has {twice.pop()!r} as input and as state or output: use two "
+                "names."
             )
 
         require_known(cls.delays, cls.inputs, "input", f"{cls.__name__}.inputs")

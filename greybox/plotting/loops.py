@@ -91,13 +91,19 @@ def loop_figures(margins: Margins) -> list[Figure]:
     # Low frequencies are far away; what matters is around the critical point.
     nyquist = Panel("Imaginary part", curves[3], limits=(-2.0, 2.0))
     captions = (BARS, CIRCLES) if margins.points else ("", "")
-    plane = {"limits": (-2.5, 1.5), "is_plane": True, "caption": captions[1]}
     figures = [
         Figure(
             f"Loop broken at {signal}", "ω, rad/s", panels, caption=captions[0], is_logarithmic=True
         ),
         Figure("Nichols diagram", "Phase, °", [nichols], caption=captions[0]),
-        Figure("Nyquist diagram", "Real part", [nyquist], **plane),
+        Figure(
+            "Nyquist diagram",
+            "Real part",
+            [nyquist],
+            limits=(-2.5, 1.5),
+            is_plane=True,
+            caption=captions[1],
+        ),
     ]
     for settling in (row.value for row in margins.margins if row.name == "settling time"):
         time, steps = step_responses(loops, margins.setpoint, margins.response)

@@ -115,8 +115,10 @@ def draw_into(
     panels = _panels(figures)
     if len(figures) == 1:
         # One horizontal axis: zooming one panel zooms all.
-        shared = {"sharex": True, "height_ratios": [p.height for p in panels]}
-        axes = place.subplots(len(panels), 1, squeeze=False, **shared).ravel()
+        heights = [p.height for p in panels]
+        axes = place.subplots(
+            len(panels), 1, squeeze=False, sharex=True, height_ratios=heights
+        ).ravel()
     else:
         axes = place.subplots(-(-len(panels) // columns), columns, squeeze=False).ravel()
         for spare in axes[len(panels) :]:
@@ -127,8 +129,8 @@ def draw_into(
     place.align_ylabels(axes)
     if legend:
         # Below all panels, where it covers no data.
-        look = {"loc": "outside lower center", "fontsize": 10, "frameon": False}
-        _draw_legend(place, figures, place.bbox.width / place.dpi, **look)
+        width = place.bbox.width / place.dpi
+        _draw_legend(place, figures, width, loc="outside lower center", fontsize=10, frameon=False)
     return axes
 
 
@@ -237,13 +239,21 @@ def _draw_points(ax: Axes, series: Series) -> None:
 def _draw_band(ax: Axes, series: Series) -> None:
     assert series.low is not None
     assert series.high is not None
-    look = {"color": color_of(series.color), "alpha": BAND_ALPHA, "linewidth": 0, "zorder": 1.1}
-    ax.fill_between(series.x, series.low, series.high, **look)  # it omits infinity
+    # It omits infinity.
+    ax.fill_between(
+        series.x,
+        series.low,
+        series.high,
+        color=color_of(series.color),
+        alpha=BAND_ALPHA,
+        linewidth=0,
+        zorder=1.1,
+    )
 
 
 def _draw_rule(ax: Axes, series: Series) -> None:
-    look = {"color": color_of(series.color), "linewidth": 0.8, "linestyle": _dash(series)}
-    ax.axhline(series.y[0], zorder=1, **look)
+    color, dash = color_of(series.color), _dash(series)
+    ax.axhline(series.y[0], zorder=1, color=color, linewidth=0.8, linestyle=dash)
 
 
 def _draw_regions(ax: Axes, series: Series) -> None:

@@ -97,8 +97,8 @@ def drawn_responses(
         for curve in group:
             color = colors.get(curve.checksum, plain_color)
             pair = curve.pair if all(curve.pair) else only
-            look = {"pair": pair, "band": _band(curve, level), "color": color, "style": i}
-            drawn.append(replace(curve, **look))
+            band = _band(curve, level)
+            drawn.append(replace(curve, pair=pair, band=band, color=color, style=i))
 
     for k, (checksum, points) in enumerate(data.items()):
         color = k if len(data) > 1 else INK

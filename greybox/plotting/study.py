@@ -76,8 +76,7 @@ def trend_figure(study: Study, quantity: str, over: str | Values) -> Figure:
         points = [(places[member], y, error) for member, y, error in values if member in places]
         if points:
             x, y, error = np.array(points).T
-            look = {"low": y - error, "high": y + error}
-            series.append(Series(model, "points", x, y, k, k, **look))
+            series.append(Series(model, "points", x, y, k, k, low=y - error, high=y + error))
             if len(set(x)) > 2 and np.all(error > 0):
                 series.append(_line(model, x, y, error, k))
     if not series:

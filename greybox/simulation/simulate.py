@@ -60,8 +60,8 @@ def simulate(
         `OutputError`.
     integrator : Integrator, optional
         `RungeKutta()`, or `Radau()` for stiff models; by default as the model needs. Unless it has
-        a number of substeps, they are halved until this changes no state by more than 1e-7 of its
-        size in a sample.
+        a number of substeps, they are halved until this changes no state by more than 3e-10 of its
+        size in a sample, on average.
     part : int, optional
         Part of the fit; by default that of `record`, else its first record.
 
@@ -345,8 +345,7 @@ def _initial_states(
     """Return the first states (stretches, n) of every stretch; zero where none are given."""
     # On the record of the fit, its initial states were estimated with the parameters.
     if fitted_initial:
-        fitted = model.part.initial
-        initial = selected(fitted, model.system.states)
+        initial = selected(model.part.initial, model.system.states)
     initial = {} if initial is None else initial
     require_kind("initial", initial, Mapping, "{state: value}")
     require_known(initial, model.system.states, "state", model.label)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.shared_response import resolvents
-from greybox.files.arrays import Array, ArrayTriple, ComplexArray, positive_or_one
+from greybox.files.arrays import Array, ArrayTriple, ComplexArray, evenly_spread, positive_or_one
 
 
 class ProcessNoise:
@@ -28,17 +28,22 @@ class ProcessNoise:
 
     def __init__(self, responses: Any, points: Array) -> None:
         """Take `SharedResponses`; the noise is scaled by the states' derivatives at z (p, k)."""
-        # System, places, measured responses, weights and sizes of the derivatives.
+        # System, frequencies, measured responses, weights and sizes of the derivatives.
         self._terms = []
         self._numbers = 0
         for system in responses.systems:
+            # States follow from outputs that are measured at one frequency: where responses have
+            # frequencies of their own, they are interpolated at as many as the longest has.
+            longest = max(len(at) for _, (*_, at) in system.pairs)
+            omega = system.omega[evenly_spread(len(system.omega), longest)]
             # By frequency, input and output; weights are zero where nothing is measured.
-            measured = np.zeros((len(system.omega), system.inputs, system.outputs), complex)
+            measured = np.zeros((len(omega), system.inputs, system.outputs), complex)
             for part, (output, input, at) in system.pairs:
-                measured[at, input, output] = responses.data[part]
-            # Each input may have frequencies of its own.
-            places = np.nonzero(measured.any(axis=-1))
-            measured = measured[places]
+                order = np.argsort(at)
+                own = system.omega[at[order]]
+                inside = (own[0] <= omega) & (omega <= own[-1])
+                response = np.interp(omega[inside], own, responses.data[part][order])
+                measured[inside, input[0], output[0]] = response
             size = np.abs(measured)
             weight = (size > 0) / positive_or_one(size)
             self._numbers += 2 * np.count_nonzero(weight)
@@ -46,10 +51,10 @@ class ProcessNoise:
             # Typical derivatives of the states.
             n, (S, *_) = system.states, system.matrices(points)
             with np.errstate(all="ignore"):
-                states = resolvents(S[:, :n, :n], system.omega) @ S[:, None, :n, n:]
-                sizes = np.median(np.abs(states), axis=0) * system.omega[:, None, None]
-            sizes = np.nan_to_num(sizes, posinf=0.0).mT[places]
-            self._terms.append((system, places, measured, weight, sizes))
+                states = resolvents(S[:, :n, :n], omega) @ S[:, None, :n, n:]
+                sizes = np.median(np.abs(states), axis=0) * omega[:, None, None]
+            sizes = np.nan_to_num(sizes, posinf=0.0).mT
+            self._terms.append((system, omega, measured, weight, sizes))
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
@@ -59,20 +64,20 @@ class ProcessNoise:
         p, k = z.shape
         cost, gradient, hessian = np.zeros(k), np.zeros((p, k)), np.zeros((p * p, k))
         for term in self._terms:
-            system, (at, inputs), *_, sizes = term
-            noise = data[0, :, None, None] * sizes
+            system, omega, *_, sizes = term
+            noise = data[0, :, None, None, None] * sizes
             S, delays, slopes, delay_slopes = system.matrices(z)
-            s = 1j * system.omega[at]
-            own = np.eye(system.inputs)[inputs]
-            lag = np.exp(-s * delays[:, inputs])
+            s = 1j * omega[:, None]
+            own = np.eye(system.inputs)
+            lag = np.exp(-s * delays[:, None])
             with np.errstate(all="ignore"):
                 errors, left, x = _whitened(term, S, lag, noise)
-                by_input = S[:, :, system.states :].mT[:, inputs, :, None]
+                by_input = S[:, None, :, system.states :].mT[..., None]
                 by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
-                by_delay = own.T[:, None, :, None] * by_delay
+                by_delay = own[:, None, None, :, None] * by_delay
             right = np.concatenate([x, lag[..., None] * own], axis=-1)
 
-            # Only the entries that depend on z; rows (entry, frequency and input, output).
+            # Only the entries that depend on z; rows (entry, frequency, input and output).
             moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
             i, j = system.rows[moving].T
             slopes = np.hstack([slopes[:, moving], delay_slopes])
@@ -90,17 +95,14 @@ class ProcessNoise:
 def _whitened(
     term: tuple[Any, ...], S: Array, lag: ComplexArray, noise: Array
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return the whitened errors (k, r, l), W [Y, I] (k, r, l, n + l), and x (k, r, n).
-
-    The rows r are those places (frequency, input) where something is measured.
-    """
-    system, (at, inputs), measured, weight, _ = term
+    """Return the whitened errors (k, w, m, l), W [Y, I] (k, w, m, l, n + l), and x (k, w, m, n)."""
+    system, omega, measured, weight, _ = term
     n, outputs = system.states, system.outputs
-    inverse = resolvents(S[:, :n, :n], system.omega)
-    states = lag[..., None] * (inverse @ S[:, None, :n, n:]).mT[:, at, inputs]
-    C, D = S[:, n:, :n], S[:, n:, n:].mT[:, inputs]
+    inverse = resolvents(S[:, :n, :n], omega)
+    states = lag[..., None] * (inverse @ S[:, None, :n, n:]).mT
+    C, D = S[:, None, n:, :n], S[:, None, n:, n:].mT
     errors = weight * (measured - states @ C.mT - lag[..., None] * D)
-    by_noise = weight[..., None] * (C[:, None] @ inverse)[:, at]
+    by_noise = weight[..., None] * (C @ inverse)[:, :, None]
     scaled = by_noise * noise[..., None, :]
     # A pole at a frequency: such trials are refused, since the sum of noise and errors is not
     # definite in double precision.
@@ -112,4 +114,4 @@ def _whitened(
     errors = (whitening @ errors[..., None])[..., 0]
     left = np.concatenate([whitening @ by_noise, whitening * weight[..., None, :]], axis=-1)
     driven = noise**2 * (left[..., :n].conj().mT @ errors[..., None])[..., 0]
-    return errors, left, states + (inverse[:, at] @ driven[..., None])[..., 0]
+    return errors, left, states + (inverse[:, :, None] @ driven[..., None])[..., 0]

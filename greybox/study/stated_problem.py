@@ -207,10 +207,11 @@ def _with_criterion(problem: AnyProblem, name: Any) -> AnyProblem:
     criterion = CRITERIA_BY_NAME[name]
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
     kinds = tuple(served.values())
-    if not any(isinstance(part.data, kinds) for part in problem.parts):
+    usable = {c.name: 0 for kind, of in KINDS.values() if problem.parts_with(kind) for c in of}
+    if name not in usable:
         raise ValueError(
-            f"criterion={name} is for {' and '.join(served)} and {problem.name} has none: use "
-            f"another one of {', '.join(CRITERIA_BY_NAME)}, or leave it out."
+            f"criterion={name} is for {' and '.join(served)} and {problem.name} has none: use one "
+            f"of {', '.join(usable)}, or leave it out."
         )
 
     return problem.with_parts(

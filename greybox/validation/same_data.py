@@ -96,19 +96,15 @@ def why_not_comparable(fits: Fits, names: Labels) -> str:
     if len(weights) > 1:
         rows = (", ".join(number(weight, 15) for weight in row) for row in weights)
         return f"their data are weighted differently ({'; '.join(rows)})"
-    if not have_one_criterion(fits) and not all(is_likelihood(fit) for fit in fits):
-        criteria = dict.fromkeys(map(_criteria, fits))
-        return f"they are of different criteria ({'; '.join(criteria)})"
-    return ""
-
-
-def have_one_criterion(fits: Fits) -> bool:
-    """Return whether all fits to the same data were made by the same criteria."""
-    return all(
+    alike = all(
         a.has_criterion_of(b)
         for fit in fits[1:]
         for a, b in zip(fits[0].parts, fit.parts, strict=True)
     )
+    if not alike and not all(is_likelihood(fit) for fit in fits):
+        criteria = dict.fromkeys(map(_criteria, fits))
+        return f"they are of different criteria ({'; '.join(criteria)})"
+    return ""
 
 
 def _criteria(fit: Fit) -> str:

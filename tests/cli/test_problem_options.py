@@ -98,9 +98,10 @@ def test_a_record_that_does_not_fit_the_command(own, capsys):
     message = refused(capsys, "fit", path, "--criterion", "relative-error")
     assert "--criterion relative-error is for frequency responses and" in message
     assert "output-error, prediction-error" in message
-    assert "--criterion output-error is for records" in refused(
-        capsys, "fit", "pitch_hover", "--criterion", "output-error"
-    )
+    message = refused(capsys, "fit", "pitch_hover", "--criterion", "output-error")
+    assert "--criterion output-error is for records" in message
+    assert "magnitude-phase" in message
+    assert "prediction-error" not in message
     assert "no parameter 'mass'" in refused(capsys, "fit", path, "--fix", "mass=1")
 
 

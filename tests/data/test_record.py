@@ -352,4 +352,6 @@ def test_units_of_unknown_signals_are_refused():
 
 
 def test_a_sensor_beyond_the_range_of_arithmetic_is_a_finding():
-    assert "x has values beyond 1e75" in Record([0, 1], {"x": [1, 1e150]}).findings[0]
+    for large in (1e150, np.inf):
+        assert "x has values beyond 1e75" in Record([0, 1], {"x": [1, large]}).findings[0]
+    assert not Record([0, 1], {"x": [1, np.nan]}).findings

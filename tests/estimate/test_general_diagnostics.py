@@ -375,6 +375,28 @@ def test_what_the_criterion_does_not_use_is_mentioned(criterion, columns, said, 
     assert gb.load(tmp_path / "fit.h5").notes == fit.notes
 
 
+def test_what_many_responses_do_not_use_is_mentioned_once():
+    columns = {"variance": np.full(20, 0.1)}
+    parts = [
+        gb.Problem(
+            Lag(),
+            measured(
+                Lag(),
+                np.geomspace(0.5, 20, 20),
+                noise=0.05,
+                columns=columns,
+                seed=k,
+                name=f"sweep {k}",
+            ),
+        )
+        for k in range(5)
+    ]
+    fit = gb.fit(sum(parts[1:], start=parts[0]), starts=1)
+    [note] = [text for text in fit.notes if "not used" in text]
+    assert "the variances of 'sweep 0' are not used" in note
+    assert "the same applies to 4 more ('sweep 1', 'sweep 2'" in note
+
+
 class Flexible(gb.StateSpace):
     """A lag with a flexible mode."""
 

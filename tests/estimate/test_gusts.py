@@ -1,6 +1,7 @@
 """Gusts are named where the air moves the vehicle, and errors of a sensor are not taken for them."""
 
 import numpy as np
+import pytest
 from lateral_aircraft import disturbed, doublets
 from scipy.signal import lfilter
 from slow_lag import SlowLag
@@ -168,3 +169,17 @@ def test_a_sensor_is_not_called_early_because_a_predictor_follows_gusts():
     filtered = gb.PredictionError(process_noise=("v",), inputs="held")
     fit = gb.fit(gb.Problem(WithRate(), record, filtered), starts=1, progress=False)
     assert fit.misfit.explains
+
+
+@pytest.mark.usefixtures("unjudged")
+def test_a_time_constant_of_gusts_at_its_upper_bound_asks_for_a_longer_record():
+    time, u = 0.2 * np.arange(60), np.repeat([1.0, -1.0, 1.0, -1.0, -1.0, 1.0], 10)
+    # The input grows by what the model takes for one long gust.
+    driven = gb.Record(time, {"u": u + 0.02 * time**1.5}, hold={"u": np.inf})
+    motion = gb.simulate(SlowLag(), {}, driven)
+    y = motion["y"] + 0.02 * np.random.default_rng(0).standard_normal(60)
+    record = gb.Record(time, {"u": u, "y": y}, hold={"u": np.inf})
+    rule = gb.PredictionError(disturbance={SlowLag.states[0]: "colored"})
+    fit = gb.fit(gb.Problem(SlowLag(), record, rule), starts=1, profiles=False, progress=False)
+    [said] = [text for text in fit.warnings if "ended at its upper bound" in text]
+    assert said.endswith("gusts that last as long as the record need a longer one.")

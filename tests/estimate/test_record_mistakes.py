@@ -97,7 +97,12 @@ class Wild(gb.StateSpace):
             lambda: fit(gb.Problem(Spring(), irregular(), gb.PredictionError())),
             "not uniformly sampled: prepare the record",
         ),
-        (lambda: fit(gb.Problem(Spring(), DATA.rows(np.arange(1)))), "no usable stretch"),
+        (
+            lambda: fit(
+                gb.Problem(Spring(), gb.Record([0.0], {"F": [0], "x": [0]}, hold={"F": np.inf}))
+            ),
+            "no usable stretch, 3 samples in a row with all inputs: give a longer record",
+        ),
         (
             lambda: fit(gb.Problem(Spring(), gb.Record([0.0, 0.1], {"F": [0, 1], "x": [0, 1]}))),
             "no usable stretch",

@@ -37,17 +37,17 @@ class Axes(gb.StateSpace):
         return x.p, x.q, self.derivative(x, u, p)[0] + gb.g * x.theta
 
 
-def by_numpy(values):
+def by_numpy(values, omega=OMEGA):
     entries = np.zeros((3, 6))
     entries[tuple(np.transpose(FREE))] = values[: len(FREE)]
     A = np.zeros((4, 4))
     A[:3, :3], A[0, 3], A[3, 2] = entries[:, :3], -gb.g, 1.0
     B = np.vstack([entries[:, 3:], np.zeros(3)])
-    pencil = 1j * OMEGA[:, None, None] * np.eye(4) - A
-    x = np.linalg.solve(pencil, np.broadcast_to(B, (OMEGA.size, 4, 3)))
+    pencil = 1j * omega[:, None, None] * np.eye(4) - A
+    x = np.linalg.solve(pencil, np.broadcast_to(B, (omega.size, 4, 3)))
     ax = entries[0, :3] @ x[:, :3] + entries[0, 3:]
     y = np.concatenate([x[:, 1:3], ax[:, None]], axis=1)
-    return y * np.exp(-1j * OMEGA[:, None, None] * values[len(FREE) :])
+    return y * np.exp(-1j * omega[:, None, None] * values[len(FREE) :])
 
 
 def test_the_default_search_finds_the_minimum_in_wide_boxes():
@@ -176,9 +176,10 @@ def test_the_error_with_process_noise_is_the_least_over_all_states():
     truth, other = random.uniform(0.5, 4.0, (2, len(FREE) + 3))
     truth[-3:], other[-3:] = random.uniform(0.01, 0.06, (2, 3))
     measured = by_numpy(truth)
-    # The last input has frequencies of its own.
+    # The last input has a band of its own.
+    ends = (12, 12, 6)
     data = {
-        (output, input): gb.FrequencyResponse(OMEGA[:: 1 + i // 2], measured[:: 1 + i // 2, k, i])
+        (output, input): gb.FrequencyResponse(OMEGA[: ends[i]], measured[: ends[i], k, i])
         for i, input in enumerate(Axes.inputs)
         for k, output in enumerate(Axes.outputs)
         if (i, k) != (2, 1)
@@ -193,7 +194,7 @@ def test_the_error_with_process_noise_is_the_least_over_all_states():
     squares, numbers = 0.0, 0
     for i, delay in enumerate(other[-3:]):
         present = [k for k in range(3) if (i, k) != (2, 1)]
-        for w, omega in [*enumerate(OMEGA)][:: 1 + i // 2]:
+        for w, omega in enumerate(OMEGA[: ends[i]]):
             lag, pencil = np.exp(-1j * omega * delay), 1j * omega * np.eye(4) - A
             size = 0.7 * omega * np.abs(np.linalg.solve(pencil, B[:, i]))
             y = measured[w, present, i]
@@ -209,3 +210,26 @@ def test_the_error_with_process_noise_is_the_least_over_all_states():
         error(z + s * steps, ratio.repeat(21, 1), ratio.repeat(21, 1)) for s in (1, -1)
     )
     assert_allclose(gradient[:, 0], (higher[0] - lower[0]) / 2e-6, rtol=1e-5, atol=1e-7)
+
+
+def test_states_follow_outputs_that_have_frequencies_of_their_own():
+    """Fits of such pairs took twelve times as long, and half of their runs did not arrive."""
+    random = np.random.default_rng(3)
+    truth, other = random.uniform(0.5, 4.0, (2, len(FREE) + 3))
+    truth[-3:], other[-3:] = random.uniform(0.01, 0.06, (2, 3))
+    omega = np.geomspace(0.5, 20, 36)
+    measured = by_numpy(truth, omega)
+
+    def squared_error(*places):
+        data = {
+            (output, input): gb.FrequencyResponse(omega[own], measured[own, k, i])
+            for i, input in enumerate(Axes.inputs)
+            for k, (output, own) in enumerate(zip(Axes.outputs, places, strict=True))
+        }
+        nlp = compile_problem(gb.Problem(Axes(), data, criterion=gb.SquaredRelativeError()))
+        z, ratio = nlp.scaling.to_solver(other)[:, None], np.array([[30.0]])
+        return ProcessNoise(nlp.programs[-1].shared, z)(z, ratio, ratio)[0].item()
+
+    # Where each output alone is followed, the errors nearly vanish.
+    thirds = slice(0, None, 3), slice(1, None, 3), slice(None, None, -3)
+    assert_allclose(squared_error(*thirds), squared_error(*[thirds[1]] * 3), rtol=0.2)

@@ -115,9 +115,11 @@ def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
         low, high = q.bounds
         side, bound = ("lower", low) if q.value - low < high - q.value else ("upper", high)
         cure = "widen the bound if the physics allow, or fix the parameter"
-        if side == "lower" and name.startswith("T_gust_"):
+        if name.startswith("T_gust_"):
             # Gusts that last longer than those of the data bias the values.
             cure = f"gusts of less than a sample are white noise, process_noise={(name[7:],)}"
+            if side == "upper":
+                cure = "gusts that last as long as the record need a longer one"
         yield (
             f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as "
             f"known there: {cure}."

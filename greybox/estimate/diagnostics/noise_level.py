@@ -140,7 +140,7 @@ def _of_record(
         yield f"{output} {ratio > 1}", name, text
 
 
-def unused_noise(problem: AnyProblem) -> Sentences:
+def unused_noise(problem: AnyProblem) -> Findings:
     """Note responses whose variances or coherence the criterion does not use."""
     # In a sum with a likelihood, another criterion must be a likelihood, too.
     beside_likelihood = any(part.criterion.is_likelihood for part in problem.parts)
@@ -150,15 +150,17 @@ def unused_noise(problem: AnyProblem) -> Sentences:
             continue
         if data.variance is not None:
             if "variance" not in uses:
-                yield (
+                text = (
                     f"the variances of {part.name!r} are not used: MaximumLikelihood() weights the "
                     "points by them."
                 )
+                yield "variance", part.name, text
         elif data.coherence is not None and "coherence" not in uses and not beside_likelihood:
-            yield (
+            text = (
                 f"the coherence of {part.name!r} is not used: MagnitudePhase() weights the points "
                 "by it."
             )
+            yield "coherence", part.name, text
 
 
 def better_weights(accuracy: Accuracy) -> Sentences:

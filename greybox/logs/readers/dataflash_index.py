@@ -145,7 +145,10 @@ def _chain(
             continue
 
         following = last + 1
-        while following < starts.size and not _is_followed(data, int(ends[following])):
+        # Nothing follows the last message of a file, and a cut one may follow.
+        while following < starts.size and not HEAD.startswith(
+            data[ends[following] : ends[following] + 2]
+        ):
             following += 1
         resume = int(starts[following]) if following < starts.size else len(data)
         # The last message was truncated: a sound one begins inside it.
@@ -159,11 +162,6 @@ def _chain(
         end = resume
 
     return is_message, tuple(damage)
-
-
-def _is_followed(data: Bytes, end: int) -> bool:
-    # Nothing follows the last message of a file, and a cut one may follow.
-    return HEAD.startswith(data[end : end + 2])
 
 
 def sound_layout(
