@@ -133,7 +133,8 @@ class SampledData:
     def averaged(self, factor: int, held: BoolArray) -> "SampledData":
         """Return every sample of this number, with means of the outputs from there to the next.
 
-        Inputs (m,) that are held have means, too. Missing values do not count.
+        Inputs (m,) that are held have means, too. Missing values do not count. Samples that are too
+        few for a mean at the end are left out: theirs would be early.
         """
 
         def means(values: Array) -> Array:
@@ -143,6 +144,7 @@ class SampledData:
             sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
             return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
 
+        whole = [s.at(slice(0, max(len(s) // factor, 1) * factor, 1)) for s in self.stretches]
         return replace(
             self,
             stretches=tuple(
@@ -153,7 +155,7 @@ class SampledData:
                     ),
                     outputs=means(stretch.outputs),
                 )
-                for stretch in self.stretches
+                for stretch in whole
             ),
         )
 
