@@ -133,8 +133,7 @@ class SampledData:
     def averaged(self, factor: int, held: BoolArray) -> "SampledData":
         """Return every sample of this number, with means of the outputs from there to the next.
 
-        Inputs (m,) that are held have means, too. Missing values do not count. Samples that are too
-        few for a mean at the end are left out: theirs would be early.
+        Inputs (m,) that are held have means, too. Missing values do not count.
         """
 
         def means(values: Array) -> Array:
@@ -144,7 +143,6 @@ class SampledData:
             sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
             return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
 
-        whole = [s.at(slice(0, max(len(s) // factor, 1) * factor, 1)) for s in self.stretches]
         return replace(
             self,
             stretches=tuple(
@@ -155,7 +153,7 @@ class SampledData:
                     ),
                     outputs=means(stretch.outputs),
                 )
-                for stretch in whole
+                for stretch in self.stretches
             ),
         )
 

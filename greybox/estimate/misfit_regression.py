@@ -264,17 +264,23 @@ def shortened(
     for samples in numbers:
         if part.samples <= samples:
             return DisturbedRecord(part, trajectory, name)
-        coarse = part.with_data(residuals.averaged(-(-part.samples // samples), held))
-        simulated = coarse.simulated_outputs(along(coarse))
-        missed = np.std(simulated - chosen(coarse, outputs), axis=1)
+        factor = -(-part.samples // samples)
         # The gains of a predictor belong to its step, and short stretches would have too few
         # samples.
-        is_long = np.mean([*map(len, coarse.data.stretches)]) >= FEWEST
+        if part.gains or part.samples < factor * FEWEST * len(part.data.stretches):
+            continue
+        coarse = part.with_data(residuals.averaged(factor, held))
+        simulated = coarse.simulated_outputs(along(coarse))
+        missed = np.std(simulated - chosen(coarse, outputs), axis=1)
         # A simulation by larger steps may miss an output by a tenth of what the term moves: so
         # little do terms differ.
-        if is_long and not part.gains and np.all(missed < 0.1 * np.std(outputs, axis=1)):
+        if np.all(missed < 0.1 * np.std(outputs, axis=1)):
             means = coarse.data.measured
-            coarse = coarse.with_outputs(coarse.data.unpadded(means + simulated))
+            pieces = coarse.data.unpadded(means + simulated)
+            for piece, stretch in zip(pieces, residuals.stretches, strict=True):
+                # The mean of the last few samples would be early: slow errors would jump there.
+                piece[:, len(stretch) // factor :] = np.nan
+            coarse = coarse.with_outputs(pieces)
             spread = np.nanstd(residuals.measured, axis=1) / np.nanstd(means, axis=1)
             return DisturbedRecord(coarse, along(coarse), name, spread[:, None])
     excerpt = part.excerpt(numbers[-1])

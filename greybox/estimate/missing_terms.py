@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
-from greybox.compiled.record_part import RecordPart
+from greybox.compiled.record_model import RecordModel
 from greybox.files.arrays import (
     Array,
     ComplexArray,
@@ -429,7 +429,7 @@ def _constants(record: DisturbedRecord) -> Iterator[Term]:
     for k, b in enumerate(part.outputs):
         yield Term("offset", ones, partial(record.by_output, k), b=b)
     if isinstance(part.problem.model, StateSpace):
-        for i in dynamic_equations(part):
+        for i in dynamic_equations(part.model):
             yield Term("constant", ones, partial(record.by_state, i), b=part.system.states[i])
     else:
         yield Term("input offset", ones, partial(record.by_input, 0), b=part.system.inputs[0])
@@ -501,7 +501,7 @@ def _of_parameters(record: DisturbedRecord, held: Labels) -> Iterator[Term]:
         # Another sensor of the motion shows gusts, too, and would look like their cause.
         if np.var(beside(past[:, None], motion)) > np.var(past) / 2:
             changes.append(("schedule", past, b))
-            for i in dynamic_equations(part):
+            for i in dynamic_equations(part.model):
                 a, place = part.system.states[i], partial(record.by_state, i)
                 yield Term("equation", past, place, b, a, code=f"u.{b}, an input")
     gains = {f"K_{state}_{output}" for state, output in part.gains}
@@ -637,7 +637,7 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
             formulas.setdefault(text, ({name}, _formula(form, name)))
     formulas |= {text: (set(), formula) for text, formula in candidates.items()}
 
-    for i, (names, present) in dynamic_equations(record.part).items():
+    for i, (names, present) in dynamic_equations(record.part.model).items():
         b, by_state = system.states[i], partial(record.by_state, i)
         factors = zip(record.part.outputs, record.measured_derivatives[:, i].tolist(), strict=True)
         outputs = {name: factor for name, factor in factors if factor}
@@ -677,18 +677,18 @@ def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:
 
 
 @once  # of constants, of other terms, and of a warning
-def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[str]]]:
+def dynamic_equations(placed: RecordModel) -> dict[int, tuple[frozenset[str], set[str]]]:
     """Return the signals in the derivative of each state by its place, and those with a parameter.
 
     Signals are states and inputs; in a small model all of them count as being in every derivative.
     Derivatives without any parameter or input are kinematic, and left out unless all are; those of
     colored disturbances are left out, too.
     """
-    system = part.system
+    system = placed.system
     x, u, p = system.symbols
     derivative, names = system.derivative(x, u, p), (*system.states, *system.inputs)
     slopes = ca.jacobian(derivative, ca.vertcat(x, u))
-    model = undisturbed(part.problem.model)
+    model = undisturbed(placed.problem.model)
     own = range(len(model.state_names) or len(system.states))
     dynamic = [i for i in own if ca.depends_on(derivative[i], ca.vertcat(u, p))]
 

@@ -48,11 +48,8 @@ Outputs = Sequence[Sequence[IntArray]]
 def whitened(values: Array, filters: Arrays, outputs: Outputs) -> Array:
     """Return rows (M, c) of values (N, c) less what the samples before them predict.
 
-    Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders. Without
-    outputs, all rows are white.
+    Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders.
     """
-    if not outputs:
-        return values
     pieces = [
         sliding_window_view(values[rows], len(weights), axis=0) @ weights[::-1]
         for weights, stretches in zip(filters, outputs, strict=True)
