@@ -37,6 +37,10 @@ ORDER = 20
 SAMPLES = 15
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
+# Share of the power of errors that terms cannot explain, because they are linearized and have simple
+# forms. An autoregression predicts smooth residuals down to their noise: where that is less, it
+# would predict them as well without the term that is missing as with it.
+INEXACT = 1e-5
 # Samples in a mean. Means of 16 would excuse few more right models, and more wrong ones.
 MEANS = 4
 TINY = 1e-300
@@ -161,6 +165,8 @@ def _fits(
         *[_products([_means(values[rows], m) for rows in stretches]) for stretches in outputs],
         strict=True,
     )
+    for each in whole:
+        each[0, 0] += INEXACT * each[0, 0, 0, 0] * np.eye(each.shape[-1])
     # Pairs of columns that no fit has, such as two terms, would take most of the time.
     i, j = np.nonzero(used.any(axis=0))
     # Differences of the samples in a window are a window of one order less.
