@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
-from greybox.compiled.record_model import RecordModel
+from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import (
     Array,
     ComplexArray,
@@ -429,7 +429,7 @@ def _constants(record: DisturbedRecord) -> Iterator[Term]:
     for k, b in enumerate(part.outputs):
         yield Term("offset", ones, partial(record.by_output, k), b=b)
     if isinstance(part.problem.model, StateSpace):
-        for i in dynamic_equations(part.model):
+        for i in dynamic_equations(part):
             yield Term("constant", ones, partial(record.by_state, i), b=part.system.states[i])
     else:
         yield Term("input offset", ones, partial(record.by_input, 0), b=part.system.inputs[0])
@@ -476,7 +476,8 @@ def _onsets(record: DisturbedRecord, effect: Array) -> IntArray:
     pairs = zip(weight * e, effect, strict=True)
     along = sum(np.correlate(*pair, "full")[n - 1 :] for pair in pairs)
     following = np.cumsum(np.sum(weight * effect**2, axis=0))[::-1]
-    parts = np.array_split(np.arange(n), min(PARTS, n))
+    # What begins in the last part would be a few samples, which may be outliers.
+    parts = np.array_split(np.arange(n), min(PARTS, n))[:-1]
     share = along**2 / (following + 1e-300)
     best = np.array([part[np.argmax(share[part])] for part in parts])
     return np.sort(best[np.argsort(-share[best], kind="stable")[:BEGINNINGS]])
@@ -501,7 +502,7 @@ def _of_parameters(record: DisturbedRecord, held: Labels) -> Iterator[Term]:
         # Another sensor of the motion shows gusts, too, and would look like their cause.
         if np.var(beside(past[:, None], motion)) > np.var(past) / 2:
             changes.append(("schedule", past, b))
-            for i in dynamic_equations(part.model):
+            for i in dynamic_equations(part):
                 a, place = part.system.states[i], partial(record.by_state, i)
                 yield Term("equation", past, place, b, a, code=f"u.{b}, an input")
     gains = {f"K_{state}_{output}" for state, output in part.gains}
@@ -593,9 +594,9 @@ def _of_output(
     for power in (2, 3):
         yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
     # From each sample on, the errors along the output and its squares: a jump of its scale is
-    # where the errors show it best.
+    # where the errors show it best, but for the last part.
     along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
-    later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
+    later = np.arange(len(y)) >= np.argmax((along**2 / (squares + 1e-300))[: -len(y) // PARTS])
     yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
     for row, T in _delays(record, y) if len(outputs) > 1 else ():
         # The error of a sample corrects the later outputs of a predictor.
@@ -637,7 +638,7 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
             formulas.setdefault(text, ({name}, _formula(form, name)))
     formulas |= {text: (set(), formula) for text, formula in candidates.items()}
 
-    for i, (names, present) in dynamic_equations(record.part.model).items():
+    for i, (names, present) in dynamic_equations(record.part).items():
         b, by_state = system.states[i], partial(record.by_state, i)
         factors = zip(record.part.outputs, record.measured_derivatives[:, i].tolist(), strict=True)
         outputs = {name: factor for name, factor in factors if factor}
@@ -677,18 +678,18 @@ def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:
 
 
 @once  # of constants, of other terms, and of a warning
-def dynamic_equations(placed: RecordModel) -> dict[int, tuple[frozenset[str], set[str]]]:
+def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[str]]]:
     """Return the signals in the derivative of each state by its place, and those with a parameter.
 
     Signals are states and inputs; in a small model all of them count as being in every derivative.
     Derivatives without any parameter or input are kinematic, and left out unless all are; those of
     colored disturbances are left out, too.
     """
-    system = placed.system
+    system = part.system
     x, u, p = system.symbols
     derivative, names = system.derivative(x, u, p), (*system.states, *system.inputs)
     slopes = ca.jacobian(derivative, ca.vertcat(x, u))
-    model = undisturbed(placed.problem.model)
+    model = undisturbed(part.problem.model)
     own = range(len(model.state_names) or len(system.states))
     dynamic = [i for i in own if ca.depends_on(derivative[i], ca.vertcat(u, p))]
 

@@ -268,7 +268,7 @@ def colored_predictions(pairs: Pairs, *, explained: bool = True) -> Sentences:
 
 def gust_criterion(part: RecordPart) -> str:
     """Return the code of the criterion that estimates gusts, for a state that they may reach."""
-    place = next(iter(dynamic_equations(part.model)))
+    place = next(iter(dynamic_equations(part)))
     return f"PredictionError(disturbance={{{part.system.states[place]!r}: 'colored'}})"
 
 
