@@ -24,7 +24,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from command import estimates, heading, parser, show
+from command import estimates, heading, judged, parser, show
 from scipy.signal import resample_poly
 
 import greybox as gb
@@ -146,7 +146,13 @@ def board(folder: Path) -> list[str]:
         "",
         f"starts at the best minimum: {fit.agreeing} of {STARTS}, {seconds:.0f} s",
     ]
-    return [*lines, *estimates(fit, Duffing().parameters)]
+    return [
+        *lines,
+        *estimates(fit, Duffing().parameters),
+        "",
+        *judged("linear", linear),
+        *judged("chosen", fit),
+    ]
 
 
 if __name__ == "__main__":

@@ -411,7 +411,7 @@ def assemble(
             # No weight could account for the misfit of a wrong model.
             *(better_weights(accuracy) if answer.is_explained else ()),
             *resting_inputs(nlp),
-            *(() if misfit is not None and misfit.is_exact else rounded_outputs(answer.records)),
+            *(() if misfit and misfit.is_exact else rounded_outputs(answer.records)),
             *together,
         ),
     )

@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import compress, groupby
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -70,10 +69,12 @@ TOGETHER = 5
 # Slow gusts look like a term more often than noise: of 38 right models in gusts, 8 were between
 # this and `FALSE_ALARMS`, and of 148 wrong ones without gusts none.
 IN_GUSTS = 0.001
-# Samples whose means are tested first if residuals are white, and the probability above which there
-# is no other test: that of all of 3000 samples takes three times as long. Probabilities allow for
-# the number of terms, so that those of right models are mostly one.
-FEW, CLEAR = 500, 0.3
+# Numbers of samples whose means are tested first if residuals are white, the first of which a
+# simulation follows, and the probability above which there is no other test: that of 3000 samples
+# with autoregressive errors takes five times as long. Probabilities allow for the number of terms,
+# so that those of right models are mostly one. Of 130 slightly wrong models with white residuals,
+# one was called wrong by the other test alone, with p = 0.002.
+FEW, CLEAR = (300, 500), 0.3
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
 
@@ -83,7 +84,8 @@ class Group:
     """All records, or all responses, in which a term is missing alike, as one regression.
 
     The residuals (N, 1) and the columns (N, d) of the parameters have the rows of all parts, of
-    which `outputs` has those of every output. The filters make the residuals white.
+    which `outputs` has those of every output. The filters make the residuals white, and are missing
+    if they are white already.
     """
 
     parts: Sequence[Regression]
@@ -98,7 +100,7 @@ class Group:
 
     def white(self, values: Array) -> Array:
         """Return values (N, c) in the rows (M, c) in which residuals are white."""
-        return whitened(values, self.filters, self.outputs)
+        return whitened(values, self.filters, self.outputs) if self.filters else values
 
     @cached_property
     def white_residuals(self) -> Array:
@@ -120,7 +122,9 @@ class Group:
         return score_tests(self.white_residuals[:, 0], self.basis, self.white(columns)).T
 
     def chances(self, tested: Sequence["Tested"]) -> Array:
-        """Return the probabilities of terms of records, see `autoregressive_p_values`."""
+        """Return the probabilities of terms if errors are white, or autoregressions of records."""
+        if not self.filters:
+            return np.array([test.p_white for test in tested])
         effects = [test.effects for test in tested]
         # Where records have unlike outputs, errors of outputs count as independent.
         widths = {len(part.outputs) for part in self.parts}
@@ -200,7 +204,7 @@ def assessed_misfit(
     tested = [
         group for group in (responses, manoeuvres, regressions) if any(part.terms for part in group)
     ]
-    groups = [*map(_group, tested)]
+    groups = [_group(parts, is_quick) for parts in tested]
     misfits = [*map(_of_group, groups, _determined(groups))]
     if all(misfit.explains and not misfit.tried for misfit in misfits):
         return None
@@ -228,10 +232,9 @@ def assessed_misfit(
     # motions that an unstable model lacks.
     is_excluded = misfit.is_unstable or any(record.is_predicted for record in disturbed)
     is_slow = misfit.left > NOTICED and LARGE * (1 - misfit.drift) < 1
-    is_plain = misfit.explains and not is_slow
-    are_means = any(np.any(record.spread != 1) for record in disturbed)
-    if is_quick and are_means and not (is_plain and misfit.p_value > CLEAR):
+    if is_quick and disturbed and not misfit.p_value > CLEAR:
         return assessed_misfit(nlp, x, trajectories, at_bound, candidates, solver, False)
+    is_plain = misfit.explains and not is_slow
     if is_plain or solver is None or responses or manoeuvres or is_excluded:
         return misfit
     # Gusts bias the values that a simulation fits, and through a controller they reach the inputs.
@@ -314,10 +317,10 @@ def _disturbed(
     # own has few numbers among them.
     outputs = sum(part.numbers / part.samples for part, *_ in records)
     most = int(max(6000 / max(outputs, 2 * len(records), 1), 500))
-    return [shortened(*row, numbers=[FEW, most] if is_quick else [most]) for row in records]
+    return [shortened(*row, numbers=[*FEW, most] if is_quick else [most]) for row in records]
 
 
-def _group(parts: Sequence[Regression]) -> Group:
+def _group(parts: Sequence[Regression], is_white: bool = False) -> Group:
     residuals = np.vstack([part.residuals for part in parts])
     fitted = np.vstack([part.fitted for part in parts])
     firsts = np.cumsum([0, *(len(part.residuals) for part in parts)])
@@ -326,7 +329,13 @@ def _group(parts: Sequence[Regression]) -> Group:
         for first, part in zip(firsts, parts, strict=False)
         for stretches in part.outputs
     ]
-    return Group(parts, residuals, fitted, outputs, whitening_filters(residuals[:, 0], outputs))
+    return Group(
+        parts,
+        residuals,
+        fitted,
+        outputs,
+        [] if is_white else whitening_filters(residuals[:, 0], outputs),
+    )
 
 
 def _determined(groups: Sequence[Group]) -> list[Array]:
@@ -365,9 +374,8 @@ def _of_group(group: Group, determined: Array) -> Misfit:
 
     tests = [*map(alternatives, tested)]
     p_common = 1.0
-    p_values = p_correlated = np.array([test.p_white for test in tested]) * tests
+    p_values = p_correlated = tests * group.chances(tested)
     if group.outputs:
-        p_correlated = p_values = tests * group.chances(tested)
         if min(p_values, default=1.0) > FALSE_ALARMS:
             missing, p_of_functions = _functions(group, terms, tested)
             tested = missing + tested
@@ -394,7 +402,7 @@ def _of_group(group: Group, determined: Array) -> Misfit:
     count = len(group.residuals)
     innovations = [
         count / float(weights[0]) ** 2
-        for weights, rows in zip(group.filters, group.outputs, strict=True)
+        for weights, rows in zip(group.filters, group.outputs, strict=False)
         if any(map(len, rows))
     ]
     squares = sum_of_squares(group.residuals) + TINY
@@ -463,19 +471,19 @@ def _shares(
 
 def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
     """Return the shape of the best term over the signal that explains most of the residuals."""
-    # A wrong value has no shape; the next best term shows what it imitates.
+    # A wrong value has no shape, and one that a single record needs has no place in the others; the
+    # next best term shows what it imitates.
     drawn = [
         (test, cause)
         for test, cause in tests
-        if test.key[0][0] != "fixed" and cause.p_value < FALSE_ALARMS
+        if test.key[0][0] != "fixed"
+        and cause.p_value < FALSE_ALARMS
+        and all(test.key in part.terms for part in group.parts)
     ]
     if not drawn:
         return None
     test, cause = max(drawn, key=lambda pair: pair[1].share)
-    # A value that one record needs has no place in the others.
-    by_part = [part.signals() for part in group.parts if test.key in part.terms]
-    if len(by_part) < len(group.parts):
-        return None
+    by_part = [part.signals() for part in group.parts]
     best, least = None, np.inf
     for name in by_part[0]:
         at, functions = _on_knots(group, test.key, [signals[name] for signals in by_part])
@@ -542,14 +550,14 @@ def _ranked(group: Group, terms: Mapping[Key, Term]) -> tuple[Counter[Any], list
                     effects, numbers = columns[:, begin:end], tests[begin][1:]
                     best[family] = Tested(pair[0], effects, effects, decrease, *numbers)
     tested = [
-        _together(group, test.key, test.effects)[1] if test.effects.shape[1] > 1 else test
+        _together(group, test.key, test.effects) if test.effects.shape[1] > 1 else test
         for test in best.values()
     ]
     # The best twelve are tested together with the color of the errors.
     return tried, sorted(tested, key=lambda test: -round(test.decrease, 9))[:12]
 
 
-def _together(group: Group, key: Key, columns: Array) -> tuple[float, Tested]:
+def _together(group: Group, key: Key, columns: Array) -> Tested:
     """Return the test of columns (N, c) together, and their best combination as one term.
 
     The factors of the columns in it have unit length, so that its factor is as large as theirs.
@@ -559,7 +567,8 @@ def _together(group: Group, key: Key, columns: Array) -> tuple[float, Tested]:
     effects = columns @ directions
     factors = directions @ directions.T @ white.T @ outside(group.white_residuals, group.basis)
     column = columns @ factors / (np.linalg.norm(factors) + TINY)
-    return p_value, Tested(key, effects, column, *group.score_tests(column)[0].tolist())
+    decrease, _, *factor = group.score_tests(column)[0].tolist()
+    return Tested(key, effects, column, decrease, p_value, *factor)
 
 
 def _place(key: Key) -> str:
@@ -591,16 +600,16 @@ def _functions(
         columns = group.columns(_on_knots(group, key, signals, min(terms[key].knots, most))[1])
         tested.append(_together(group, key, columns))
     # A test of several numbers counts as that many terms, and so do those that are not made.
-    numbers = sum(test.effects.shape[1] for _, test in tested)
-    count = numbers * len(functions) / max(len(tried), 1)
+    count = sum(test.effects.shape[1] for test in tested) * len(functions) / max(len(tried), 1)
     # Only the best two are tested together with the color of the errors, which takes most of the
     # time, and only if chance does not explain them.
-    best = [test for p, test in sorted(tested, key=itemgetter(0))[:2] if max(count, 1) * p < 1]
+    likeliest = sorted(tested, key=lambda test: test.p_white)[:2]
+    best = [test for test in likeliest if max(count, 1) * test.p_white < 1]
     if not best:
         return [], np.array([])
     p_values = count * group.chances(best)
     is_missing = p_values < FALSE_ALARMS
-    return [best[k] for k in np.flatnonzero(is_missing)], p_values[is_missing]
+    return [*compress(best, is_missing)], p_values[is_missing]
 
 
 def _p_of_responses(
@@ -675,9 +684,7 @@ def _known(parts: Sequence[Regression]) -> Array:
     """Return the columns (N, e) of all parts that no other part has."""
     from scipy.linalg import block_diag  # noqa: PLC0415  (slow to import)
 
-    known = [
-        np.zeros((len(part.residuals), 0)) if part.known is None else part.known for part in parts
-    ]
+    known = [part.residuals[:, :0] if part.known is None else part.known for part in parts]
     return np.asarray(block_diag(*known), float)
 
 

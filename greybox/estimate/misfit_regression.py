@@ -154,13 +154,6 @@ def regression_of_record(
         ]
         for k in range(len(present[0]))
     ]
-    offsets = _offsets(
-        constants.terms,
-        rows(with_effects, starts),
-        rows(by_parameters, starts),
-        len(present[0]),
-        count,
-    )
     return Regression(
         rows(
             (record.outputs / record.spread + record.residuals)[:, None],
@@ -171,7 +164,15 @@ def regression_of_record(
         _numbered(terms),
         lambda terms: rows(followed(terms)),
         outputs=outputs,
-        causes=[*offsets],
+        causes=[
+            *_offsets(
+                constants.terms,
+                rows(with_effects, starts),
+                rows(by_parameters, starts),
+                len(present[0]),
+                count,
+            )
+        ],
         is_unstable=record.growth > UNSTABLE,
         lost=sum(basis.shape[1] for basis in drifts),
         signals=partial(signals_of_record, record),
@@ -267,14 +268,18 @@ def shortened(
         coarse = part.with_data(residuals.averaged(-(-part.samples // samples), held))
         simulated = coarse.simulated_outputs(along(coarse))
         missed = np.std(simulated - chosen(coarse, outputs), axis=1)
-        # The gains of a predictor belong to its step, and short stretches would have too few
-        # samples.
-        is_long = np.mean([*map(len, coarse.data.stretches)]) >= FEWEST
+        # The gains of a predictor belong to its step, and short stretches, which lose their last
+        # mean, would have too few samples.
+        is_long = np.mean([*map(len, coarse.data.stretches)]) - 1 >= FEWEST
         # A simulation by larger steps may miss an output by a tenth of what the term moves: so
         # little do terms differ.
         if is_long and not part.gains and np.all(missed < 0.1 * np.std(outputs, axis=1)):
             means = coarse.data.measured
-            coarse = coarse.with_outputs(coarse.data.unpadded(means + simulated))
+            pieces = coarse.data.unpadded(means + simulated)
+            for piece in pieces:
+                # A mean of the few samples at the end would be early: slow errors would jump.
+                piece[:, -1] = np.nan
+            coarse = coarse.with_outputs(pieces)
             spread = np.nanstd(residuals.measured, axis=1) / np.nanstd(means, axis=1)
             return DisturbedRecord(coarse, along(coarse), name, spread[:, None])
     excerpt = part.excerpt(numbers[-1])

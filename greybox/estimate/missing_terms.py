@@ -476,7 +476,8 @@ def _onsets(record: DisturbedRecord, effect: Array) -> IntArray:
     pairs = zip(weight * e, effect, strict=True)
     along = sum(np.correlate(*pair, "full")[n - 1 :] for pair in pairs)
     following = np.cumsum(np.sum(weight * effect**2, axis=0))[::-1]
-    parts = np.array_split(np.arange(n), min(PARTS, n))
+    # What begins in the last part would be a few samples, which may be outliers.
+    parts = np.array_split(np.arange(n), min(PARTS, n))[:-1]
     share = along**2 / (following + 1e-300)
     best = np.array([part[np.argmax(share[part])] for part in parts])
     return np.sort(best[np.argsort(-share[best], kind="stable")[:BEGINNINGS]])
@@ -593,9 +594,9 @@ def _of_output(
     for power in (2, 3):
         yield Term("sensor curve", (y - np.mean(y)) ** power, by_output, b=b)
     # From each sample on, the errors along the output and its squares: a jump of its scale is
-    # where the errors show it best.
+    # where the errors show it best, but for the last part.
     along, squares = np.cumsum((y * [record.residuals[k], y])[:, ::-1], axis=1)[:, ::-1]
-    later = np.arange(len(y)) >= np.argmax(along**2 / (squares + 1e-300))
+    later = np.arange(len(y)) >= np.argmax((along**2 / (squares + 1e-300))[: -len(y) // PARTS])
     yield Term("sensor scale", y * later, by_output, b=b, tries=len(y))
     for row, T in _delays(record, y) if len(outputs) > 1 else ():
         # The error of a sample corrects the later outputs of a predictor.

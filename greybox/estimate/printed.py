@@ -34,7 +34,7 @@ Table = tuple[list[str], list[list[str]], tuple[int, ...]]
 def text(fit: Any) -> str:
     """Return a `Fit` as text: the verdict, the table, what limits it, and how close it is."""
     table = ["  " + line for line in text_table(*parameter_table(fit)).splitlines()]
-    causes = () if fit.misfit is None else fit.misfit.likely
+    causes = fit.misfit.likely if fit.misfit else ()
     remarks = [f"  {cause.remedy}" for cause in causes]
     remarks += [f"  warning: {line}" for line in fit.warnings]
     remarks += [f"  note: {line}" for line in fit.notes]
@@ -115,7 +115,7 @@ def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[StringPa
 def closeness(fit: Any) -> list[StringPair]:
     """Return data, priors, inputs and how closely the model follows, as labels with texts."""
     rows = [part for part in fit.records if not part.data.has_time]
-    untested = [part.name for part in (fit.parts if fit.misfit is None else rows)]
+    untested = [part.name for part in (rows if fit.misfit else fit.parts)]
     texts = (
         ("data", [data_text(fit)]),
         ("prior", _prior_texts(fit)),
@@ -189,7 +189,7 @@ def error_statement(fit: Any) -> str:
             f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, {freedom} freedom)"
         )
 
-    is_wrong = fit.misfit is not None and not fit.misfit.explains_here
+    is_wrong = fit.misfit and not fit.misfit.explains_here
     valid = ", valid only if the model explains the data" if is_wrong else ""
     return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
 

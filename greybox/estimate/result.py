@@ -273,7 +273,7 @@ class Fit(Printed):
     @property
     def is_explained(self) -> bool:
         """False if the test of misfit shows that the model does not explain the data."""
-        return self.misfit is None or self.misfit.explains
+        return not self.misfit or self.misfit.explains
 
     @property
     def details(self) -> str:

@@ -52,13 +52,13 @@ def verdict(fit: Any) -> Verdict:
     # First whether this is the minimum, then how certain: the second needs the first.
     sentences = [_minimum(fit), _determined(fit)]
     misfit = fit.misfit
-    if misfit is not None:
+    if misfit:
         holds = misfit.explains_here and not misfit.is_drifting
         sentences.insert(0, (holds, f"The model {misfit.verdict}."))
     is_good = all(is_good for is_good, _ in sentences) and not fit.warnings
     grade = "good" if is_good else "doubt"
     # No start agrees on the minimum of a model that explains nothing, wherever they end.
-    if fit.agreeing == 0 or (misfit is not None and misfit.is_large):
+    if fit.agreeing == 0 or (misfit and misfit.is_large):
         grade = "poor"
 
     return Verdict(grade, tuple(text for _, text in sorted(sentences, key=itemgetter(0))))

@@ -37,6 +37,10 @@ ORDER = 20
 SAMPLES = 15
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
+# Share of the power of errors that terms cannot explain: they are linearized and have simple forms.
+# An autoregression predicts smooth residuals down to their noise. Where that is less, it would
+# predict them as well without the term that is missing as with it.
+INEXACT = 1e-5
 # Samples in a mean. Means of 16 would excuse few more right models, and more wrong ones.
 MEANS = 4
 TINY = 1e-300
@@ -48,11 +52,8 @@ Outputs = Sequence[Sequence[IntArray]]
 def whitened(values: Array, filters: Arrays, outputs: Outputs) -> Array:
     """Return rows (M, c) of values (N, c) less what the samples before them predict.
 
-    Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders. Without
-    outputs, all rows are white.
+    Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders.
     """
-    if not outputs:
-        return values
     pieces = [
         sliding_window_view(values[rows], len(weights), axis=0) @ weights[::-1]
         for weights, stretches in zip(filters, outputs, strict=True)
@@ -68,8 +69,6 @@ def _shared(columns: Array, filters: Arrays, outputs: Outputs, width: int) -> Ar
     The columns (N, 1 + c) are those of the errors and of the terms. The filters make the errors of
     every output white, but process noise reaches several outputs, some of them later.
     """
-    if width == 1:
-        return np.ones(columns.shape[1] - 1)
     signals = np.zeros(columns.T.shape)
     rows = [rows[len(w) - 1 :] for w, each in zip(filters, outputs, strict=True) for rows in each]
     signals[:, np.concatenate(rows)] = whitened(columns, filters, outputs).T
@@ -142,13 +141,10 @@ def autoregressive_p_values(
     m = MEANS if MEANS * fewest > ORDER * SAMPLES else 1
     white = whitened(values[:, first:], weights, outputs)
     kept, whole = (tests[:-1] @ (k * np.sum(_means(white, k) ** 2, axis=0)) for k in (m, 1))
+    p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
     # Of a faster term, means would show too little. With a limit of 0.9, errors that oscillate
     # slowly beneath white noise were called terms in 4 % of tests with p < 0.001.
-    is_slow = kept > 0.5 * whole
-    if not is_slow.any():
-        return p_of_samples
-    p_of_means = p_values(*_fits(values, outputs, used, m, times=0)[:2])
-    return np.where(is_slow, np.maximum(p_of_samples, p_of_means), p_of_samples)
+    return np.where(kept > 0.5 * whole, np.maximum(p_of_samples, p_of_means), p_of_samples)
 
 
 def _fits(
@@ -164,6 +160,8 @@ def _fits(
         *[_products([_means(values[rows], m) for rows in stretches]) for stretches in outputs],
         strict=True,
     )
+    for each in whole:
+        each[0, 0] += INEXACT * each[0, 0, 0, 0] * np.eye(each.shape[-1])
     # Pairs of columns that no fit has, such as two terms, would take most of the time.
     i, j = np.nonzero(used.any(axis=0))
     # Differences of the samples in a window are a window of one order less.

@@ -96,6 +96,15 @@ def test_an_input_that_an_actuator_quantizes_is_named():
 
 
 STEPS = np.repeat(np.random.default_rng(7).uniform(-1, 1, 60), 10)
+
+
+@pytest.mark.parametrize("sample", [598, 599])
+def test_an_outlier_at_the_end_is_no_missing_term(sample):
+    """A jump before the last samples would look like a term, which no other sample could doubt."""
+    outlier = 0.5 * (np.arange(600) == sample)
+    assert lagging(STEPS, sensor=lambda v: v + outlier, u=STEPS).explains
+
+
 IS_LATE = np.arange(600) > 340  # from 17 s on
 AFTER_LOST_ROWS = np.where(IS_LATE, np.roll(STEPS, 6), STEPS)
 

@@ -71,9 +71,9 @@ def warnings(
     nlp, x = accuracy.nlp, accuracy.x
     misfit = answer.misfit
     # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
-    noisy = misfit is None or misfit.is_noisy
+    noisy = not misfit or misfit.is_noisy
     explained = answer.is_explained
-    exact = misfit is not None and misfit.is_exact
+    exact = misfit and misfit.is_exact
     # Residuals of a wrong model are not errors, nor is rounding: their correlation does not matter.
     errors = explained and not exact
     return (
