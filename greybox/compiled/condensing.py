@@ -10,6 +10,8 @@ problems, IFAC Proceedings 17(2); Betts (2010), Practical Methods for Optimal Co
 Estimation, 2nd ed., chapter 4.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from greybox.compiled.part import Condensed, Trajectory
@@ -19,6 +21,7 @@ from greybox.files.arrays import (
     Array,
     ArrayPair,
     BoolArray,
+    IntArray,
     all_finite,
     of_diagonal,
     positive_or_one,
@@ -184,77 +187,76 @@ def solve_continuity(
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
-    x, multiplier = _solved_chain(
+    chain = _Chain(
         hessian * size * size[:, None] + RIDGE * np.eye(n),
         np.where(linked, transition * size / size[:, None], 0.0),
         coupled,
         stationarity * size[:, None],
         np.where(linked, continuity / size[:, None], 0.0),
-        np.broadcast_to(variance, n) / size**2,
     )
+    x, multiplier = _solved(chain, np.broadcast_to(variance, n) / size**2)
     return x * size[:, None], multiplier / size[:, None]
 
 
-def _solved_chain(
-    hessian: Array,
-    transition: Array,
-    coupled: BoolArray,
-    stationarity: Array,
-    continuity: Array,
-    variance: Array,
-) -> ArrayPair:
-    """Solve the system of `solve_continuity` in units in which states are of order one.
+class _Chain(NamedTuple):
+    """The arrays of `solve_continuity`, in units in which states are of order one."""
 
-    A long chain with exact continuity is halved: two neighboring segments are one, whose second
-    node follows from the first. That takes a tenth of the time of the banded system.
+    hessian: Array
+    transition: Array
+    coupled: BoolArray
+    stationarity: Array
+    continuity: Array
+
+    def at(self, segments: IntArray) -> "_Chain":
+        """Return a copy of some segments."""
+        return _Chain(*(values[segments] for values in self))
+
+
+def _solved(chain: _Chain, variance: Array) -> ArrayPair:
+    """Solve a chain.
+
+    Two neighboring segments of a long chain with exact continuity become one, as often as possible:
+    the second node follows from the first. That takes a fifth of the time of the banded system.
     """
-    chain = hessian, transition, coupled, stationarity, continuity
     # Segments are counted from the first one of their stretch.
-    count = np.arange(len(coupled))
-    first = np.where(np.append(True, ~coupled[:-1]), count, 0)
-    place = count - np.maximum.accumulate(first)
-    kept = np.flatnonzero(place % 2 == 0)
-    joined = np.flatnonzero(coupled[kept])
-    if len(place) < LONG_CHAIN or variance.any() or len(joined) < len(place) / 4:
-        return _solved_bands(*chain, variance)
+    count = np.arange(len(chain.coupled))
+    begins = np.append(True, ~chain.coupled[:-1])
+    place = count - np.maximum.accumulate(np.where(begins, count, 0))
+    firsts = np.flatnonzero(place % 2 == 0)
+    paired = np.flatnonzero(chain.coupled[firsts])
+    if variance.any() or len(count) < LONG_CHAIN or len(paired) < len(count) / 4:
+        return _solved_bands(chain, variance)
 
-    H, A, b, c = (values[kept] for values in (hessian, transition, stationarity, continuity))
-    following = kept[joined] + 1
-    next_H, next_A, next_b = (values[following] for values in (hessian, transition, stationarity))
-    first_A, first_c = A[joined], c[joined]
-    H[joined] += first_A.mT @ next_H @ first_A
-    b[joined] += first_A.mT @ (next_b + next_H @ first_c)
-    A[joined] = next_A @ first_A
-    c[joined] = continuity[following] + next_A @ first_c
+    seconds = firsts[paired] + 1
+    half, second = chain.at(firsts), chain.at(seconds)
+    A, c = half.transition[paired], half.continuity[paired]
+    half.hessian[paired] += A.mT @ second.hessian @ A
+    half.transition[paired] = second.transition @ A
+    half.coupled[paired] = second.coupled
+    half.stationarity[paired] += A.mT @ (second.stationarity + second.hessian @ c)
+    half.continuity[paired] = second.continuity + second.transition @ c
     # Nodes that are far apart do not determine an unstable trajectory between them.
-    if not np.abs(A).max() < MOST_GROWTH:
-        return _solved_bands(*chain, variance)
+    if not np.abs(half.transition).max() < MOST_GROWTH:
+        return _solved_bands(chain, variance)
 
-    links = coupled[kept]
-    links[joined] = coupled[following]
-    ends = _solved_chain(H, A, links, b, c, variance)
-    x, multiplier = np.empty_like(stationarity), np.empty_like(continuity)
-    x[kept], multiplier[kept] = ends
-    x[following] = first_A @ ends[0][joined] - first_c
-    multiplier[following] = ends[1][joined]
-    multiplier[kept[joined]] = (
-        next_H @ x[following] + next_A.mT @ multiplier[following] - next_b
+    x, multiplier = np.empty_like(chain.stationarity), np.empty_like(chain.stationarity)
+    x[firsts], multiplier[firsts] = _solved(half, variance)
+    x[seconds] = A @ x[firsts[paired]] - c
+    multiplier[seconds] = multiplier[firsts[paired]]
+    multiplier[firsts[paired]] = (
+        second.hessian @ x[seconds]
+        + second.transition.mT @ multiplier[seconds]
+        - second.stationarity
     )
     return x, multiplier
 
 
-def _solved_bands(
-    hessian: Array,
-    transition: Array,
-    coupled: BoolArray,
-    stationarity: Array,
-    continuity: Array,
-    variance: Array,
-) -> ArrayPair:
-    """Solve the system of `_solved_chain` as a banded matrix."""
+def _solved_bands(chain: _Chain, variance: Array) -> ArrayPair:
+    """Solve a chain as a banded matrix."""
     # It takes half a second to import.
     from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
 
+    hessian, transition, coupled, stationarity, continuity = chain
     s, n, r = stationarity.shape
     # Row i of column j is entry (j, 2 width + i - j) of the transposed bands. LAPACK takes matrices
     # by column, and keeps `width` more rows for its factors. The bands of a long record are large:

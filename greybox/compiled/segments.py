@@ -293,12 +293,16 @@ class Segments:
 
         They are those of the c segments of a `batch`, by node and active parameters.
         """
-        columns = np.arange(at.data.shape[1]).reshape(self.length, self.count)[:, batch]
+        states, data = (
+            values.reshape(-1, self.length, self.count)[:, :, batch]
+            for values in (at.states, at.data)
+        )
+        count = data.shape[2]
         q = at.q[:, batch] if self._own else at.q
-        part = Course(at.states[:, columns.ravel()], q, at.data[:, columns.ravel()])
+        part = Course(states.reshape(self.n, -1), q, data.reshape(len(data), -1))
         slopes, e = _finite(self._evaluate("derivatives", part))
-        S, J = self.propagated(slopes, columns.shape[1])
-        return S, J, e.reshape(self.k, *columns.shape).swapaxes(0, 1)
+        S, J = self.propagated(slopes, count)
+        return S, J, e.reshape(self.k, self.length, count).swapaxes(0, 1)
 
     def sample_derivatives(self, at: Course) -> ArrayPair:
         """Return derivatives of next states and residuals by state and active parameters.
