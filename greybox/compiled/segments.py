@@ -258,7 +258,8 @@ class Segments:
         """
         n = self.n
         v = n + len(self.active)
-        pieces = []
+        slopes = np.empty((self.count, n, v))
+        by_nodes = np.empty((self.count, n, v + 1))
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
         for batch in self.batches():
@@ -274,10 +275,10 @@ class Segments:
             # Products of stacked matrices are fast for contiguous ones.
             J = np.ascontiguousarray(J.reshape(-1, v + 1, e.shape[-1]).transpose(2, 0, 1))
             H = J.mT @ J
-            pieces.append((ends.transpose(2, 0, 1), H[:, :n].copy()))
+            slopes[batch] = ends.transpose(2, 0, 1)
+            by_nodes[batch] = H[:, :n]
             by_parameters += self.by_record(H[:, n:, n:], batch)
 
-        slopes, by_nodes = map(np.concatenate, zip(*pieces, strict=True))
         return Linearization(
             transition=slopes[:, :, :n],
             parameter_sensitivity=slopes[:, :, n:],
