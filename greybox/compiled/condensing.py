@@ -10,7 +10,7 @@ problems, IFAC Proceedings 17(2); Betts (2010), Practical Methods for Optimal Co
 Estimation, 2nd ed., chapter 4.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from greybox.files.arrays import (
     Array,
     ArrayPair,
     BoolArray,
-    IntArray,
     all_finite,
     of_diagonal,
     positive_or_one,
@@ -187,76 +186,72 @@ def solve_continuity(
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
-    chain = _Chain(
+    x, multiplier = _solved(
         hessian * size * size[:, None] + RIDGE * np.eye(n),
         np.where(linked, transition * size / size[:, None], 0.0),
         coupled,
         stationarity * size[:, None],
         np.where(linked, continuity / size[:, None], 0.0),
+        np.broadcast_to(variance, n) / size**2,
     )
-    x, multiplier = _solved(chain, np.broadcast_to(variance, n) / size**2)
-    return x * size[:, None], multiplier / size[:, None]
+    x *= size[:, None]
+    multiplier /= size[:, None]
+    return x, multiplier
 
 
-class _Chain(NamedTuple):
-    """The arrays of `solve_continuity`, in units in which states are of order one."""
+def _solved(
+    H: Array, A: Array, coupled: BoolArray, x: Array, multiplier: Array, variance: Array
+) -> ArrayPair:
+    """Solve the system in units in which states are of order one.
 
-    hessian: Array
-    transition: Array
-    coupled: BoolArray
-    stationarity: Array
-    continuity: Array
-
-    def at(self, segments: IntArray) -> "_Chain":
-        """Return a copy of some segments."""
-        return _Chain(*(values[segments] for values in self))
-
-
-def _solved(chain: _Chain, variance: Array) -> ArrayPair:
-    """Solve a chain.
+    The right-hand sides are replaced by the solution, and H and A are changed, too.
 
     Two neighboring segments of a long chain with exact continuity become one, as often as possible:
     the second node follows from the first. That takes a fifth of the time of the banded system.
     """
-    # Segments are counted from the first one of their stretch.
-    count = np.arange(len(chain.coupled))
-    begins = np.append(True, ~chain.coupled[:-1])
-    place = count - np.maximum.accumulate(np.where(begins, count, 0))
-    firsts = np.flatnonzero(place % 2 == 0)
-    paired = np.flatnonzero(chain.coupled[firsts])
-    if variance.any() or len(count) < LONG_CHAIN or len(paired) < len(count) / 4:
-        return _solved_bands(chain, variance)
+    remaining = np.arange(len(H))
+    pairs = list[Any]()
+    while len(remaining) >= LONG_CHAIN and not variance.any():
+        # Segments are counted from the first one of their stretch.
+        count = np.arange(len(remaining))
+        begins = np.append(True, ~coupled[:-1])
+        is_first = (count - np.maximum.accumulate(np.where(begins, count, 0))) % 2 == 0
+        paired = np.flatnonzero(is_first & coupled)
+        first, second = remaining[paired], remaining[paired + 1]
+        A_first, A_second, H_second, gap = A[first], A[second], H[second], multiplier[first]
+        both = A_second @ A_first
+        # Nodes that are far apart do not determine an unstable trajectory between them.
+        if len(paired) < len(remaining) / 4 or not np.abs(both).max() < MOST_GROWTH:
+            break
+        H[first] += A_first.mT @ H_second @ A_first
+        A[first] = both
+        x[first] += A_first.mT @ (x[second] + H_second @ gap)
+        multiplier[first] = multiplier[second] + A_second @ gap
+        pairs.append((first, second, A_first, gap))
+        remaining = remaining[is_first]
+        coupled = (coupled & np.append(coupled[1:], False))[is_first]
 
-    seconds = firsts[paired] + 1
-    half, second = chain.at(firsts), chain.at(seconds)
-    A, c = half.transition[paired], half.continuity[paired]
-    half.hessian[paired] += A.mT @ second.hessian @ A
-    half.transition[paired] = second.transition @ A
-    half.coupled[paired] = second.coupled
-    half.stationarity[paired] += A.mT @ (second.stationarity + second.hessian @ c)
-    half.continuity[paired] = second.continuity + second.transition @ c
-    # Nodes that are far apart do not determine an unstable trajectory between them.
-    if not np.abs(half.transition).max() < MOST_GROWTH:
-        return _solved_bands(chain, variance)
-
-    x, multiplier = np.empty_like(chain.stationarity), np.empty_like(chain.stationarity)
-    x[firsts], multiplier[firsts] = _solved(half, variance)
-    x[seconds] = A @ x[firsts[paired]] - c
-    multiplier[seconds] = multiplier[firsts[paired]]
-    multiplier[firsts[paired]] = (
-        second.hessian @ x[seconds]
-        + second.transition.mT @ multiplier[seconds]
-        - second.stationarity
-    )
+    chain = (values[remaining] for values in (H, A, x, multiplier))
+    x[remaining], multiplier[remaining] = _solved_bands(*chain, coupled, variance)
+    for first, second, A_first, gap in reversed(pairs):
+        end, force = A_first @ x[first] - gap, multiplier[first]
+        multiplier[first] = H[second] @ end + A[second].mT @ force - x[second]
+        x[second], multiplier[second] = end, force
     return x, multiplier
 
 
-def _solved_bands(chain: _Chain, variance: Array) -> ArrayPair:
-    """Solve a chain as a banded matrix."""
+def _solved_bands(
+    hessian: Array,
+    transition: Array,
+    stationarity: Array,
+    continuity: Array,
+    coupled: BoolArray,
+    variance: Array,
+) -> ArrayPair:
+    """Solve the system as a banded matrix."""
     # It takes half a second to import.
     from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
 
-    hessian, transition, coupled, stationarity, continuity = chain
     s, n, r = stationarity.shape
     # Row i of column j is entry (j, 2 width + i - j) of the transposed bands. LAPACK takes matrices
     # by column, and keeps `width` more rows for its factors. The bands of a long record are large:
