@@ -29,7 +29,7 @@ from greybox.files.arrays import (
 # Curvature, relative to that of the outputs, that holds states which no output shows.
 RIDGE = 1e-10
 
-# Segments above which a chain is halved: for fewer, that takes as long as the banded system.
+# Nodes times states from which a chain is halved: for fewer, the banded system takes less time.
 LONG_CHAIN = 500
 
 # Largest change of a state by a unit change of another one over joined segments. It multiplies
@@ -211,7 +211,7 @@ def _solved(
     """
     remaining = np.arange(len(H))
     pairs = list[Any]()
-    while len(remaining) >= LONG_CHAIN and not variance.any():
+    while len(remaining) * len(variance) >= LONG_CHAIN and not variance.any():
         # Segments are counted from the first one of their stretch.
         count = np.arange(len(remaining))
         begins = np.append(True, ~coupled[:-1])
