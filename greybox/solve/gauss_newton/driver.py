@@ -53,6 +53,7 @@ class GaussNewton(LocalSolver):
         self._parts = AllParts(nlp, self.limits, settings)
         # Minima of the excerpts of a long record, and where runs of all samples ended from there.
         self._ends = list[tuple[Array, Outcome]]()
+        self._polished: tuple[Array, Nodes, Iterate] | None = None
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
@@ -186,6 +187,7 @@ class GaussNewton(LocalSolver):
             return search
         minimum = replace(best, cost=min(cost, best.cost), estimate=self.nlp.estimate_at(end.z))
         nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
+        self._polished = minimum.estimate, nodes, end
         return replace(search, minima=(minimum, *search.minima[1:]), nodes=nodes)
 
     # --- starts
@@ -276,6 +278,9 @@ class GaussNewton(LocalSolver):
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part."""
+        # The part remembers its linearization along the very trajectory of the polished minimum.
+        if self._polished and self._polished[0] is x and self._polished[1] is nodes:
+            return self._polished[2]
         return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.groups.joined(nodes))
 
 
