@@ -99,17 +99,16 @@ class FrequencyGrid:
         k = len(factors[0][0])
         lags = np.zeros((order + 1, k))
         banded = np.zeros((k, k, len(self.starts)), dtype=complex)
-        # Output by output: all products together would fill the memory of long records.
-        for i in range(k):
-            rows = slice(i + 1)
+        # One by one: all products together would fill the memory of long records.
+        for i, j in zip(*np.tril_indices(k), strict=True):
             values: Any = sum(
-                np.einsum("pf,jpf->jf", a[i], b[rows])
-                + np.einsum("jpf,pf->jf", a[rows], b[i]).conj()
+                np.einsum("pf,pf->f", a[i], b[j]) + np.einsum("pf,pf->f", a[j], b[i]).conj()
                 for a, b in factors
             )
-            banded[i, rows] = self.banded(values)
-            banded[rows, i] = banded[i, rows].conj()
-            lags[:, i] = np.fft.irfft(values[i], self.size)[: order + 1]
+            banded[i, j] = self.banded(values)
+            banded[j, i] = banded[i, j].conj()
+            if i == j:
+                lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
 
         return lags, banded
 

@@ -295,9 +295,10 @@ class ResidualSpectra:
     @cached_property
     def periodogram(self) -> tuple[Array, ComplexArray]:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
-        scale = (self.deviation * np.sqrt(self.counts))[:, None]
+        # Half of it, and its adjoint.
+        scale = (self.deviation * np.sqrt(2 * self.counts))[:, None]
         transforms = [np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals]
-        factors = [(z / 2, z.conj()) for z in transforms]
+        factors = [(z, z.conj()) for z in transforms]
         lags, banded = self.grid.covariances(factors, self.highest_order)
         # Outputs that are combinations of others have a singular covariance.
         lags[0] += ROUNDING
@@ -316,10 +317,11 @@ class ResidualSpectra:
         k = len(self.counts)
         power = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
         for rows in self.transforms():
-            for i, j in np.ndindex(k, k):
+            for i, j in zip(*np.tril_indices(k), strict=True):
                 # One by one: together they take as much memory as an output's transforms.
                 terms = map(np.multiply, map(np.conj, rows[i]), rows[j])
                 power[i, j] += self.grid.banded(sum(terms, np.zeros(())))
+                power[j, i] = power[i, j].conj()
         return power
 
     @cached_property
