@@ -30,9 +30,9 @@ from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, Indices,
 from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
-# Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
-# 25 MB, and a longer batch is no faster.
-BATCH = 20_000
+# Samples whose derivatives are in memory at once: 10 000 with five states and ten parameters take
+# 12 MB, and a longer batch is no faster.
+BATCH = 10_000
 
 
 class Course(NamedTuple):
@@ -265,17 +265,11 @@ class Segments:
         for batch in self.batches():
             ends, J, e = self.sensitivities(at, batch)
             # With the residuals as a last column, one product has the Hessian and the gradient.
-            J = np.concatenate([J, e[:, :, None]], axis=2)
-            # A matrix product is faster than einsum where one weight serves all segments.
-            if weight.ndim == 2:
-                J = (weight @ J.reshape(self.length, self.k, -1)).reshape(J.shape)
-            else:
-                J = np.einsum("cab,lbvc->lavc", weight[self.records[batch]], J)
-
-            # Products of stacked matrices are fast for contiguous ones.
-            J = np.ascontiguousarray(J.reshape(-1, v + 1, e.shape[-1]).transpose(2, 0, 1))
+            weights = weight if weight.ndim == 2 else weight[self.records[batch], None]
+            J = weights @ np.concatenate([J, e[..., None]], axis=3)
+            J = J.reshape(len(J), -1, v + 1)
             H = J.mT @ J
-            slopes[batch] = ends.transpose(2, 0, 1)
+            slopes[batch] = ends
             by_nodes[batch] = H[:, :n]
             by_parameters += self.by_record(H[:, n:, n:], batch)
 
@@ -290,7 +284,7 @@ class Segments:
         )
 
     def sensitivities(self, at: Course, batch: slice) -> ArrayTriple:
-        """Return derivatives of ends (n, v, c) and residuals (length, k, v, c), and the residuals.
+        """Return derivatives of ends (c, n, v) and residuals (c, length, k, v), and the residuals.
 
         They are those of the c segments of a `batch`, by node and active parameters.
         """
@@ -298,12 +292,10 @@ class Segments:
             values.reshape(-1, self.length, self.count)[:, :, batch]
             for values in (at.states, at.data)
         )
-        count = data.shape[2]
         q = at.q[:, batch] if self._own else at.q
         part = Course(states.reshape(self.n, -1), q, data.reshape(len(data), -1))
         slopes, e = _finite(self._evaluate("derivatives", part))
-        S, J = self.propagated(slopes, count)
-        return S, J, e.reshape(self.k, self.length, count).swapaxes(0, 1)
+        return *self.propagated(slopes), e.reshape(self.k, self.length, -1).T
 
     def sample_derivatives(self, at: Course) -> ArrayPair:
         """Return derivatives of next states and residuals by state and active parameters.
@@ -320,30 +312,29 @@ class Segments:
         Not finite from where the simulation is not.
         """
         slopes, _ = self._evaluate("output_derivatives", at)
-        return np.ascontiguousarray(self.propagated(slopes, self.count)[1].transpose(3, 0, 1, 2))
+        return self.propagated(slopes)[1]
 
-    def propagated(self, slopes: Array, count: int) -> ArrayPair:
-        """Carry the derivatives of every sample through the segments.
+    def propagated(self, slopes: Array) -> ArrayPair:
+        """Carry the derivatives of every sample through c segments.
 
-        Returns those of ends (n, v, count) and rows (length, k, v, count).
+        Returns those of ends (c, n, v) and rows (c, length, k, v).
 
         The slopes are those of next states and rows (n + k) by the v states and parameters at a
         sample; CasADi stacks them column by column.
         """
         n = self.n
         v = n + len(self.active)
-        slopes = slopes.reshape(v, n + self.k, self.length, count)
-        J = np.empty((self.length, self.k, v, count))
-        S = np.zeros((n, v, count))
-        S[range(n), range(n)] = 1
-
-        for i in range(self.length):
-            following = _product(slopes[:n, :, i], S)
+        shape = v, n + self.k, self.length, -1
+        S, rows = np.eye(n, v), list[Array]()
+        # Products of stacked matrices are fast for contiguous ones.
+        for slope in np.ascontiguousarray(slopes.reshape(shape).transpose(2, 3, 1, 0)):
+            following = slope[..., :n] @ S
             # The parameters also act at this very sample, besides through the state.
-            following[:, n:] += slopes[n:, :, i].swapaxes(0, 1)
-            S, J[i] = following[:n], following[n:]
+            following[..., n:] += slope[..., n:]
+            S = following[:, :n]
+            rows.append(following[:, n:])
 
-        return S, J
+        return S, np.stack(rows, axis=1)
 
     def mean_transition(self, at: Course) -> ArrayPair:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
@@ -356,14 +347,6 @@ class Segments:
         """Return slices of segments whose derivatives fit into memory together."""
         size = max(BATCH // self.length, 1)
         return [slice(first, first + size) for first in range(0, self.count, size)]
-
-
-def _product(slopes: Array, S: Array) -> Array:
-    """Return the products (a, v, c) of slopes (n, a, c) with sensitivities (n, v, c)."""
-    # With twelve states or more, products of matrices take less time than sums over segments.
-    if len(slopes) <= 12:
-        return np.einsum("jac,jvc->avc", slopes, S)
-    return (np.ascontiguousarray(slopes.T) @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
 
 
 def _finite(values: Arrays) -> list[Array]:
