@@ -22,6 +22,7 @@ from greybox.files.arrays import (
     ArrayPair,
     BoolArray,
     all_finite,
+    diagonal,
     of_diagonal,
     positive_or_one,
 )
@@ -60,7 +61,7 @@ def condense(
     node_damping = np.zeros_like(trajectory.gaps)
     if damping:
         node_damping = damping * _node_curvature(b, variance, data)
-    node_hessian = b.node_hessian + held + node_damping[:, :, None] * np.eye(segments.n)
+    node_hessian = b.node_hessian + held + diagonal(node_damping)
 
     # The right-hand sides: the gradient of the residuals, and its derivatives with respect to the
     # parameters.
@@ -70,19 +71,16 @@ def condense(
         node_hessian, b.transition, data.coupled, stationarity, continuity, variance
     )
 
-    hessian, gradient = b.parameter_hessian.copy(), b.parameter_gradient.copy()
-    for record, rows in enumerate(segments.record_rows):
-        change = np.tensordot(b.cross_hessian[rows], x[rows], ((0, 1), (0, 1)))
-        # The last segment of a stretch continues nowhere: its multiplier is zero.
-        change += np.tensordot(b.parameter_sensitivity[rows], multiplier[rows], ((0, 1), (0, 1)))
-        hessian[record] += change[:, 1:]
-        gradient[record] += change[:, 0]
+    # The last segment of a stretch continues nowhere: its multiplier is zero.
+    change = segments.by_record(b.cross_hessian.mT @ x + b.parameter_sensitivity.mT @ multiplier)
+    hessian = b.parameter_hessian + change[:, :, 1:]
+    gradient = b.parameter_gradient + change[:, :, 0]
 
     # The decrease that the quadratic model predicts for a step of the nodes only. It is that of the
     # undamped system, because the prediction is compared with the true merit.
     step = x[:, :, 0]
-    curved = float((step * (b.node_hessian @ x[:, :, :1])[:, :, 0]).sum())
-    lost = float((b.node_gradient * step).sum()) + 0.5 * curved
+    curved = np.einsum("si,sij,sj->", step, b.node_hessian, step)
+    lost = float((b.node_gradient * step).sum() + 0.5 * curved)
     relaxed = variance > 0
     gaps = (variance * multiplier[:, :, 0])[:, relaxed] ** 2 - trajectory.gaps[:, relaxed] ** 2
     lost += 0.5 * float((gaps / variance[relaxed]).sum())

@@ -39,12 +39,9 @@ class DisturbedRecord:
         segments, data = part.segments, placed.data
         m, k = len(part.system.inputs), len(part.outputs)
         # Slopes of the next states (length, s, n, v), and of the residuals (length, s, k, v).
-        self._slopes = [
-            slope.reshape(*slope.shape[:2], segments.length, segments.count)
-            .transpose(2, 3, 1, 0)
-            .copy()
-            for slope in segments.sample_derivatives(trajectory.course)
-        ]
+        slopes = segments.sample_derivatives(trajectory.course)
+        slopes = slopes.reshape(segments.length, segments.count, *slopes.shape[1:])
+        self._slopes = np.split(slopes, [segments.n], axis=2)
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
         self.residuals = part.residuals(trajectory)
@@ -156,7 +153,7 @@ class DisturbedRecord:
             for place, group in groupby(changes, itemgetter(0))
         ]
         following, residuals = (np.concatenate(each, axis=3) for each in zip(*effects, strict=True))
-        ends, rows = self._carried(0 * following[0], following, residuals)
+        ends, rows = self._carried(following, residuals)
         if part.states:
             rows += self._by_nodes[1] @ self._nodes(ends, rows)
         return rows.reshape(part.samples, -1, len(changes)).transpose(1, 2, 0)
@@ -176,23 +173,23 @@ class DisturbedRecord:
     def _by_nodes(self) -> ArrayTriple:
         """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
         part, n = self.part, self.part.states
-        nodes = np.tile(np.eye(n), (part.segments.count, 1, 1))
-        ends, J = self._carried(nodes, *(0 * slope[..., :n] for slope in self._slopes))
+        ends, J, _ = part.segments.sensitivities(self.trajectory.course, slice(None))
+        ends, J = ends[..., :n], J[..., :n].reshape(len(J), -1, n)
         # Known initial states cannot compensate for a term.
         unknown = ~part.known_states[:, None]
         ends, J = ends * unknown, J * unknown
         weighted = (self.weight.T @ self.weight) @ J.reshape(len(J), -1, len(self.weight), n)
         return ends, J, weighted.reshape(J.shape).mT
 
-    def _carried(self, S: Array, following: Array, residuals: Array) -> ArrayPair:
-        """Carry derivatives S (s, n, c) of nodes through the segments, with the effects of c terms.
+    def _carried(self, following: Array, residuals: Array) -> ArrayPair:
+        """Carry the effects of c terms through the segments, from zero nodes.
 
-        Returns those of ends (s, n, c) and of residuals (s, length · k, c). With many terms,
-        products of matrices take less time than the sums of `Segments.propagated`.
+        Returns those on ends (s, n, c) and on residuals (s, length · k, c).
         """
         # No residual follows where nothing was measured.
         present = self._by_sample(self.present)[..., None]
-        rows, n = list[Array](), S.shape[1]
+        S, n = 0 * following[0], self.part.states
+        rows = list[Array]()
         for A, C, *effects, measured in zip(
             *self._slopes, following, residuals, present, strict=True
         ):

@@ -297,14 +297,18 @@ class Segments:
         slopes, e = _finite(self._evaluate("derivatives", part))
         return *self.propagated(slopes), e.reshape(self.k, self.length, -1).T
 
-    def sample_derivatives(self, at: Course) -> ArrayPair:
-        """Return derivatives of next states and residuals by state and active parameters.
+    def sample_derivatives(self, at: Course) -> Array:
+        """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
 
-        They are (v, n, columns) and (v, k, columns), of every sample alone.
+        They are those by the state at the sample and the active parameters.
         """
-        slopes, _ = _finite(self._evaluate("derivatives", at))
-        slopes = slopes.reshape(-1, self.n + self.k, at.data.shape[1])
-        return slopes[:, : self.n], slopes[:, self.n :]
+        return self._by_sample(_finite(self._evaluate("derivatives", at))[0])
+
+    def _by_sample(self, slopes: Array) -> Array:
+        # CasADi stacks them column by column. Products of stacked matrices are fast for contiguous
+        # ones.
+        slopes = slopes.reshape(-1, self.n + self.k, slopes.shape[1])
+        return np.ascontiguousarray(slopes.transpose(2, 1, 0))
 
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -320,14 +324,12 @@ class Segments:
         Returns those of ends (c, n, v) and rows (c, length, k, v).
 
         The slopes are those of next states and rows (n + k) by the v states and parameters at a
-        sample; CasADi stacks them column by column.
+        sample.
         """
         n = self.n
-        v = n + len(self.active)
-        shape = v, n + self.k, self.length, -1
-        S, rows = np.eye(n, v), list[Array]()
-        # Products of stacked matrices are fast for contiguous ones.
-        for slope in np.ascontiguousarray(slopes.reshape(shape).transpose(2, 3, 1, 0)):
+        slopes = self._by_sample(slopes)
+        S, rows = np.eye(n, slopes.shape[2]), list[Array]()
+        for slope in slopes.reshape(self.length, -1, *slopes.shape[1:]):
             following = slope[..., :n] @ S
             # The parameters also act at this very sample, besides through the state.
             following[..., n:] += slope[..., n:]
@@ -340,8 +342,9 @@ class Segments:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(at.states.shape[1] // 500, 1))
-        A, C = self.sample_derivatives(Course(at.states[:, sample], at.q, at.data[:, sample]))
-        return A[: self.n].mean(axis=2).T, -C[: self.n].mean(axis=2).T
+        along = Course(at.states[:, sample], at.q, at.data[:, sample])
+        slopes = self.sample_derivatives(along)[..., : self.n].mean(axis=0)
+        return slopes[: self.n], -slopes[self.n :]
 
     def batches(self) -> list[slice]:
         """Return slices of segments whose derivatives fit into memory together."""

@@ -297,8 +297,8 @@ class ResidualSpectra:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
         # Half of it, and its adjoint.
         scale = (self.deviation * np.sqrt(2 * self.counts))[:, None]
-        transforms = [np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals]
-        factors = [(z, z.conj()) for z in transforms]
+        transforms = (np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals)
+        factors = ((z, z) for z in transforms)
         lags, banded = self.grid.covariances(factors, self.highest_order)
         # Outputs that are combinations of others have a singular covariance.
         lags[0] += ROUNDING
@@ -314,15 +314,8 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
-        k = len(self.counts)
-        power = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
-        for rows in self.transforms():
-            for i, j in zip(*np.tril_indices(k), strict=True):
-                # One by one: together they take as much memory as an output's transforms.
-                terms = map(np.multiply, map(np.conj, rows[i]), rows[j])
-                power[i, j] += self.grid.banded(sum(terms, np.zeros(())))
-                power[j, i] = power[i, j].conj()
-        return power
+        factors = ((z, z) for z in self.transforms())
+        return self.grid.covariances(factors, 0)[1].conj() / 2
 
     @cached_property
     def slow(self) -> Array:
@@ -607,7 +600,7 @@ class ResidualSpectra:
             covariance[:p, :p] = middle
             half = C - covariance.T @ taken / 2
             half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
-            pairs.append((first, np.fft.rfft(half, grid.size).conj()))
+            pairs.append((first, np.fft.rfft(half, grid.size)))
 
         return grid.covariances(pairs, self.highest_order)
 
