@@ -88,10 +88,9 @@ def condense(
     hessian = (hessian + hessian.mT) / 2
     slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
-    by_z = slopes.reshape(-1, slope.shape[-1])
     return Condensed(
-        hessian=by_z.T @ (hessian @ slopes).reshape(by_z.shape),
-        gradient=by_z.T @ gradient.ravel(),
+        hessian=(slopes.mT @ hessian @ slopes).sum(axis=0),
+        gradient=np.einsum("rqz,rq->z", slopes, gradient),
         node_step=step,
         node_sensitivity=x[:, :, 1:] @ slopes[segments.records],
         multiplier=multiplier[:, :, 0],
@@ -113,7 +112,7 @@ def _held_curvature(b: Linearization, variance: Array, data: SampledData, larges
     begins = data.begins_stretch
     curvature = np.zeros_like(b.node_hessian)
     # What the first segments show is enough for most models.
-    shown, _ = np.linalg.eigh(b.node_hessian[begins] * size * size[:, None])
+    shown = np.linalg.eigvalsh(b.node_hessian[begins] * size * size[:, None])
     if shown.min(initial=1.0) > 0.25:
         return curvature
     forces = begins[:, None, None] * np.diag(1 / size)

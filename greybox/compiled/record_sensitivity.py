@@ -10,7 +10,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart, filter_information
 from greybox.compiled.segments import Linearization
-from greybox.files.arrays import Array, NamedArrays, frozen, of_diagonal
+from greybox.files.arrays import Array, NamedArrays, frozen, of_diagonal, real_root
 from greybox.statistics.column_space import triangle_of
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 
@@ -55,9 +55,8 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
-    curvature = of_diagonal(linearization.node_hessian)
-    noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
-    del linearization, curvature  # for a long record, a tenth of the memory
+    noticed = real_root(of_diagonal(linearization.node_hessian).sum(axis=0))
+    del linearization  # for a long record, a tenth of the memory
     known = part.known_states
     by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)
 

@@ -234,8 +234,6 @@ class Segments:
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
-        if self.number == 1:
-            return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.

@@ -456,7 +456,7 @@ class ResidualSpectra:
         # A state that no output shows has no process noise that could be estimated.
         for H in filtered.swapaxes(0, 1):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
-            power = float(np.einsum("iif->f", spectrum).real @ self.grid.weight) / len(H)
+            power = float((np.abs(H) ** 2 @ self.grid.weight).mean())
             if power > TINY:
                 density = self.grid.banded(spectrum / power)
                 parts.append((density, self._left(density, spectrum / power)))
