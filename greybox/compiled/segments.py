@@ -291,7 +291,8 @@ class Segments:
             for values in (at.states, at.data)
         )
         q = at.q[:, batch] if self._own else at.q
-        part = Course(states.reshape(self.n, -1), q, data.reshape(len(data), -1))
+        columns = data[0].size
+        part = Course(states.reshape(-1, columns), q, data.reshape(-1, columns))
         slopes, e = _finite(self._evaluate("derivatives", part))
         return *self.propagated(slopes), e.reshape(self.k, self.length, -1).T
 
