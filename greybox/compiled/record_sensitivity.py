@@ -68,10 +68,10 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle, squares = np.zeros((0, p)), np.zeros(p)
     for batch in segments.batches():
-        _, J, _ = segments.sensitivities(trajectory.course, batch)
+        _, J = segments.sensitivities(trajectory.course, batch)
         J = (weight @ J).reshape(len(J), length * k, -1)
         by_states = J[..., :n] @ by_nodes[batch]
-        by_parameters = J[..., n:] @ placed.slope
+        by_parameters = J[..., n:-1] @ placed.slope
         for columns in (by_states, by_parameters):
             squares += np.einsum("crp,crp->p", columns, columns)
         root = by_states + by_parameters

@@ -26,7 +26,7 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
-from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, Indices, IntArray
+from greybox.files.arrays import Array, ArrayPair, Arrays, Indices, IntArray
 from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
@@ -261,11 +261,10 @@ class Segments:
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
         for batch in self.batches():
-            ends, J, e = self.sensitivities(at, batch)
-            # With the residuals as a last column, one product has the Hessian and the gradient.
+            ends, J = self.sensitivities(at, batch)
             weights = weight if weight.ndim == 2 else weight[self.records[batch], None]
-            J = weights @ np.concatenate([J, e[..., None]], axis=3)
-            J = J.reshape(len(J), -1, v + 1)
+            J = (weights @ J).reshape(len(J), -1, v + 1)
+            # The residuals are the last column: one product has the Hessian and the gradient.
             H = J.mT @ J
             slopes[batch] = ends
             by_nodes[batch] = H[:, :n]
@@ -281,8 +280,8 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(self, at: Course, batch: slice) -> ArrayTriple:
-        """Return derivatives of ends (c, n, v) and residuals (c, length, k, v), and the residuals.
+    def sensitivities(self, at: Course, batch: slice) -> ArrayPair:
+        """Return derivatives of ends (c, n, v) and residuals, with these: (c, length, k, v + 1).
 
         They are those of the c segments of a `batch`, by node and active parameters.
         """
@@ -294,7 +293,8 @@ class Segments:
         columns = data[0].size
         part = Course(states.reshape(-1, columns), q, data.reshape(-1, columns))
         slopes, e = _finite(self._evaluate("derivatives", part))
-        return *self.propagated(slopes), e.reshape(self.k, self.length, -1).T
+        ends, J = self.propagated(slopes)
+        return ends, np.concatenate([J, e.reshape(self.k, self.length, -1).T[..., None]], axis=3)
 
     def sample_derivatives(self, at: Course) -> Array:
         """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
