@@ -183,32 +183,18 @@ def solve_continuity(
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
-    x, multiplier = _solved(
-        hessian * size * size[:, None] + RIDGE * np.eye(n),
-        np.where(linked, transition * size / size[:, None], 0.0),
-        coupled,
-        stationarity * size[:, None],
-        np.where(linked, continuity / size[:, None], 0.0),
-        np.broadcast_to(variance, n) / size**2,
-    )
-    x *= size[:, None]
-    multiplier /= size[:, None]
-    return x, multiplier
+    H = hessian * size * size[:, None] + RIDGE * np.eye(n)
+    A = np.where(linked, transition * size / size[:, None], 0.0)
+    x = stationarity * size[:, None]
+    multiplier = np.where(linked, continuity / size[:, None], 0.0)
+    variance = np.broadcast_to(variance, n) / size**2
 
-
-def _solved(
-    H: Array, A: Array, coupled: BoolArray, x: Array, multiplier: Array, variance: Array
-) -> ArrayPair:
-    """Solve the system in units in which states are of order one.
-
-    The right-hand sides are replaced by the solution, and H and A are changed, too.
-
-    Two neighboring segments of a long chain with exact continuity become one, as often as possible:
-    the second node follows from the first. That takes a fifth of the time of the banded system.
-    """
-    remaining, coupled = np.arange(len(H)), coupled.copy()
-    pairs = list[Any]()
-    while len(remaining) * len(variance) >= LONG_CHAIN and not variance.any():
+    # Two neighboring segments of a long chain with exact continuity become one, as often as
+    # possible: the second node follows from the first. That takes a fifth of the time of the banded
+    # system. All is done in place: fresh memory for copies would take as long as the arithmetic.
+    remaining, pairs = np.arange(s), list[Any]()
+    coupled = coupled.copy()
+    while len(remaining) * n >= LONG_CHAIN and not variance.any():
         paired = 2 * np.flatnonzero(coupled[:-1:2])
         first, second = remaining[paired], remaining[paired + 1]
         A_first, A_second, H_second, gap = A[first], A[second], H[second], multiplier[first]
@@ -230,6 +216,8 @@ def _solved(
         end, force = A_first @ x[first] - gap, multiplier[first]
         multiplier[first] = H[second] @ end + A[second].mT @ force - x[second]
         x[second], multiplier[second] = end, force
+    x *= size[:, None]
+    multiplier /= size[:, None]
     return x, multiplier
 
 
@@ -241,7 +229,7 @@ def _solved_bands(
     coupled: BoolArray,
     variance: Array,
 ) -> ArrayPair:
-    """Solve the system as a banded matrix."""
+    """Solve the system of `solve_continuity`, its states of order one, as a banded matrix."""
     # It takes half a second to import.
     from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -258,7 +246,7 @@ def _solved_bands(
         state[:, n : 2 * n] = transition[:, :, column]
         multiplier[:, :n] = transition[:, column]
         multiplier[:, n + column] = np.where(coupled, -variance[column], 1.0)
-    link = np.where(coupled, -1.0, 0.0)[:, None]
+    link = -1.0 * coupled[:, None]
     bands[:, n:, 2 * width + n] = link  # of a multiplier, in the row of the next state
     bands[1:, :n, 2 * width - n] = link[:-1]
 

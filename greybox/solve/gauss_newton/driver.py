@@ -93,14 +93,13 @@ class GaussNewton(LocalSolver):
             first = shorter._solved(*shorter._begun(shorter._parts.at(begin.z)))
             for minimum, outcome in self._ends:
                 if np.allclose(first.estimate, minimum, rtol=1e-6, atol=0.0):
-                    return spent(outcome, first)
+                    return replace(outcome, iterations=first.iterations, seconds=first.seconds)
             after = parts.at(nlp.scaling.to_solver(first.estimate))
             # Excerpts may lack the manoeuvre that shows a parameter.
             if parts.unexplained(after) < parts.unexplained(begin):
                 outcome = self._solved(after, EXACT)
                 if outcome.converged:
-                    free = replace(outcome, iterations=0, seconds=0.0)
-                    self._ends.append((first.estimate, free))
+                    self._ends.append((first.estimate, outcome))
                     return spent(outcome, first)
         return self._solved(*self._begun(begin))
 
