@@ -120,7 +120,7 @@ def _held_curvature(b: Linearization, variance: Array, data: SampledData, larges
         b.node_hessian, b.transition, data.coupled, forces, np.zeros_like(forces), variance
     )
     covariance = x[begins] / size[:, None]
-    values, directions = np.linalg.eigh((covariance + covariance.mT) / 2)
+    values, directions = np.linalg.eigh(covariance)
     # A state that decays within a sample has about the largest variance, and is free.
     directions *= (values > 4)[:, None] / size[:, None]
     # A step along them is shortened to less than 1e-8 of itself.

@@ -155,7 +155,7 @@ def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Arr
     samples = np.arange(shocks.shape[2])
     for response, measured in zip(shocks, data.stretches[longest].outputs, strict=True):
         present = np.isfinite(measured)
-        if present.any() and not present.all():  # missing samples have no sensitivity
+        if present.any():  # missing samples have no sensitivity
             for row in response:
                 row[:] = np.interp(samples, samples[present], row[present])
 

@@ -101,7 +101,7 @@ class SegmentedPart(Part):
         self.few = covariance.few() if is_estimated else 0 * covariance.counts
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
         self._placed_data: ArrayPair | None = None
-        self._linearized: tuple[Trajectory, Array, Linearization] | None = None
+        self._linearized: Any = None  # trajectory, weight and linearization
 
     @property
     def problem(self) -> Problem:
@@ -250,8 +250,8 @@ class SegmentedPart(Part):
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
 
-        known, records = self.known_states, self.segments.records
-        b = without_known_states(b, known, placed.initial_slope, records)
+        records = self.segments.records
+        b = without_known_states(b, self.known_states, placed.initial_slope, records)
         self._linearized = trajectory, weight, b
         return b
 

@@ -15,7 +15,6 @@ and columns; products with block-diagonal sparse matrices carry the derivatives 
 next.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,7 +26,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
 from greybox.files.arrays import Array, ArrayPair, Arrays, Indices, IntArray
-from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
+from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
 # Samples whose derivatives are in memory at once: 10 000 with five states and ten parameters take
@@ -161,11 +160,10 @@ class Segments:
             at = at._replace(q=np.tile(at.q, at.data.shape[1] // at.q.shape[1]))
         return self._columns(name)(*at)
 
-    @cached_property
-    def record_rows(self) -> list[slice]:
-        """Return the segments of every record."""
-        ends = np.cumsum(np.bincount(self.records, minlength=self.number)).tolist()
-        return list(itertools.starmap(slice, itertools.pairwise([0, *ends])))
+    @property
+    def first_of_record(self) -> IntArray:
+        """Return the first segment of every record."""
+        return np.flatnonzero(np.diff(self.records, prepend=-1))
 
     # --- the order of samples
 

@@ -61,8 +61,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         distance = 2 * step.distance
         # Of a standard error, the step changes none of the first nine digits, or of the parameters,
         # which long records determine to many digits, none of the first twelve.
-        is_rounding = bool(np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z)))
-        if remaining < (1e-12 if is_rounding else 1e-18):
+        if remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z)):
             break
 
         following = followed(parts, iterate, step)
