@@ -326,7 +326,7 @@ class Segments:
         n = self.n
         slopes = self._by_sample(slopes)
         S, rows = np.eye(n, slopes.shape[2]), list[Array]()
-        for slope in slopes.reshape(self.length, -1, *slopes.shape[1:]):
+        for slope in np.split(slopes, self.length):
             following = slope[..., :n] @ S
             # The parameters also act at this very sample, besides through the state.
             following[..., n:] += slope[..., n:]
