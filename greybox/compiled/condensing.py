@@ -211,7 +211,7 @@ def solve_continuity(
         remaining, coupled = (np.delete(each, paired + 1) for each in (remaining, coupled))
 
     chain = (values[remaining] for values in (H, A, x, multiplier))
-    x[remaining], multiplier[remaining] = _solved_bands(*chain, coupled, variance)
+    x[remaining], multiplier[remaining] = _solved_bands(coupled, variance, *chain)
     for first, second, A_first, gap in reversed(pairs):
         end, force = A_first @ x[first] - gap, multiplier[first]
         multiplier[first] = H[second] @ end + A[second].mT @ force - x[second]
@@ -222,12 +222,12 @@ def solve_continuity(
 
 
 def _solved_bands(
+    coupled: BoolArray,
+    variance: Array,
     hessian: Array,
     transition: Array,
     stationarity: Array,
     continuity: Array,
-    coupled: BoolArray,
-    variance: Array,
 ) -> ArrayPair:
     """Solve the system of `solve_continuity`, its states of order one, as a banded matrix."""
     # It takes half a second to import.

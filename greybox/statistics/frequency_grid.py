@@ -104,7 +104,9 @@ class FrequencyGrid:
             of_bands = np.empty((k, k, len(self.starts)), dtype=complex)
             # One by one: all products together would fill the memory of long records.
             for i, j in zip(*np.tril_indices(k), strict=True):
-                values = np.vecdot(b[j], a[i], axis=0) + np.vecdot(a[j], b[i], axis=0)
+                first = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
+                second = np.vecdot(a[j], b[i], axis=0)  # pyright: ignore[reportCallIssue]
+                values = first + second
                 of_bands[i, j] = self.banded(values)
                 of_bands[j, i] = of_bands[i, j].conj()
                 if i == j:
