@@ -77,7 +77,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         root = by_states + by_parameters
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
-        triangle = triangle_of(np.vstack([triangle, root.reshape(-1, p)]))
+        triangle = triangle_of(np.vstack([triangle, root.swapaxes(0, 1).reshape(-1, p)]))
         directions = J[..., :n] @ initial_directions[batch]
         for result, columns in ((weighted, root), (by_initial, directions)):
             by_output = columns.reshape(len(J), length, k, -1)
