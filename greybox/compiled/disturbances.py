@@ -18,8 +18,8 @@ from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array, ArrayPair, ArrayTriple
 from greybox.modeling.added_terms import factors_of_derivatives
 
-Effect = ArrayPair
-"""What c terms add to next states (length, s, n, c) and residuals (length, s, k, c) of segments."""
+Effect = Array
+"""What c terms add to next states and residuals of segments, (length, s, n + k, c)."""
 
 # Logarithm of the growth of an error over a record, beyond which its model counts as unstable.
 UNSTABLE = 4.6
@@ -38,13 +38,9 @@ class DisturbedRecord:
         placed = trajectory.detail
         segments, data = part.segments, placed.data
         m, k = len(part.system.inputs), len(part.outputs)
-        # Slopes of the next states (length, s, n, v), and of the residuals (length, s, k, v).
-        self._slopes = [
-            slope.reshape(*slope.shape[:2], segments.length, segments.count)
-            .transpose(2, 3, 1, 0)
-            .copy()
-            for slope in segments.sample_derivatives(trajectory.course)
-        ]
+        # Slopes of the next states and the residuals, (length, s, n + k, v).
+        slopes = segments.sample_derivatives(trajectory.course)
+        self._slopes = slopes.reshape(segments.length, segments.count, *slopes.shape[1:])
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
         self.residuals = part.residuals(trajectory)
@@ -60,7 +56,8 @@ class DisturbedRecord:
     @cached_property
     def growth(self) -> float:
         """The logarithm of how much errors of the states grow over the record without inputs."""
-        A = self._slopes[0][..., : self.part.states].mean(axis=(0, 1))
+        n = self.part.states
+        A = self._slopes[:, :, :n, :n].mean(axis=(0, 1))
         growth = np.abs(np.linalg.eigvals(A)).max(initial=1.0)
         return float(self.part.samples * np.log(growth))
 
@@ -78,9 +75,8 @@ class DisturbedRecord:
 
     def by_parameter(self, place: int, values: Array) -> Effect:
         """Return the effect of an active parameter that changes by values (c, samples)."""
-        change = self._by_sample(values)[:, :, None]
-        following, residuals = (slope[..., [self.part.states + place]] for slope in self._slopes)
-        return following * change, residuals * change
+        slopes = self._slopes[..., [self.part.states + place]]
+        return slopes * self._by_sample(values)[:, :, None]
 
     def by_state(self, place: int, values: Array) -> Effect:
         """Return the effect of values (c, samples) that add to the derivative of a state."""
@@ -130,11 +126,11 @@ class DisturbedRecord:
             mean[..., :-1] += mean[..., 1:]
             mean[..., :-1] /= 2
         mean = self._by_sample(mean)
-        change = np.einsum("lsnj,lsjc->lsnc", self._slopes[0][..., :n][..., moved], mean)
+        change = np.einsum("lsnj,lsjc->lsnc", self._slopes[:, :, :n, :n][..., moved], mean)
         change[:, :, moved] += mean
         change *= self._half_steps
         outputs = self._by_sample(slopes[n:])[..., None] * -self._by_sample(values)[:, :, None]
-        return change, outputs
+        return np.concatenate([change, outputs], axis=2)
 
     def _by_sample(self, values: Array) -> Array:
         """Return values (c, r, samples) as (length, s, r, c): sample by sample of all segments."""
@@ -155,8 +151,7 @@ class DisturbedRecord:
             place(-np.array([values for _, values in group]))
             for place, group in groupby(changes, itemgetter(0))
         ]
-        following, residuals = (np.concatenate(each, axis=3) for each in zip(*effects, strict=True))
-        ends, rows = self._carried(0 * following[0], following, residuals)
+        ends, rows = self._carried(np.concatenate(effects, axis=3))
         if part.states:
             rows += self._by_nodes[1] @ self._nodes(ends, rows)
         return rows.reshape(part.samples, -1, len(changes)).transpose(1, 2, 0)
@@ -176,26 +171,25 @@ class DisturbedRecord:
     def _by_nodes(self) -> ArrayTriple:
         """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
         part, n = self.part, self.part.states
-        nodes = np.tile(np.eye(n), (part.segments.count, 1, 1))
-        ends, J = self._carried(nodes, *(0 * slope[..., :n] for slope in self._slopes))
+        ends, J = part.segments.sensitivities(self.trajectory.course, slice(None))
         # Known initial states cannot compensate for a term.
         unknown = ~part.known_states[:, None]
-        ends, J = ends * unknown, J * unknown
-        weighted = (self.weight.T @ self.weight) @ J.reshape(len(J), -1, len(self.weight), n)
-        return ends, J, weighted.reshape(J.shape).mT
+        J = J[..., :n] * unknown[:, None]
+        weighted = self.weight.T @ self.weight @ J
+        shape = len(J), -1, n
+        return ends[..., :n] * unknown, J.reshape(shape), weighted.reshape(shape).mT
 
-    def _carried(self, S: Array, following: Array, residuals: Array) -> ArrayPair:
-        """Carry derivatives S (s, n, c) of nodes through the segments, with the effects of c terms.
+    def _carried(self, effects: Effect) -> ArrayPair:
+        """Carry the effects of c terms through the segments, from zero nodes.
 
-        Returns those of ends (s, n, c) and of residuals (s, length · k, c). With many terms,
-        products of matrices take less time than the sums of `Segments.propagated`.
+        Returns those on ends (s, n, c) and on residuals (s, length · k, c).
         """
+        n = self.part.states
         # No residual follows where nothing was measured.
         present = self._by_sample(self.present)[..., None]
-        rows, n = list[Array](), S.shape[1]
-        for A, C, *effects, measured in zip(
-            *self._slopes, following, residuals, present, strict=True
-        ):
-            rows.append((C[..., :n] @ S + effects[1]) * measured)
-            S = A[..., :n] @ S + effects[0]
+        S, rows = np.zeros_like(effects[0, :, :n]), list[Array]()
+        for slopes, effect, measured in zip(self._slopes, effects, present, strict=True):
+            following = slopes[..., :n] @ S + effect
+            S = following[:, :n]
+            rows.append(following[:, n:] * measured)
         return S, np.hstack(rows)

@@ -19,7 +19,7 @@ from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, Arrays, IntArray, diagonal, of_diagonal
+from greybox.files.arrays import Array, Arrays, IntArray, by_name, diagonal, of_diagonal
 from greybox.files.grouping import grouped
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
@@ -95,8 +95,9 @@ class RecordGroup(SegmentedPart):
     def initial_nodes(self, q: Array, known: Array) -> Array:
         """Return nodes (s, n) from the data of each record."""
         nodes = []
-        for k, (part, rows) in enumerate(zip(self.parts, self.segments.record_rows, strict=True)):
-            q_of_part = q if q.ndim == 1 else q[:, rows.start]
+        firsts = self.segments.first_of_record
+        for k, (part, first) in enumerate(zip(self.parts, firsts, strict=True)):
+            q_of_part = q if q.ndim == 1 else q[:, first]
             nodes.append(part.initial_nodes(q_of_part, known if known.ndim == 1 else known[k]))
         return np.concatenate(nodes)
 
@@ -119,8 +120,8 @@ class Groups:
         """Return the nodes of every part, given those of every group."""
         result: dict[int, Array] = {}
         for lot, group, of_group in zip(self._lots, self.parts, nodes, strict=True):
-            rows = group.segments.record_rows if isinstance(group, RecordGroup) else [slice(None)]
-            result |= {k: of_group[of_part] for k, of_part in zip(lot, rows, strict=True)}
+            firsts = group.segments.first_of_record if isinstance(group, RecordGroup) else [0]
+            result |= by_name(lot, np.split(of_group, firsts[1:]))
         return [result[k] for k in sorted(result)]
 
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:

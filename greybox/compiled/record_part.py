@@ -102,7 +102,9 @@ class RecordPart(SegmentedPart):
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":
         """Return the part with `factor` times the substeps."""
-        return RecordPart(self.model, self.data, factor * self.substeps, covariance=self.covariance)
+        part = RecordPart(self.model, self.data, factor * self.substeps, covariance=self.covariance)
+        part._placed_data = self._placed_data  # of a long record, it takes a tenth of the memory
+        return part
 
     # --- facts
 

@@ -10,7 +10,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart, filter_information
 from greybox.compiled.segments import Linearization
-from greybox.files.arrays import Array, NamedArrays, frozen, of_diagonal
+from greybox.files.arrays import Array, NamedArrays, frozen, of_diagonal, real_root
 from greybox.statistics.column_space import triangle_of
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 
@@ -55,9 +55,8 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
-    curvature = of_diagonal(linearization.node_hessian)
-    noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
-    del linearization, curvature  # for a long record, a tenth of the memory
+    noticed = real_root(of_diagonal(linearization.node_hessian).sum(axis=0))
+    del linearization  # for a long record, a tenth of the memory
     known = part.known_states
     by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)
 
@@ -69,22 +68,20 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle, squares = np.zeros((0, p)), np.zeros(p)
     for batch in segments.batches():
-        _, J, _ = segments.sensitivities(trajectory.course, batch)
-        J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
-        # In the order of J, a sum takes an eighth of its time.
-        nodes = by_nodes[batch].transpose(1, 2, 0).copy()
-        by_states = np.einsum("lknc,npc->lkpc", J[:, :, :n], nodes)
-        by_parameters = placed.slope.T @ J[:, :, n:]
+        _, J = segments.sensitivities(trajectory.course, batch)
+        J = (weight @ J).reshape(len(J), length * k, -1)
+        by_states = J[..., :n] @ by_nodes[batch]
+        by_parameters = J[..., n:-1] @ placed.slope
         for columns in (by_states, by_parameters):
-            squares += np.einsum("lkpc,lkpc->p", columns, columns)
+            squares += np.einsum("crp,crp->p", columns, columns)
         root = by_states + by_parameters
-        rows = np.moveaxis(root, 2, 0).reshape(p, -1)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
-        triangle = triangle_of(np.hstack([triangle.T, rows]).T)
-        weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
-        directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
-        by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)
+        triangle = triangle_of(np.vstack([triangle, root.swapaxes(0, 1).reshape(-1, p)]))
+        directions = J[..., :n] @ initial_directions[batch]
+        for result, columns in ((weighted, root), (by_initial, directions)):
+            by_output = columns.reshape(len(J), length, k, -1)
+            result[:, :, batch] = (weight.T @ by_output).transpose(2, 3, 0, 1)
 
     by_covariance = np.zeros((p, p))
     if placed.filter is not None:
@@ -158,7 +155,7 @@ def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Arr
     samples = np.arange(shocks.shape[2])
     for response, measured in zip(shocks, data.stretches[longest].outputs, strict=True):
         present = np.isfinite(measured)
-        if present.any() and not present.all():  # missing samples have no sensitivity
+        if present.any():  # missing samples have no sensitivity
             for row in response:
                 row[:] = np.interp(samples, samples[present], row[present])
 

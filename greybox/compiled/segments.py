@@ -15,7 +15,6 @@ and columns; products with block-diagonal sparse matrices carry the derivatives 
 next.
 """
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -26,13 +25,13 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
-from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, Indices, IntArray
-from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
+from greybox.files.arrays import Array, ArrayPair, Arrays, Indices, IntArray
+from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
-# Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
-# 25 MB, and a longer batch is no faster.
-BATCH = 20_000
+# Samples whose derivatives are in memory at once: 10 000 with five states and ten parameters take
+# 12 MB, and a longer batch is no faster.
+BATCH = 10_000
 
 
 class Course(NamedTuple):
@@ -161,11 +160,10 @@ class Segments:
             at = at._replace(q=np.tile(at.q, at.data.shape[1] // at.q.shape[1]))
         return self._columns(name)(*at)
 
-    @cached_property
-    def record_rows(self) -> list[slice]:
-        """Return the segments of every record."""
-        ends = np.cumsum(np.bincount(self.records, minlength=self.number)).tolist()
-        return list(itertools.starmap(slice, itertools.pairwise([0, *ends])))
+    @property
+    def first_of_record(self) -> IntArray:
+        """Return the first segment of every record."""
+        return np.flatnonzero(np.diff(self.records, prepend=-1))
 
     # --- the order of samples
 
@@ -234,8 +232,6 @@ class Segments:
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
-        if self.number == 1:
-            return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
         # A batch may begin or end within a record, or lack some records.
@@ -258,26 +254,20 @@ class Segments:
         """
         n = self.n
         v = n + len(self.active)
-        pieces = []
+        slopes = np.empty((self.count, n, v))
+        by_nodes = np.empty((self.count, n, v + 1))
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
         for batch in self.batches():
-            ends, J, e = self.sensitivities(at, batch)
-            # With the residuals as a last column, one product has the Hessian and the gradient.
-            J = np.concatenate([J, e[:, :, None]], axis=2)
-            # A matrix product is faster than einsum where one weight serves all segments.
-            if weight.ndim == 2:
-                J = (weight @ J.reshape(self.length, self.k, -1)).reshape(J.shape)
-            else:
-                J = np.einsum("cab,lbvc->lavc", weight[self.records[batch]], J)
-
-            # Products of stacked matrices are fast for contiguous ones.
-            J = np.ascontiguousarray(J.reshape(-1, v + 1, e.shape[-1]).transpose(2, 0, 1))
+            ends, J = self.sensitivities(at, batch)
+            weights = weight if weight.ndim == 2 else weight[self.records[batch], None]
+            J = (weights @ J).reshape(len(J), -1, v + 1)
+            # The residuals are the last column: one product has the Hessian and the gradient.
             H = J.mT @ J
-            pieces.append((ends.transpose(2, 0, 1), H[:, :n].copy()))
+            slopes[batch] = ends
+            by_nodes[batch] = H[:, :n]
             by_parameters += self.by_record(H[:, n:, n:], batch)
 
-        slopes, by_nodes = map(np.concatenate, zip(*pieces, strict=True))
         return Linearization(
             transition=slopes[:, :, :n],
             parameter_sensitivity=slopes[:, :, n:],
@@ -288,26 +278,34 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(self, at: Course, batch: slice) -> ArrayTriple:
-        """Return derivatives of ends (n, v, c) and residuals (length, k, v, c), and the residuals.
+    def sensitivities(self, at: Course, batch: slice) -> ArrayPair:
+        """Return derivatives of ends (c, n, v) and residuals, with these: (c, length, k, v + 1).
 
         They are those of the c segments of a `batch`, by node and active parameters.
         """
-        columns = np.arange(at.data.shape[1]).reshape(self.length, self.count)[:, batch]
+        states, data = (
+            values.reshape(-1, self.length, self.count)[:, :, batch]
+            for values in (at.states, at.data)
+        )
         q = at.q[:, batch] if self._own else at.q
-        part = Course(at.states[:, columns.ravel()], q, at.data[:, columns.ravel()])
+        columns = data[0].size
+        part = Course(states.reshape(-1, columns), q, data.reshape(-1, columns))
         slopes, e = _finite(self._evaluate("derivatives", part))
-        S, J = self.propagated(slopes, columns.shape[1])
-        return S, J, e.reshape(self.k, *columns.shape).swapaxes(0, 1)
+        ends, J = self.propagated(slopes)
+        return ends, np.concatenate([J, e.reshape(self.k, self.length, -1).T[..., None]], axis=3)
 
-    def sample_derivatives(self, at: Course) -> ArrayPair:
-        """Return derivatives of next states and residuals by state and active parameters.
+    def sample_derivatives(self, at: Course) -> Array:
+        """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
 
-        They are (v, n, columns) and (v, k, columns), of every sample alone.
+        They are those by the state at the sample and the active parameters.
         """
-        slopes, _ = _finite(self._evaluate("derivatives", at))
-        slopes = slopes.reshape(-1, self.n + self.k, at.data.shape[1])
-        return slopes[:, : self.n], slopes[:, self.n :]
+        return self._by_sample(_finite(self._evaluate("derivatives", at))[0])
+
+    def _by_sample(self, slopes: Array) -> Array:
+        # CasADi stacks them column by column. Products of stacked matrices are fast for contiguous
+        # ones.
+        slopes = slopes.reshape(-1, self.n + self.k, slopes.shape[1])
+        return np.ascontiguousarray(slopes.transpose(2, 1, 0))
 
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -315,50 +313,40 @@ class Segments:
         Not finite from where the simulation is not.
         """
         slopes, _ = self._evaluate("output_derivatives", at)
-        return np.ascontiguousarray(self.propagated(slopes, self.count)[1].transpose(3, 0, 1, 2))
+        return self.propagated(slopes)[1]
 
-    def propagated(self, slopes: Array, count: int) -> ArrayPair:
-        """Carry the derivatives of every sample through the segments.
+    def propagated(self, slopes: Array) -> ArrayPair:
+        """Carry the derivatives of every sample through c segments.
 
-        Returns those of ends (n, v, count) and rows (length, k, v, count).
+        Returns those of ends (c, n, v) and rows (c, length, k, v).
 
         The slopes are those of next states and rows (n + k) by the v states and parameters at a
-        sample; CasADi stacks them column by column.
+        sample.
         """
         n = self.n
-        v = n + len(self.active)
-        slopes = slopes.reshape(v, n + self.k, self.length, count)
-        J = np.empty((self.length, self.k, v, count))
-        S = np.zeros((n, v, count))
-        S[range(n), range(n)] = 1
-
-        for i in range(self.length):
-            following = _product(slopes[:n, :, i], S)
+        slopes = self._by_sample(slopes)
+        S, rows = np.eye(n, slopes.shape[2]), list[Array]()
+        for slope in np.split(slopes, self.length):
+            following = slope[..., :n] @ S
             # The parameters also act at this very sample, besides through the state.
-            following[:, n:] += slopes[n:, :, i].swapaxes(0, 1)
-            S, J[i] = following[:n], following[n:]
+            following[..., n:] += slope[..., n:]
+            S = following[:, :n]
+            rows.append(following[:, n:])
 
-        return S, J
+        return S, np.stack(rows, axis=1)
 
     def mean_transition(self, at: Course) -> ArrayPair:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(at.states.shape[1] // 500, 1))
-        A, C = self.sample_derivatives(Course(at.states[:, sample], at.q, at.data[:, sample]))
-        return A[: self.n].mean(axis=2).T, -C[: self.n].mean(axis=2).T
+        along = Course(at.states[:, sample], at.q, at.data[:, sample])
+        slopes = self.sample_derivatives(along)[..., : self.n].mean(axis=0)
+        return slopes[: self.n], -slopes[self.n :]
 
     def batches(self) -> list[slice]:
         """Return slices of segments whose derivatives fit into memory together."""
         size = max(BATCH // self.length, 1)
         return [slice(first, first + size) for first in range(0, self.count, size)]
-
-
-def _product(slopes: Array, S: Array) -> Array:
-    """Return the products (a, v, c) of slopes (n, a, c) with sensitivities (n, v, c)."""
-    # With twelve states or more, products of matrices take less time than sums over segments.
-    if len(slopes) <= 12:
-        return np.einsum("jac,jvc->avc", slopes, S)
-    return (np.ascontiguousarray(slopes.T) @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
 
 
 def _finite(values: Arrays) -> list[Array]:

@@ -15,7 +15,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
@@ -176,6 +175,8 @@ class ResponseSolver(LocalSolver):
         hessian = self.nlp.programs[-1].second_order(z, SMOOTHING * ones, data * ones)[2]
         slopes = ca.DM(self.nlp.constraint.jac_sparsity(0, 0), 1).full()[:, : len(z)]
         hessian = np.any(hessian, axis=1).reshape(len(z), -1)
+        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  (imports slowly)
+
         blocks, of = connected_components(hessian + slopes.T @ slopes)
         if blocks == 1:
             return ends

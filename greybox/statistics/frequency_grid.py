@@ -1,7 +1,7 @@
 """Frequencies of a Fourier transform, and the bands over which spectra are compared."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
@@ -90,26 +90,28 @@ class FrequencyGrid:
             result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
         return result
 
-    def covariances(self, factors: Sequence[ComplexPair], order: int) -> tuple[Array, ComplexArray]:
+    def covariances(self, factors: Iterable[ComplexPair], order: int) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
-        It is the sum of the products a bᵀ of its factors, (k, p, frequencies) each, and of their
+        It is the sum of the products a bᴴ of its factors, (k, p, frequencies) each, and of their
         adjoints.
         """
-        k = len(factors[0][0])
-        lags = np.zeros((order + 1, k))
-        banded = np.zeros((k, k, len(self.starts)), dtype=complex)
-        # Output by output: all products together would fill the memory of long records.
-        for i in range(k):
-            rows = slice(i + 1)
-            values: Any = sum(
-                np.einsum("pf,jpf->jf", a[i], b[rows])
-                + np.einsum("jpf,pf->jf", a[rows], b[i]).conj()
-                for a, b in factors
-            )
-            banded[i, rows] = self.banded(values)
-            banded[rows, i] = banded[i, rows].conj()
-            lags[:, i] = np.fft.irfft(values[i], self.size)[: order + 1]
+        lags: Any = 0.0
+        banded: Any = 0.0
+        for a, b in factors:
+            k = len(a)
+            of_lags = np.empty((order + 1, k))
+            of_bands = np.empty((k, k, len(self.starts)), dtype=complex)
+            # One by one: all products together would fill the memory of long records.
+            for i, j in zip(*np.tril_indices(k), strict=True):
+                first = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
+                second = np.vecdot(a[j], b[i], axis=0)  # pyright: ignore[reportCallIssue]
+                values = first + second
+                of_bands[i, j] = self.banded(values)
+                of_bands[j, i] = of_bands[i, j].conj()
+                if i == j:
+                    of_lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
+            lags, banded = lags + of_lags, banded + of_bands
 
         return lags, banded
 

@@ -295,9 +295,10 @@ class ResidualSpectra:
     @cached_property
     def periodogram(self) -> tuple[Array, ComplexArray]:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
-        scale = (self.deviation * np.sqrt(self.counts))[:, None]
-        transforms = [np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals]
-        factors = [(z / 2, z.conj()) for z in transforms]
+        # Half of it, and its adjoint.
+        scale = (self.deviation * np.sqrt(2 * self.counts))[:, None]
+        transforms = (np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals)
+        factors = ((z, z) for z in transforms)
         lags, banded = self.grid.covariances(factors, self.highest_order)
         # Outputs that are combinations of others have a singular covariance.
         lags[0] += ROUNDING
@@ -313,14 +314,8 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
-        k = len(self.counts)
-        power = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
-        for rows in self.transforms():
-            for i, j in np.ndindex(k, k):
-                # One by one: together they take as much memory as an output's transforms.
-                terms = map(np.multiply, map(np.conj, rows[i]), rows[j])
-                power[i, j] += self.grid.banded(sum(terms, np.zeros(())))
-        return power
+        factors = ((z, z) for z in self.transforms())
+        return self.grid.covariances(factors, 0)[1].conj() / 2
 
     @cached_property
     def slow(self) -> Array:
@@ -461,7 +456,7 @@ class ResidualSpectra:
         # A state that no output shows has no process noise that could be estimated.
         for H in filtered.swapaxes(0, 1):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
-            power = float(np.einsum("iif->f", spectrum).real @ self.grid.weight) / len(H)
+            power = float((np.abs(H) ** 2 @ self.grid.weight).mean())
             if power > TINY:
                 density = self.grid.banded(spectrum / power)
                 parts.append((density, self._left(density, spectrum / power)))
@@ -605,7 +600,7 @@ class ResidualSpectra:
             covariance[:p, :p] = middle
             half = C - covariance.T @ taken / 2
             half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
-            pairs.append((first, np.fft.rfft(half, grid.size).conj()))
+            pairs.append((first, np.fft.rfft(half, grid.size)))
 
         return grid.covariances(pairs, self.highest_order)
 

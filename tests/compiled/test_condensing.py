@@ -56,10 +56,12 @@ CUTS = {
 }
 
 
+@pytest.mark.parametrize("halved_from", [1, 10**9])
 @pytest.mark.parametrize("variance", [0.0, 0.7])
 @pytest.mark.parametrize("cut", CUTS)
 @pytest.mark.parametrize(("n", "r"), [(1, 1), (3, 1), (4, 6)])
-def test_it_is_the_dense_solution(cut, n, r, variance):
+def test_it_is_the_dense_solution(cut, n, r, variance, halved_from, monkeypatch):
+    monkeypatch.setattr(condensing, "LONG_CHAIN", halved_from)
     system = made(len(CUTS[cut]), n, r, CUTS[cut], seed=n + r)
     variance = variance * np.arange(1, n + 1.0)
     for found, wanted in zip(
@@ -68,6 +70,20 @@ def test_it_is_the_dense_solution(cut, n, r, variance):
         strict=True,
     ):
         assert_allclose(found, wanted, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("growth", [0.5, 1.0, 6.0])
+def test_halves_of_long_chains_keep_their_digits_stable_or_not(growth):
+    """Of two oscillators with a known end: over six segments, the last one grows by 50 000."""
+    s, n = 400, 2
+    system = made(s, n, 2, [1] * (s - 1) + [0])
+    system["transition"] = np.tile(growth * np.array([[0.6, -0.8], [0.8, 0.6]]), (s, 1, 1))
+    x, force = solve_continuity(**system)
+    gaps = system["transition"][:-1] @ x[:-1] - x[1:] - system["continuity"][:-1]
+    assert np.abs(gaps).max() < 1e-12 * max(np.abs(x).max(), 1)
+    back = np.concatenate([np.zeros((1, n, 2)), force[:-1]])
+    still = system["hessian"] @ x + system["transition"].mT @ force - back
+    assert_allclose(still, system["stationarity"], atol=1e-10 * max(np.abs(force).max(), 1))
 
 
 def test_exact_continuity_holds_and_uncoupled_segments_have_no_multiplier():

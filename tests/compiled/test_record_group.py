@@ -225,6 +225,6 @@ def test_groups_give_back_what_they_were_given(mixed):
     group = groups.parts[0]
     assert_allclose(np.sort(group.signature(together[0])), np.sort(scaled, axis=None), rtol=1e-9)
     nodes = group.trajectory(z).nodes
-    initial = [nodes[rows] for rows in group.segments.record_rows]
+    initial = np.split(nodes, group.segments.first_of_record[1:])
     for one, part in zip(initial, parts[:2], strict=True):
         assert_allclose(one, part.trajectory(z).nodes)

@@ -59,7 +59,9 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         end = iterate
         shortest = remaining
         distance = 2 * step.distance
-        if remaining < 1e-18:  # changes none of the first nine digits of a parameter
+        # Of a standard error, the step changes none of the first nine digits, or of the parameters,
+        # which long records determine to many digits, none of the first twelve.
+        if remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z)):
             break
 
         following = followed(parts, iterate, step)

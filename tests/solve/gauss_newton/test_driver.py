@@ -5,6 +5,7 @@ Excerpts of long records, and the second attempt of a stalled run.
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -17,6 +18,8 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segmented_part import SegmentedPart
+from greybox.compiled.segments import Segments
+from greybox.estimate.covariance import informations
 from greybox.solve.gauss_newton import driver
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.settings import Settings
@@ -94,6 +97,44 @@ def test_a_run_of_a_long_record_begins_where_excerpts_lead(monkeypatch):
     assert outcome.estimate == pytest.approx(usual.estimate, rel=1e-6)
     assert counted.count(300) < steps
     assert {*counted} == {100, 300}
+
+
+def test_starts_that_meet_at_a_minimum_of_the_excerpts_continue_once(monkeypatch):
+    solver = GaussNewton(compile_problem(gb.Problem(Lag(), record(0), HELD)))
+    counted = linearized(monkeypatch, 60)
+    first = solver.run(np.array([10.0]))
+    assert 300 in counted
+    counted.clear()
+    again = solver.run(np.array([0.5]))
+    assert {*counted} == {100}
+    assert again.converged
+    assert_allclose(again.estimate, first.estimate, rtol=1e-9)
+    assert again.cost == first.cost
+
+
+def test_the_standard_errors_take_the_linearization_of_the_polished_minimum(monkeypatch):
+    nlp = compile_problem(gb.Problem(Lag(), record(2), HELD))
+    solver = GaussNewton(nlp)
+    outcome = solver.run(np.array([1.0]))
+    minimum = Minimum(outcome.cost, outcome.estimate, (0,), 1)
+    search = solver.polished(Multistart(Runs.of(()), (minimum,), nodes=outcome.nodes))
+    best = search.minima[0].estimate
+    trajectories = solver.profile(best, search.nodes).trajectories
+    computed = []
+
+    def linearize(segments, *arguments):
+        computed.append(segments.count)
+        return Segments.linearize(segments, *arguments)
+
+    monkeypatch.setattr(
+        nlp.parts[0].segments, "linearize", partial(linearize, nlp.parts[0].segments)
+    )
+    (information,) = informations(nlp, best, trajectories)
+    assert not computed
+    others = solver.profile(best.copy(), search.nodes).trajectories
+    (another,) = informations(nlp, best, others)
+    assert computed
+    assert_allclose(information.jacobian, another.jacobian, rtol=1e-9)
 
 
 def test_excerpts_without_the_manoeuvre_do_not_mislead_a_run(monkeypatch):
