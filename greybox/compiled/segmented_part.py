@@ -71,7 +71,9 @@ class SegmentedPart(Part):
     covariance : ResidualCovariance
     """
 
+    local = ("problem", "_linearized")
     has_states = has_nodes = is_likelihood = True
+    _linearized: Any = None  # trajectory, weight and linearization
 
     def __init__(
         self,
@@ -101,7 +103,6 @@ class SegmentedPart(Part):
         self.few = covariance.few() if is_estimated else 0 * covariance.counts
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
         self._placed_data: ArrayPair | None = None
-        self._linearized: Any = None  # trajectory, weight and linearization
 
     @property
     def problem(self) -> Problem:
