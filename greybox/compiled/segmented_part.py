@@ -71,7 +71,10 @@ class SegmentedPart(Part):
     covariance : ResidualCovariance
     """
 
+    local = ("problem", "_placed_data", "_linearized")
     has_states = has_nodes = is_likelihood = True
+    _placed_data: ArrayPair | None = None
+    _linearized: Any = None  # trajectory, weight and linearization
 
     def __init__(
         self,
@@ -100,8 +103,6 @@ class SegmentedPart(Part):
         is_estimated = not (model.driven or model.is_prior)
         self.few = covariance.few() if is_estimated else 0 * covariance.counts
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
-        self._placed_data: ArrayPair | None = None
-        self._linearized: Any = None  # trajectory, weight and linearization
 
     @property
     def problem(self) -> Problem:

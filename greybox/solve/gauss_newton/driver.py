@@ -51,8 +51,8 @@ class GaussNewton(LocalSolver):
         self.settings = settings
         self.limits = limits or _limits(nlp)
         self._parts = AllParts(nlp, self.limits, settings)
-        # Minima of the excerpts of a long record, and where runs of all samples ended from there.
-        self._ends = list[tuple[Array, Outcome]]()
+        # Where runs of all samples of a long record ended, by the minimum of its excerpts.
+        self._ends: dict[bytes, Outcome] = {}
         self._polished: tuple[Array, Nodes, Iterate] | None = None
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
@@ -91,15 +91,15 @@ class GaussNewton(LocalSolver):
             excerpts = replace(nlp, parts=tuple(part.excerpt(EXCERPT) for part in nlp.parts))
             shorter = GaussNewton(excerpts, settings=self.settings, limits=self.limits)
             first = shorter._solved(*shorter._begun(shorter._parts.at(begin.z)))
-            for minimum, outcome in self._ends:
-                if np.allclose(first.estimate, minimum, rtol=1e-6, atol=0.0):
-                    return replace(outcome, iterations=first.iterations, seconds=first.seconds)
-            after = parts.at(nlp.scaling.to_solver(first.estimate))
+            # Runs that meet there continue once, from the same digits: each ends as it would alone,
+            # which resumed searches and those of several workers rely on.
+            minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
+            after = parts.at(self._nearest(minimum))
             # Excerpts may lack the manoeuvre that shows a parameter.
             if parts.unexplained(after) < parts.unexplained(begin):
-                outcome = self._solved(after, EXACT)
+                outcome = self._ends.get(minimum.tobytes()) or self._solved(after, EXACT)
                 if outcome.converged:
-                    self._ends.append((first.estimate, outcome))
+                    self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
                     return spent(outcome, first)
         return self._solved(*self._begun(begin))
 
