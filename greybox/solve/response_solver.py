@@ -168,6 +168,8 @@ class ResponseSolver(LocalSolver):
         ends of each block become those of the same runs. So as many runs reach the best minimum as
         reach that of the block which fewest of them solve.
         """
+        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  (imports slowly)
+
         # At a few points: at zero, a parameter may seem to couple nothing.
         z = self.nlp.scaling.to_solver(ends[-8:]).T
         ones = np.ones_like(z[:1])
@@ -175,8 +177,6 @@ class ResponseSolver(LocalSolver):
         hessian = self.nlp.programs[-1].second_order(z, SMOOTHING * ones, data * ones)[2]
         slopes = ca.DM(self.nlp.constraint.jac_sparsity(0, 0), 1).full()[:, : len(z)]
         hessian = np.any(hessian, axis=1).reshape(len(z), -1)
-        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  (imports slowly)
-
         blocks, of = connected_components(hessian + slopes.T @ slopes)
         if blocks == 1:
             return ends
