@@ -1026,24 +1026,13 @@ def test_friction_far_above_the_noise_is_no_drift_and_no_jump_at_the_end():
     Pairs of samples are tested, and the last sample is alone.
     """
 
-    class Drive(gb.StateSpace):
-        states, inputs, outputs = ("x", "v"), ("force",), ("x",)
-        M = gb.Parameter(100.0, bounds=(10, 1000))
-        d = gb.Parameter(200.0, bounds=(0, 5000))
-
-        def derivative(self, x, u, p):
-            return (x.v, (u.force - p.d * x.v) / p.M)
-
-        def output(self, x, u, p):
-            return (x.x,)
-
     time = 0.004 * np.arange(3101)
     omega = np.array([2.1, 3.7, 5.3])
     size, phase = np.array([0.05, 0.02, 0.01]), omega * time[:, None]
     v, rate = np.cos(phase) @ (size * omega), -np.sin(phase) @ (size * omega**2)
-    force = 95 * rate + 200 * v + 5 * np.tanh(v / 0.02)
-    x = np.sin(phase) @ size + 1e-6 * np.random.default_rng(0).normal(size=3101)
-    record = gb.Record(time, {"x": x, "force": force}, hold={"x": 0.0, "force": 0.0})
+    force = 0.95 * rate + 2 * v + 0.05 * np.tanh(v / 0.02)
+    q = np.sin(phase) @ size + 1e-6 * np.random.default_rng(0).normal(size=3101)
+    record = gb.Record(time, {"q": q, "F": force}, hold={"q": 0.0, "F": 0.0})
     misfit = gb.fit(gb.Problem(Drive(), record), starts=1, profiles=False).misfit
     assert not misfit.explains
     assert misfit.likely[0].text == "sign(v) in the equation of v"
