@@ -171,10 +171,11 @@ def error_statement(fit: Any) -> str:
     # With every parameter at a bound, there is no interval to compare.
     if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
         width = t_quantile(0.95, fit.independent[1]) / t_quantile(0.95, fit.dof)
+        percent = 100 * width / math.sqrt(fit.inflation)
         between = " or between responses" if len(fit.responses) > 1 else ""
         conditions += (
             f"; correlated along frequency{between} like the residuals (intervals for independent "
-            f"errors would be {width / math.sqrt(fit.inflation):.2g} times as wide)"
+            f"errors would be {percent:.0f} % as wide)"
         )
     elif taken := [part for part in fit.responses if not part.data.has_independent_errors]:
         # Slow errors beneath white ones as large are not always seen, even in many points.
