@@ -11,6 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
+from greybox.compiled.vectorized import Remembering
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -212,13 +213,14 @@ class Simulator:
             # States are estimated at given values: no derivatives with respect to these are needed.
             segments = Segments(step, w, lead, np.zeros(0, dtype=int))
             columns = _columns(segments, predicting)
+            # A step is tried by its outputs before it is linearized.
+            lead_in = Remembering(lambda x: _Run(segments, x, model.q, columns))
 
             def outputs(x: Array) -> Array:
-                return segments.by_segment(_Run(segments, x, model.q, columns).outputs)
+                return segments.by_segment(lead_in(x).outputs)
 
             def sensitivities(x: Array) -> Array:
-                slopes = _Run(segments, x, model.q, columns).sensitivities()
-                return np.where(informing, slopes, 0.0)
+                return np.where(informing, lead_in(x).sensitivities(), 0.0)
 
             noise = model.noise(self._outputs)
             estimates = estimate_states(outputs, sensitivities, past, guess, noise, spread)
