@@ -75,6 +75,7 @@ def variance_components(
         Number of the first parts, each of which is the noise of one output.
     """
     k = periodogram.shape[1]
+    most = numbers.max(0)
     variance = np.full(len(expected), WHITE)
     variance[sensors:] = (1 - WHITE) / max(len(expected) - sensors, 1)
 
@@ -85,7 +86,7 @@ def variance_components(
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.
-        rows = (numbers.max(0)[:, None, None] * parts).reshape(len(parts), -1)
+        rows = (most[:, None, None] * parts).reshape(len(parts), -1)
         gradient = (rows @ (np.eye(k) - ratio).mT.ravel()).real * variance
         # Repetitions make the information too large, which only shortens the steps.
         gradient -= np.einsum("cbii,bi->c", expected, repeated).real * variance
