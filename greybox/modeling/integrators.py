@@ -115,7 +115,8 @@ def repeated(
 
     `mean` and `change` (m,) are those of the inputs over the sample, which lasts h.
     """
-    slope, length = change / h, h / substeps
+    slope = change / h
+    length = h / substeps
     for k in range(substeps):
         # The input at the beginning of the substep; `change` is that over the whole sample.
         u = mean + change * (k / substeps - 0.5)

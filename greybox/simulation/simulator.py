@@ -215,15 +215,14 @@ class Simulator:
             columns = _columns(segments, predicting)
             # A step is tried by its outputs before it is linearized.
             lead_in = Remembering(lambda x: _Run(segments, x, model.q, columns))
-
-            def outputs(x: Array) -> Array:
-                return segments.by_segment(lead_in(x).outputs)
-
-            def sensitivities(x: Array) -> Array:
-                return np.where(informing, lead_in(x).sensitivities(), 0.0)
-
-            noise = model.noise(self._outputs)
-            estimates = estimate_states(outputs, sensitivities, past, guess, noise, spread)
+            estimates = estimate_states(
+                lambda x: segments.by_segment(lead_in(x).outputs),
+                lambda x: np.where(informing, lead_in(x).sensitivities(), 0.0),
+                past,
+                guess,
+                model.noise(self._outputs),
+                spread,
+            )
             whole = Segments(step, w, length, active)
             return _Run(whole, estimates.states, model.q, _columns(whole, predicting), estimates)
 
