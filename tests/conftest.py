@@ -44,6 +44,11 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
+    # Tests and modules stay until the end: the collector need not look at them again. It begins
+    # after every 700 new objects otherwise, and hypothesis has a function that it calls each time:
+    # together a fiftieth of the time.
+    gc.freeze()
+    gc.set_threshold(20_000)
     gc.enable()
 
 

@@ -35,9 +35,14 @@ def imported(path):
             assert node.level == 0, f"{path.name} has a relative import"
             names += [node.module]
             names += [f"{node.module}.{a.name}" for a in node.names if node.module == "greybox"]
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        elif isinstance(node, ast.Call) and name_of(node.func).endswith("import_module"):
             names += literal_start(node.args[0])
     return names
+
+
+def name_of(function):
+    """The last part of the name of a function that is called."""
+    return getattr(function, "attr", getattr(function, "id", ""))
 
 
 def literal_start(argument):

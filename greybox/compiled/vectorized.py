@@ -155,11 +155,11 @@ class Remembering(Rebuilt):
     Nobody may change either: of long records, copies would take a tenth of the time.
     """
 
-    def __init__(self, function: Callable[..., Arrays]) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
-        self._last: list[tuple[Any, Arrays]] = []
+        self._last: list[tuple[Any, Any]] = []
 
-    def __call__(self, *inputs: Array) -> Arrays:
+    def __call__(self, *inputs: Array) -> Any:
         """Return the outputs."""
         # Another thread may replace the list meanwhile.
         last = self._last

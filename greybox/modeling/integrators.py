@@ -115,10 +115,12 @@ def repeated(
 
     `mean` and `change` (m,) are those of the inputs over the sample, which lasts h.
     """
+    slope = change / h
+    length = h / substeps
     for k in range(substeps):
         # The input at the beginning of the substep; `change` is that over the whole sample.
         u = mean + change * (k / substeps - 0.5)
-        x = substep(x, u, change / h, p, h / substeps)
+        x = substep(x, u, slope, p, length)
     return x
 
 

@@ -11,6 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
+from greybox.compiled.vectorized import Remembering
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -212,16 +213,16 @@ class Simulator:
             # States are estimated at given values: no derivatives with respect to these are needed.
             segments = Segments(step, w, lead, np.zeros(0, dtype=int))
             columns = _columns(segments, predicting)
-
-            def outputs(x: Array) -> Array:
-                return segments.by_segment(_Run(segments, x, model.q, columns).outputs)
-
-            def sensitivities(x: Array) -> Array:
-                slopes = _Run(segments, x, model.q, columns).sensitivities()
-                return np.where(informing, slopes, 0.0)
-
-            noise = model.noise(self._outputs)
-            estimates = estimate_states(outputs, sensitivities, past, guess, noise, spread)
+            # A step is tried by its outputs before it is linearized.
+            lead_in = Remembering(lambda x: _Run(segments, x, model.q, columns))
+            estimates = estimate_states(
+                lambda x: segments.by_segment(lead_in(x).outputs),
+                lambda x: np.where(informing, lead_in(x).sensitivities(), 0.0),
+                past,
+                guess,
+                model.noise(self._outputs),
+                spread,
+            )
             whole = Segments(step, w, length, active)
             return _Run(whole, estimates.states, model.q, _columns(whole, predicting), estimates)
 

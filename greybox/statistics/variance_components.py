@@ -75,6 +75,7 @@ def variance_components(
         Number of the first parts, each of which is the noise of one output.
     """
     k = periodogram.shape[1]
+    most = numbers.max(0)
     variance = np.full(len(expected), WHITE)
     variance[sensors:] = (1 - WHITE) / max(len(expected) - sensors, 1)
 
@@ -85,7 +86,7 @@ def variance_components(
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.
-        rows = (numbers.max(0)[:, None, None] * parts).reshape(len(parts), -1)
+        rows = (most[:, None, None] * parts).reshape(len(parts), -1)
         gradient = (rows @ (np.eye(k) - ratio).mT.ravel()).real * variance
         # Repetitions make the information too large, which only shortens the steps.
         gradient -= np.einsum("cbii,bi->c", expected, repeated).real * variance
@@ -103,17 +104,16 @@ def variance_components(
         # Steps of the logarithm keep variances positive.
         trial = np.maximum(variance * np.exp(step), LEAST**2)
         new, *products = whittle_score(spectrum(trial), periodogram, numbers)
-        if not new < score:
+        better = score - new
+        if better > 0:
+            score, variance = new, trial
+            gradient, information = slopes(variance, *products)
+            damping = max(damping / 5, 1e-6)
+        else:
             damping *= 5
-            # With so much damping there is no better point.
-            if damping > 1e6:
-                break
-            continue
-        better, score, variance = score - new, new, trial
-        gradient, information = slopes(variance, *products)
-        damping = max(damping / 5, 1e-6)
-        # In -2 log likelihood: a ten-thousandth of the errors of the variances.
-        if better < 1e-8:
+        # In -2 log likelihood: a ten-thousandth of the errors of the variances. At the minimum,
+        # rounding makes a step better or worse; with so much damping there is no better point.
+        if abs(better) < 1e-8 or damping > 1e6:
             break
 
     # Along smaller eigenvalues of the information, the likelihood does not change.

@@ -72,7 +72,7 @@ QUICK = gb.MultipleShooting(integrator=gb.RungeKutta(1))
 
 
 def test_all_starts_end_in_one_minimum_with_all_gains_free():
-    problem = gb.Problem(FullTilt(), windy_flight(2, {"q": 2.0}, 20), WIND, fixed=ROTOR)
+    problem = gb.Problem(FullTilt(), windy_flight(2, {"q": 2.0}, 12), WIND, fixed=ROTOR)
     found = fit(problem, starts=2, method=QUICK)
     assert len([name for name in found.free if name.startswith("K_")]) == 12
     assert (found.agreeing, found.converged) == (2, True)
@@ -94,7 +94,7 @@ def test_standard_errors_of_a_predictor_use_the_residuals_not_the_deviations_tha
 
 def test_a_likelihood_that_grows_toward_the_limit_of_stability_is_no_stall():
     """The velocity is not measured and hardly disturbed: its pole would leave the unit circle."""
-    problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 20), WIND, fixed=ROTOR)
+    problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 12), WIND, fixed=ROTOR)
     found = fit(problem, starts=1, method=QUICK)
     assert [run.status for run in found.runs] == ["converged"]
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})
@@ -107,7 +107,7 @@ def test_what_innovations_do_not_drive_need_not_be_forgotten():
 
 
 def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_errors():
-    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 10)
+    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 6)
     output, prediction = (
         sum(
             run.iterations

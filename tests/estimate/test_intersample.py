@@ -27,7 +27,7 @@ TRUTH = {
 }
 FREE = ("a1", "a2", "a3", "a4", "T_delay")
 SWEEP = gb.experiment.sweep(
-    0.5, 15, duration=20, rate=100, amplitude=0.12, dwell=1, signal="reference"
+    0.5, 15, duration=15, rate=100, amplitude=0.12, dwell=1, signal="reference"
 )
 
 
@@ -78,7 +78,7 @@ def test_the_data_cannot_tell_and_the_delay_takes_half_a_sample(unknown, assumed
 
 
 def test_records_that_know_and_do_not_know_have_a_line_each(unknown):
-    halves = (unknown.between(0, 7), replace(unknown.between(7, 15), hold={"u": math.inf}))
+    halves = (unknown.between(0, 5), replace(unknown.between(5, 12), hold={"u": math.inf}))
     problem = gb.several(LinearTilt(), halves, free=["T_delay"])
     text = str(gb.fit(problem, [{name: TRUTH[name] for name in FREE}], progress=False))
     assert "u interpolated, as assumed without a hold" in text

@@ -1540,7 +1540,7 @@ class Dry(Drive):
 
 def test_dry_friction_is_named_also_in_a_record_of_many_samples():
     """Excerpts of a few tenths of the time constant would show none."""
-    time = 0.001 * np.arange(16_000)
+    time = 0.001 * np.arange(8_000)
     force = np.interp(time % 4, [0, 0.3, 1.7, 2.3, 3.7, 4], [0, 2, 2, -2, -2, 0])
     flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
     q = gb.simulate(Dry(), {"m": 1.0, "d": 2.0}, flight)["q"]
@@ -1563,7 +1563,7 @@ class DryTachometer(Tachometer):
 
 
 def test_dry_friction_is_named_also_where_steps_lie_between_the_chosen_samples():
-    random, time = np.random.default_rng(0), 0.001 * np.arange(16_000)
+    random, time = np.random.default_rng(0), 0.001 * np.arange(8_000)
     force = np.repeat([2.0, -1.0, 0.5, -2.0, 1.5, 0.0, -0.5, 1.0], 2003)[: time.size]
     flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
     exact = gb.simulate(DryTachometer(), {"m": 1.0, "d": 2.0}, flight)
@@ -1582,7 +1582,7 @@ class LateTachometer(Tachometer):
 @pytest.mark.parametrize(("plant", "explains"), [(Tachometer, True), (LateTachometer, False)])
 def test_an_output_of_odd_rows_is_tested_in_a_long_record(plant, explains):
     """Every second row would have none of its samples."""
-    random, time = np.random.default_rng(0), 0.01 * np.arange(4500)
+    random, time = np.random.default_rng(0), 0.01 * np.arange(3100)
     force = np.repeat(random.normal(size=31), 150)[: time.size]
     flight = gb.Record(time, {"F": force}, hold={"F": np.inf})
     exact = gb.simulate(plant(), {"m": 1.0, "d": 1.0}, flight)

@@ -19,8 +19,8 @@ Lateral, ShortPeriod = study.Lateral, study.ShortPeriod
 MOVING = (8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
 
 
-def fitted(problem, starts=1):
-    return gb.fit(problem, starts=starts, progress=False)
+def fitted(problem, starts=1, *, profiles=False):
+    return gb.fit(problem, starts=starts, profiles=profiles, progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -275,7 +275,7 @@ def test_short_manoeuvres_in_gusts_are_named_by_output_error():
         y = y + 0.01 * random.normal(size=200)
         record = gb.Record(step * np.arange(200), {"u": inputs, "y": y}, hold={"u": np.inf})
         data = transient_spectrum(record, "u", "y", (0.5, 8.0))
-        fit = gb.fit(gb.Problem(Lag(), data), starts=[{"K": 2, "T": 0.4}], progress=False)
+        fit = fitted(gb.Problem(Lag(), data), [{"K": 2, "T": 0.4}])
         named += "larger in a part of the band" in " ".join(fit.warnings)
     assert named >= 19
 
@@ -334,7 +334,7 @@ def test_a_misleading_standard_error_comes_with_a_profile(clean):
         return gb.Problem(ShortPeriod(), spectra[seed], gb.EquationError(gusts=True), fixed=held)
 
     known = {name: SHORT_PERIOD[name] for name in ("z", "T")}
-    fit = fitted(problem(7, **known))
+    fit = fitted(problem(7, **known), profiles=True)
     best, (low, high) = fit.estimate["T_z"], fit.profiles["T_z"].interval
     assert high - best > 1.5 * (best - low)
 
@@ -349,7 +349,7 @@ def test_a_misleading_standard_error_comes_with_a_profile(clean):
     half_width = fit.interval()["T_z"][1] - best
     assert at_low == pytest.approx(curvature * half_width**2, rel=0.1)
 
-    many = fitted(problem(7) + problem(8))
+    many = fitted(problem(7) + problem(8), profiles=True)
     assert many.profiles is None
     assert "standard errors that mislead: K, T_z" in many.notes[-1]
 

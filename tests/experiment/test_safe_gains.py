@@ -1,6 +1,7 @@
 """Safe gains, held against the true loops of python-control."""
 
 import functools
+from importlib import import_module
 
 import control
 import numpy as np
@@ -56,6 +57,13 @@ def truly_safe(gain, phase_margin=45, gain_margin=6, delay=0.0):
     real = np.flatnonzero(np.diff(response.imag > 0) & (response.real[:-1] < 0))
     decibels = np.abs(20 * np.log10(np.abs(response[real])))
     return bool(np.all(phase >= phase_margin) and np.all(decibels >= gain_margin))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def half_the_draws():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("greybox.experiment.safe_gains"), "DRAWS", 128)
+        yield
 
 
 @pytest.fixture(scope="module")

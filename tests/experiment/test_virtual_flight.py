@@ -512,7 +512,7 @@ def test_a_flight_that_diverges_says_when_and_what():
         match=r"LinearTilt diverges: the state 'v' is \S+e\+\d+ at \d+\.\d\d s; give a controller",
     ):
         gb.virtual_flight(
-            LinearTilt(), TRUTH, controller=wild, excitation={"reference": np.full(80000, 0.1)}
+            LinearTilt(), TRUTH, controller=wild, excitation={"reference": np.full(20000, 0.1)}
         )
     with pytest.raises(ValueError, match=r"diverges: the state '\w+' is .* s; give a controller"):
         gb.virtual_flight(LinearTilt(), TRUTH, excitation={"u": np.full(4000, 0.1)}, rate=50)

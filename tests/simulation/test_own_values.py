@@ -29,7 +29,7 @@ def fit():
 
 
 def test_biases_are_those_of_the_new_record(fit):
-    new = biased(2, -0.8, -0.02)
+    new = biased(2, -0.8, -0.02, duration=15.0)
     found = gb.predict(fit, record=new)
     for name, truth in (("v_bias", -0.8), ("theta_bias", -0.02)):
         value, error = found.own[name]
@@ -88,13 +88,13 @@ class Aircraft(gb.StateSpace):
 
 
 def flown(seed, M_0, az_0):
-    time = np.arange(400) / 25
+    time = np.arange(250) / 25
     random = np.random.default_rng(seed)
     delta = 0.05 * np.sign(np.sin(0.9 * time + random.uniform(0, 6))) + 0.02 * np.sin(3 * time)
     made = gb.simulate(Aircraft(), {"M_0": M_0, "az_0": az_0}, gb.Record(time, {"delta": delta}))
-    signals = {"delta": delta, "q": made["q"] + 0.01 * random.normal(size=400)}
+    signals = {"delta": delta, "q": made["q"] + 0.01 * random.normal(size=250)}
     return gb.Record(
-        time, {**signals, "az": made["az"] + 0.3 * random.normal(size=400)}, name=f"flight {seed}"
+        time, {**signals, "az": made["az"] + 0.3 * random.normal(size=250)}, name=f"flight {seed}"
     )
 
 
@@ -169,7 +169,7 @@ def test_what_the_record_does_not_determine_is_said_and_kept():
 
 def test_models_with_their_own_biases_are_compared_and_counted(fit):
     linear = fitted(LinearDrag(), fit.records[0].data, criterion=BIASES)
-    new = biased(2, -0.8, -0.02)
+    new = biased(2, -0.8, -0.02, duration=15.0)
     found = gb.compare(fit, linear, records=new)
     assert found.value("values estimated from the records", "Drag", "held-out") == 2
     assert [

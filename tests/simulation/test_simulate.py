@@ -246,7 +246,7 @@ def test_innovations_correct_the_lead_in_alone():
     gusty = gb.virtual_flight(
         NonlinearTilt(),
         TRUTH,
-        excitation={"reference": 0.1 * np.sin(np.arange(800) / 40)},
+        excitation={"reference": 0.1 * np.sin(np.arange(400) / 40)},
         controller=AttitudeController(rate=100),
         noise={"theta": 0.002, "v": 0.02},
         process_noise={"v": 0.5},

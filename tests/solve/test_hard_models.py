@@ -61,7 +61,7 @@ def test_what_the_data_hardly_determine_does_not_use_up_all_iterations():
 
     What is left to gain is noise, in directions that stay unknown.
     """
-    found = fit(tanh_chain(5, 300), [{}])
+    found = fit(tanh_chain(5, 200), [{}])
     assert found.converged
     assert max(run.iterations for run in found.runs) <= 300
     residuals = np.concatenate(

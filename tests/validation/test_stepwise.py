@@ -226,11 +226,11 @@ class Hardening(Spring):
 
 
 def flown(plant):
-    random, time = np.random.default_rng(0), 0.04 * np.arange(300)
+    random, time = np.random.default_rng(0), 0.04 * np.arange(200)
     u = sum(np.sin(w * time + random.uniform(0, 6)) for w in (1, 2, 3.3, 4.7, 6.1, 9)) / 2.5
     record = gb.Record(time, {"u": u}, hold={"u": np.inf})
     x = gb.simulate(plant(), {"k": 25.0, "d": 2.0, "b": 25.0}, record)["x"]
-    record = record.with_signals(x=x + 0.02 * random.normal(size=300))
+    record = record.with_signals(x=x + 0.02 * random.normal(size=200))
     return gb.Problem(Spring(), record)
 
 
@@ -266,11 +266,11 @@ class HardeningAccelerometer(Accelerometer):
 
 
 def test_a_force_that_is_missing_is_missing_in_the_measured_acceleration_too():
-    time, random = 0.04 * np.arange(300), np.random.default_rng(1)
+    time, random = 0.04 * np.arange(200), np.random.default_rng(1)
     u = sum(np.sin(w * time + w**2) for w in (1, 2, 3.3, 4.7, 6.1, 9)) / 2.5
     record = gb.Record(time, {"u": u}, hold={"u": np.inf})
     clean = gb.simulate(HardeningAccelerometer(), {"k": 25.0, "d": 2.0, "b": 25.0}, record)
-    noisy = {name: clean[name] + 0.02 * random.normal(size=300) for name in ("x", "acc")}
+    noisy = {name: clean[name] + 0.02 * random.normal(size=200) for name in ("x", "acc")}
     wrong = gb.Problem(Accelerometer(), record.with_signals(**noisy))
     misfit = gb.fit(wrong, starts=1, progress=False).misfit
     assert not misfit.explains
