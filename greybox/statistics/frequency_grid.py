@@ -100,16 +100,16 @@ class FrequencyGrid:
         banded: Any = 0.0
         for a, b in factors:
             k = len(a)
-            of_lags = np.empty((order + 1, k))
+            of_lags = np.zeros((order + 1, k))
             of_bands = np.empty((k, k, len(self.starts)), dtype=complex)
             # One by one: all products together would fill the memory of long records.
             for i, j in zip(*np.tril_indices(k), strict=True):
-                first = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
-                second = np.vecdot(a[j], b[i], axis=0)  # pyright: ignore[reportCallIssue]
-                values = first + second
+                values = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
+                adjoint = np.vecdot(a[j], b[i], axis=0) if i != j else values.conj()  # pyright: ignore[reportCallIssue]
+                values += adjoint
                 of_bands[i, j] = self.banded(values)
                 of_bands[j, i] = of_bands[i, j].conj()
-                if i == j:
+                if i == j and order:
                     of_lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
             lags, banded = lags + of_lags, banded + of_bands
 

@@ -193,7 +193,9 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, b
         taken, score = others.taken, others.score
         # What they took if these spectra hold: process noise has its own expectation, and an
         # average of both would be the spectrum of neither.
-        taken_lags, taken_banded = spectra.taken_power(others.density)
+        taken_lags, taken_banded = spectra.taken_power(
+            spectra.grid.spread_out(others.density), spectra.highest_order
+        )
         if not np.all((lags + taken_lags)[0] > 0):
             # A fit to such errors would bring more power into an output than its residuals have.
             break
@@ -393,7 +395,7 @@ class ResidualSpectra:
         # Process noise is compared with the residuals as they are, so the others must be, too.
         errors, *_ = whittle_score(average.density.T, banded.T, self._numbers)
         penalty = average.score - errors + self._numbers.sum()
-        likely = self._left(average.density, self.grid.spread_out(average.density))
+        likely = self._left(self.grid.spread_out(average.density))
         score, *_ = whittle_score(likely, self.periodogram[1].T, self._numbers)
         return replace(average, score=penalty + score)
 
@@ -458,8 +460,8 @@ class ResidualSpectra:
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float((np.abs(H) ** 2 @ self.grid.weight).mean())
             if power > TINY:
-                density = self.grid.banded(spectrum / power)
-                parts.append((density, self._left(density, spectrum / power)))
+                spectrum /= power
+                parts.append((self.grid.banded(spectrum), self._left(spectrum)))
 
         if not parts:
             return None
@@ -474,17 +476,17 @@ class ResidualSpectra:
     def _sensor_parts(self) -> list[tuple[AnyArray, ComplexArray]]:
         flat = np.ones(len(self.grid.omega), dtype=complex)
         white = [np.diag(row)[..., None] * flat for row in np.eye(len(self.counts))]
-        return [(density, self._left(density, self.grid.spread_out(density))) for density in white]
+        return [(density, self._left(self.grid.spread_out(density))) for density in white]
 
-    def _left(self, density: NDArray, spectrum: NDArray) -> ComplexArray:
+    def _left(self, spectrum: NDArray) -> ComplexArray:
         """Return the transposed expected periodogram (b, k, k) of what the fit leaves of errors.
 
-        Their density (k, k, b) is given, and their `spectrum` at all frequencies. A finite record
-        smears lines, and otherwise the fit would seem to take more than there is.
+        Their `spectrum` (k, k, f) is that at all frequencies. A finite record smears lines, and
+        otherwise the fit would seem to take more than there is.
         """
         pairs = np.fft.irfft(spectrum, self.grid.size) * self._measured_pairs
         expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
-        return _positive(expected - self.taken_power(density)[1]).T
+        return _positive(expected - self.taken_power(spectrum)[1]).T
 
     @cached_property
     def _measured_pairs(self) -> Array:
@@ -531,7 +533,7 @@ class ResidualSpectra:
         most of a drift, and the residuals then look white: if `corrected`, they are compared with
         those of white errors.
         """
-        banded = self.periodogram[1] + (self.taken_power(self.white)[1] if corrected else 0.0)
+        banded = self.periodogram[1] + (self.taken_power(self.grid.spread_out(self.white))[1] if corrected else 0.0)
         power = np.einsum("iib->ib", banded).real
         scale = power @ (self.grid.band_weight / self.slow).T / self.grid.mean(power)[:, None]
         half = -self.counts[:, None] / 2 * (np.log(scale) + self._slow_level)
@@ -574,19 +576,23 @@ class ResidualSpectra:
         """Return what the estimate takes from errors of a spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
-    def taken_power(self, density: NDArray) -> tuple[Array, ComplexArray]:
-        """Return the periodogram of what the fit took from errors of this spectrum.
+    def taken_power(self, spectrum: NDArray, order: int = 0) -> tuple[Array, ComplexArray]:
+        """Return the periodogram of what the fit took from errors of a spectrum (k, k, f).
 
         Residuals r = (1 - P) e, with P = J (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
-        Pᵀ. The errors of other data of the fit are assumed to have the same color.
+        Pᵀ. The errors of other data of the fit are assumed to have the same color. The first are
+        the autocovariances up to an `order` above zero.
         """
         grid, p, size = self.grid, len(self._bread), self.deviation[:, None, None]
-        # Bands are wider than the lines of the transform: the density is interpolated.
-        spread = grid.spread_out(density)
-        colored = [
-            np.fft.irfft(filtered(spread, transform), grid.size)[..., : A.shape[2]]
-            for A, transform, *_ in self._stretches
-        ]
+        if np.diff(spectrum).any():
+            colored = [
+                np.fft.irfft(filtered(spectrum, transform), grid.size)[..., : A.shape[2]]
+                for A, transform, *_ in self._stretches
+            ]
+        else:
+            # White errors have no memory, and no transform.
+            white = spectrum[..., 0].real
+            colored = [np.tensordot(white, A * size, 1) for A, *_ in self._stretches]
         stretches = [*zip(self._stretches, colored, self.residuals, strict=True)]
         meat = sum(products(A[:, :p] * size, C[:, :p]) for (A, *_), C, _ in stretches)
         factor = np.trace(meat) / max(float(np.trace(self._bread)), TINY)
@@ -602,7 +608,7 @@ class ResidualSpectra:
             half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
             pairs.append((first, np.fft.rfft(half, grid.size)))
 
-        return grid.covariances(pairs, self.highest_order)
+        return grid.covariances(pairs, order)
 
     @cached_property
     def _bread(self) -> Array:
