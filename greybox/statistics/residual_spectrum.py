@@ -533,7 +533,9 @@ class ResidualSpectra:
         most of a drift, and the residuals then look white: if `corrected`, they are compared with
         those of white errors.
         """
-        banded = self.periodogram[1] + (self.taken_power(self.grid.spread_out(self.white))[1] if corrected else 0.0)
+        banded = self.periodogram[1]
+        if corrected:
+            banded = banded + self.taken_power(self.grid.spread_out(self.white))[1]
         power = np.einsum("iib->ib", banded).real
         scale = power @ (self.grid.band_weight / self.slow).T / self.grid.mean(power)[:, None]
         half = -self.counts[:, None] / 2 * (np.log(scale) + self._slow_level)
