@@ -533,9 +533,7 @@ class ResidualSpectra:
         most of a drift, and the residuals then look white: if `corrected`, they are compared with
         those of white errors.
         """
-        banded = self.periodogram[1]
-        if corrected:
-            banded = banded + self.taken_power(self.grid.spread_out(self.white))[1]
+        banded = self.periodogram[1] + (self.taken_power(self.white)[1] if corrected else 0.0)
         power = np.einsum("iib->ib", banded).real
         scale = power @ (self.grid.band_weight / self.slow).T / self.grid.mean(power)[:, None]
         half = -self.counts[:, None] / 2 * (np.log(scale) + self._slow_level)
@@ -585,29 +583,27 @@ class ResidualSpectra:
         Pᵀ. The errors of other data of the fit are assumed to have the same color. The first are
         the autocovariances up to an `order` above zero.
         """
-        grid, p, size = self.grid, len(self._bread), self.deviation[:, None, None]
-        if np.diff(spectrum).any():
-            colored = [
-                np.fft.irfft(filtered(spectrum, transform), grid.size)[..., : A.shape[2]]
-                for A, transform, *_ in self._stretches
-            ]
-        else:
-            # White errors have no memory, and no transform.
-            white = spectrum[..., 0].real
-            colored = [np.tensordot(white, A * size, 1) for A, *_ in self._stretches]
-        stretches = [*zip(self._stretches, colored, self.residuals, strict=True)]
-        meat = sum(products(A[:, :p] * size, C[:, :p]) for (A, *_), C, _ in stretches)
+        grid, p = self.grid, len(self._bread)
+        # White errors have no memory, and need no transform.
+        is_white = not np.diff(spectrum).any()
+        colored = [
+            filtered(spectrum[..., :1].real, A)
+            if is_white
+            else np.fft.irfft(filtered(spectrum, transform), grid.size)[..., : A.shape[2]]
+            for A, transform, *_ in self._stretches
+        ]
+        stretches = [*zip(self._stretches, colored, strict=True)]
+        meat = sum(products(A[:, :p], C[:, :p]) for (A, *_), C in stretches)
         factor = np.trace(meat) / max(float(np.trace(self._bread)), TINY)
         middle = meat + factor * (np.eye(p) - self._bread)
 
         pairs = []
-        for (A, _, first, taken), C, e in stretches:
+        for (A, _, first, taken, present), C in stretches:
             # The errors of a stretch's initial states are correlated with those of the parameters,
             # which other stretches determine, too.
-            covariance = products(A * size, C)
+            covariance = products(A, C)
             covariance[:p, :p] = middle
-            half = C - covariance.T @ taken / 2
-            half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
+            half = (C - covariance.T @ taken / 2) * present
             pairs.append((first, np.fft.rfft(half, grid.size)))
 
         return grid.covariances(pairs, order)
@@ -617,19 +613,19 @@ class ResidualSpectra:
         return self.grid.score_covariance(self.transforms(), self.white)
 
     @cached_property
-    def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array]]:
+    def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array, Array]]:
         """Sensitivities (k, q, n) of every stretch, with products of their transforms and of them.
 
-        Records that are corrected are short enough to store them.
+        Those of the initial states follow those of the parameters. The last are the samples that
+        are present. Records that are corrected are short enough to store them.
         """
-        sizes = self.noise / self.deviation[:, None]
-        scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
+        noise, root = self.white[..., 0], np.sqrt(self.counts)[:, None, None]
         stretches = []
-        for J, X in zip(self.weighted, self.initial, strict=True):
-            A = np.hstack([self.directions.T @ J, X])
-            transform = self.grid.transform(A, np.eye(A.shape[1]), self.deviation)
-            first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
-            stretches.append((A, transform, first, taken))
+        for J, X, e in zip(self.weighted, self.initial, self.residuals, strict=True):
+            A = np.hstack([self.directions.T @ J, X]) * self.deviation[:, None, None]
+            transform = np.fft.rfft(A, self.grid.size)
+            first, taken = (np.tensordot(noise, each, 1) for each in (transform, A))
+            stretches.append((A, transform, first / root, taken, (e != 0)[:, None] / root))
         return stretches
 
 
