@@ -101,17 +101,14 @@ class FrequencyGrid:
         for a, b in factors:
             k = len(a)
             of_lags = np.zeros((order + 1, k))
-            of_bands = np.empty((k, k, len(self.starts)), dtype=complex)
+            product = np.empty((k, k, len(self.starts)), dtype=complex)
             # One by one: all products together would fill the memory of long records.
-            for i, j in zip(*np.tril_indices(k), strict=True):
+            for i, j in np.ndindex(k, k):
                 values = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
-                adjoint = np.vecdot(a[j], b[i], axis=0) if i != j else values.conj()  # pyright: ignore[reportCallIssue]
-                values += adjoint
-                of_bands[i, j] = self.banded(values)
-                of_bands[j, i] = of_bands[i, j].conj()
+                product[i, j] = self.banded(values)
                 if i == j and order:
-                    of_lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
-            lags, banded = lags + of_lags, banded + of_bands
+                    of_lags[:, i] = np.fft.irfft(2 * values.real, self.size)[: order + 1]
+            lags, banded = lags + of_lags, banded + product + product.swapaxes(0, 1).conj()
 
         return lags, banded
 
