@@ -90,11 +90,13 @@ class FrequencyGrid:
             result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
         return result
 
-    def covariances(self, factors: Iterable[ComplexPair], order: int) -> tuple[Array, ComplexArray]:
+    def covariances(
+        self, factors: Iterable[ComplexPair], order: int = -1
+    ) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
         It is the sum of the products a bᴴ of its factors, (k, p, frequencies) each, and of their
-        adjoints.
+        adjoints. By default there are no autocovariances.
         """
         lags: Any = 0.0
         banded: Any = 0.0
@@ -106,7 +108,7 @@ class FrequencyGrid:
             for i, j in np.ndindex(k, k):
                 values = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
                 product[i, j] = self.banded(values)
-                if i == j and order:
+                if i == j and order >= 0:
                     of_lags[:, i] = np.fft.irfft(2 * values.real, self.size)[: order + 1]
             lags, banded = lags + of_lags, banded + product + product.swapaxes(0, 1).conj()
 

@@ -317,7 +317,7 @@ class ResidualSpectra:
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
         factors = ((z, z) for z in self.transforms())
-        return self.grid.covariances(factors, 0)[1].conj() / 2
+        return self.grid.covariances(factors)[1].conj() / 2
 
     @cached_property
     def slow(self) -> Array:
@@ -576,12 +576,12 @@ class ResidualSpectra:
         """Return what the estimate takes from errors of a spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
-    def taken_power(self, spectrum: NDArray, order: int = 0) -> tuple[Array, ComplexArray]:
+    def taken_power(self, spectrum: NDArray, order: int = -1) -> tuple[Array, ComplexArray]:
         """Return the periodogram of what the fit took from errors of a spectrum (k, k, f).
 
         Residuals r = (1 - P) e, with P = J (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
         Pᵀ. The errors of other data of the fit are assumed to have the same color. The first are
-        the autocovariances up to an `order` above zero.
+        the autocovariances up to this order.
         """
         grid, p = self.grid, len(self._bread)
         # White errors have no memory, and need no transform.
