@@ -137,8 +137,11 @@ class FrequencyGrid:
         return np.sum(total < share * total[:, -1:], axis=1)
 
 
-def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
-    """Return the product of a density (k, k, f) and transforms (k, p, f) at each frequency."""
+def filtered(density: NDArray, transform: NDArray) -> NDArray:
+    """Return the product of a density (k, k, f) and transforms (k, p, f) at each frequency.
+
+    One column of a density, (k, k, 1), is that of white errors.
+    """
     return np.einsum("ijf,jpf->ipf", density, transform)
 
 

@@ -587,7 +587,7 @@ class ResidualSpectra:
         # White errors have no memory, and need no transform.
         is_white = not np.diff(spectrum).any()
         colored = [
-            filtered(spectrum[..., :1].real, A)
+            filtered(np.real(spectrum[..., :1]), A)
             if is_white
             else np.fft.irfft(filtered(spectrum, transform), grid.size)[..., : A.shape[2]]
             for A, transform, *_ in self._stretches
