@@ -25,7 +25,7 @@ import ast as _ast
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
-__version__ = "0.3.0"
+from greybox.files.version import __version__ as __version__
 
 
 def _public_names() -> dict[str, str]:

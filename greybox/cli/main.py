@@ -11,13 +11,13 @@ import os
 import sys
 from collections.abc import Collection
 from importlib import import_module
-from importlib.metadata import version
 from typing import Any, NoReturn
 
 from greybox.cli.options import COMMON, HelpFormatter, UsageError, declare
 from greybox.cli.output import BAD_INPUT, write_answer
 from greybox.files.arrays import Labels
 from greybox.files.text_table import alternatives, nearest
+from greybox.files.version import __version__
 
 # The command `fit` is the module `greybox.cli.fit_command`.
 GROUPS = {
@@ -136,7 +136,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
         allow_abbrev=False,
     )
     # No abbreviations: a new option could make one in a script ambiguous.
-    parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
+    parser.add_argument("--version", action="version", version=f"greybox {__version__}")
 
     subparsers = parser.add_subparsers(
         prog="greybox", metavar="COMMAND", required=True, help=argparse.SUPPRESS

@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
-from importlib.metadata import version
+from functools import partial
 from types import MappingProxyType
 
 import casadi as ca
@@ -37,6 +36,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Named, by_name
 from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted, require_kind
+from greybox.files.version import __version__
 from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.starts import AnyStarts, Listed, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
@@ -60,8 +60,6 @@ from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, multistart, solver_for
 from greybox.solve.robust_fit import with_robust_errors
 from greybox.solve.runs import SEARCH_OVER, RunStorage
-
-_version = cache(version)  # reading it takes 2 ms
 
 
 def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
@@ -386,7 +384,7 @@ def assemble(
         starts=starts,
         seconds=0.0,
         versions={
-            "greybox": _version("greybox-id"),
+            "greybox": __version__,
             "casadi": ca.CasadiMeta.version(),
             "numpy": np.__version__,
             "python": platform.python_version(),

@@ -400,6 +400,8 @@ def invisible_groups(
 
     Directions without a common parameter are different groups, however the directions are mixed.
     """
+    if not invisible.any():
+        return ()  # as of most fits, without the import
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  (imports slowly)
 
     # The projector does not depend on how the singular vectors mix equal singular values.

@@ -16,5 +16,6 @@ Begin with `text_table`.
 | `rebuilt` | values that are pickled as the arguments of their construction |
 | `safe_files` | atomic writes, and clear errors of reading |
 | `sealed_files` | HDF5 files of one text with a checksum |
+| `version` | the version of greybox |
 | `subprocess_reader` | runs `subprocess_main`, which reads HDF5, MATLAB and PX4 files |
 """

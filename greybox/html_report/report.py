@@ -8,7 +8,6 @@ import hashlib
 import re
 from collections.abc import Sequence
 from datetime import date
-from importlib.metadata import version
 from itertools import starmap
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -21,6 +20,7 @@ from greybox.files.arrays import Strings
 from greybox.files.grouping import grouped
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import checked_items, counted, number, require_kind
+from greybox.files.version import __version__
 from greybox.html_report.comparison_section import comparison_section, overview, study_section
 from greybox.html_report.elements import Child, figure_grid, html, tag
 from greybox.html_report.fit_section import Entry, fit_section
@@ -220,7 +220,7 @@ def _document(title: str, sections: Sequence[Element], author: str) -> str:
         policy=POLICY.format(_hash(script), _hash(style)),
         script=script,
         style=style,
-        version=version("greybox-id"),
+        version=__version__,
     )
 
 

@@ -62,6 +62,10 @@ MOST_BYTES = 1 << 28
 
 LOST = "the executor gave up its tasks: its workers or its scheduler are gone."
 
+# glibc returns freed memory beyond twice the largest block that was ever freed, and getting it back
+# takes 6 % of the fit of a record of 6000 samples. This block is never touched.
+np.empty(31 << 20, np.uint8)
+
 
 def run_all(
     solver: Runner,

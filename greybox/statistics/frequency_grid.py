@@ -90,28 +90,27 @@ class FrequencyGrid:
             result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
         return result
 
-    def covariances(self, factors: Iterable[ComplexPair], order: int) -> tuple[Array, ComplexArray]:
+    def covariances(
+        self, factors: Iterable[ComplexPair], order: int = -1
+    ) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
         It is the sum of the products a bᴴ of its factors, (k, p, frequencies) each, and of their
-        adjoints.
+        adjoints. By default there are no autocovariances.
         """
         lags: Any = 0.0
         banded: Any = 0.0
         for a, b in factors:
             k = len(a)
-            of_lags = np.empty((order + 1, k))
-            of_bands = np.empty((k, k, len(self.starts)), dtype=complex)
+            of_lags = np.zeros((order + 1, k))
+            product = np.empty((k, k, len(self.starts)), dtype=complex)
             # One by one: all products together would fill the memory of long records.
-            for i, j in zip(*np.tril_indices(k), strict=True):
-                first = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
-                second = np.vecdot(a[j], b[i], axis=0)  # pyright: ignore[reportCallIssue]
-                values = first + second
-                of_bands[i, j] = self.banded(values)
-                of_bands[j, i] = of_bands[i, j].conj()
-                if i == j:
-                    of_lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
-            lags, banded = lags + of_lags, banded + of_bands
+            for i, j in np.ndindex(k, k):
+                values = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
+                product[i, j] = self.banded(values)
+                if i == j and order >= 0:
+                    of_lags[:, i] = np.fft.irfft(2 * values.real, self.size)[: order + 1]
+            lags, banded = lags + of_lags, banded + product + product.swapaxes(0, 1).conj()
 
         return lags, banded
 
@@ -138,8 +137,11 @@ class FrequencyGrid:
         return np.sum(total < share * total[:, -1:], axis=1)
 
 
-def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
-    """Return the product of a density (k, k, f) and transforms (k, p, f) at each frequency."""
+def filtered(density: NDArray, transform: NDArray) -> NDArray:
+    """Return the product of a density (k, k, f) and transforms (k, p, f) at each frequency.
+
+    One column of a density, (k, k, 1), is that of white errors.
+    """
     return np.einsum("ijf,jpf->ipf", density, transform)
 
 

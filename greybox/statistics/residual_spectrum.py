@@ -193,7 +193,9 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, b
         taken, score = others.taken, others.score
         # What they took if these spectra hold: process noise has its own expectation, and an
         # average of both would be the spectrum of neither.
-        taken_lags, taken_banded = spectra.taken_power(others.density)
+        taken_lags, taken_banded = spectra.taken_power(
+            spectra.grid.spread_out(others.density), spectra.highest_order
+        )
         if not np.all((lags + taken_lags)[0] > 0):
             # A fit to such errors would bring more power into an output than its residuals have.
             break
@@ -315,7 +317,7 @@ class ResidualSpectra:
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
         factors = ((z, z) for z in self.transforms())
-        return self.grid.covariances(factors, 0)[1].conj() / 2
+        return self.grid.covariances(factors)[1].conj() / 2
 
     @cached_property
     def slow(self) -> Array:
@@ -393,7 +395,7 @@ class ResidualSpectra:
         # Process noise is compared with the residuals as they are, so the others must be, too.
         errors, *_ = whittle_score(average.density.T, banded.T, self._numbers)
         penalty = average.score - errors + self._numbers.sum()
-        likely = self._left(average.density, self.grid.spread_out(average.density))
+        likely = self._left(self.grid.spread_out(average.density))
         score, *_ = whittle_score(likely, self.periodogram[1].T, self._numbers)
         return replace(average, score=penalty + score)
 
@@ -458,8 +460,8 @@ class ResidualSpectra:
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float((np.abs(H) ** 2 @ self.grid.weight).mean())
             if power > TINY:
-                density = self.grid.banded(spectrum / power)
-                parts.append((density, self._left(density, spectrum / power)))
+                spectrum /= power
+                parts.append((self.grid.banded(spectrum), self._left(spectrum)))
 
         if not parts:
             return None
@@ -474,17 +476,17 @@ class ResidualSpectra:
     def _sensor_parts(self) -> list[tuple[AnyArray, ComplexArray]]:
         flat = np.ones(len(self.grid.omega), dtype=complex)
         white = [np.diag(row)[..., None] * flat for row in np.eye(len(self.counts))]
-        return [(density, self._left(density, self.grid.spread_out(density))) for density in white]
+        return [(density, self._left(self.grid.spread_out(density))) for density in white]
 
-    def _left(self, density: NDArray, spectrum: NDArray) -> ComplexArray:
+    def _left(self, spectrum: NDArray) -> ComplexArray:
         """Return the transposed expected periodogram (b, k, k) of what the fit leaves of errors.
 
-        Their density (k, k, b) is given, and their `spectrum` at all frequencies. A finite record
-        smears lines, and otherwise the fit would seem to take more than there is.
+        Their `spectrum` (k, k, f) is that at all frequencies. A finite record smears lines, and
+        otherwise the fit would seem to take more than there is.
         """
         pairs = np.fft.irfft(spectrum, self.grid.size) * self._measured_pairs
         expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
-        return _positive(expected - self.taken_power(density)[1]).T
+        return _positive(expected - self.taken_power(spectrum)[1]).T
 
     @cached_property
     def _measured_pairs(self) -> Array:
@@ -574,54 +576,56 @@ class ResidualSpectra:
         """Return what the estimate takes from errors of a spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
-    def taken_power(self, density: NDArray) -> tuple[Array, ComplexArray]:
-        """Return the periodogram of what the fit took from errors of this spectrum.
+    def taken_power(self, spectrum: NDArray, order: int = -1) -> tuple[Array, ComplexArray]:
+        """Return the periodogram of what the fit took from errors of a spectrum (k, k, f).
 
         Residuals r = (1 - P) e, with P = J (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
-        Pᵀ. The errors of other data of the fit are assumed to have the same color.
+        Pᵀ. The errors of other data of the fit are assumed to have the same color. The first are
+        the autocovariances up to this order.
         """
-        grid, p, size = self.grid, len(self._bread), self.deviation[:, None, None]
-        # Bands are wider than the lines of the transform: the density is interpolated.
-        spread = grid.spread_out(density)
+        grid, p = self.grid, len(self._bread)
+        # White errors have no memory, and need no transform.
+        is_white = not np.diff(spectrum).any()
         colored = [
-            np.fft.irfft(filtered(spread, transform), grid.size)[..., : A.shape[2]]
+            filtered(np.real(spectrum[..., :1]), A)
+            if is_white
+            else np.fft.irfft(filtered(spectrum, transform), grid.size)[..., : A.shape[2]]
             for A, transform, *_ in self._stretches
         ]
-        stretches = [*zip(self._stretches, colored, self.residuals, strict=True)]
-        meat = sum(products(A[:, :p] * size, C[:, :p]) for (A, *_), C, _ in stretches)
+        stretches = [*zip(self._stretches, colored, strict=True)]
+        meat = sum(products(A[:, :p], C[:, :p]) for (A, *_), C in stretches)
         factor = np.trace(meat) / max(float(np.trace(self._bread)), TINY)
         middle = meat + factor * (np.eye(p) - self._bread)
 
         pairs = []
-        for (A, _, first, taken), C, e in stretches:
+        for (A, _, first, taken, present), C in stretches:
             # The errors of a stretch's initial states are correlated with those of the parameters,
             # which other stretches determine, too.
-            covariance = products(A * size, C)
+            covariance = products(A, C)
             covariance[:p, :p] = middle
-            half = C - covariance.T @ taken / 2
-            half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
+            half = (C - covariance.T @ taken / 2) * present
             pairs.append((first, np.fft.rfft(half, grid.size)))
 
-        return grid.covariances(pairs, self.highest_order)
+        return grid.covariances(pairs, order)
 
     @cached_property
     def _bread(self) -> Array:
         return self.grid.score_covariance(self.transforms(), self.white)
 
     @cached_property
-    def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array]]:
+    def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array, Array]]:
         """Sensitivities (k, q, n) of every stretch, with products of their transforms and of them.
 
-        Records that are corrected are short enough to store them.
+        Those of the initial states follow those of the parameters. The last are the samples that
+        are present. Records that are corrected are short enough to store them.
         """
-        sizes = self.noise / self.deviation[:, None]
-        scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
+        noise, root = self.white[..., 0], np.sqrt(self.counts)[:, None, None]
         stretches = []
-        for J, X in zip(self.weighted, self.initial, strict=True):
-            A = np.hstack([self.directions.T @ J, X])
-            transform = self.grid.transform(A, np.eye(A.shape[1]), self.deviation)
-            first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
-            stretches.append((A, transform, first, taken))
+        for J, X, e in zip(self.weighted, self.initial, self.residuals, strict=True):
+            A = np.hstack([self.directions.T @ J, X]) * self.deviation[:, None, None]
+            transform = np.fft.rfft(A, self.grid.size)
+            first, taken = (np.tensordot(noise, each, 1) for each in (transform, A))
+            stretches.append((A, transform, first / root, taken, (e != 0)[:, None] / root))
         return stretches
 
 

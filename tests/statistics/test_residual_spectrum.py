@@ -450,7 +450,7 @@ def test_the_power_that_a_fit_takes_is_that_of_dense_matrices(initial, missing):
     made = small(initial, missing=missing)
     density = some_density(made)
     sigma, left = left_by_a_fit(made, density)
-    lags, banded = made.taken_power(density)
+    lags, banded = made.taken_power(made.grid.spread_out(density), made.highest_order)
     for lag in range(len(lags)):
         for i in (0, 1):
             for j in (0, 1):
@@ -471,7 +471,7 @@ def test_other_data_are_taken_to_have_errors_of_the_same_color():
         )
         + 0j
     )
-    lags, _ = made.taken_power(density)
+    lags, _ = made.taken_power(made.grid.spread_out(density), made.highest_order)
     R = block_diag(*(np.kron(NOISE, np.eye(n)) for n in (12, 9)))
     W = np.vstack([rows_of(W) for W in made.weighted])
     taken = 3 * R @ W @ W.T @ R  # P Σ + Σ Pᵀ - P (Σ of all data) Pᵀ
@@ -732,7 +732,7 @@ def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_say
         7.5 + 21 * 2
     )  # of every number, the mean of its square over its variance
     assert judged.density is density
-    lags, banded = nothing.taken_power(density)
+    lags, banded = nothing.taken_power(nothing.grid.spread_out(density), nothing.highest_order)
     assert not lags.any()
     assert not banded.any()
 
@@ -798,7 +798,7 @@ def test_what_a_fit_took_is_that_of_errors_without_process_noise():
     lags, banded = made.periodogram
     others = made.others(lags, banded)
     for _ in range(2):
-        more = made.taken_power(others.density)
+        more = made.taken_power(made.grid.spread_out(others.density), made.highest_order)
         corrected = made.others(lags + more[0], banded + more[1])
         changed = abs(corrected.taken - others.taken) >= 0.1 * others.taken
         others = replace(corrected, score=min(others.score, corrected.score))
@@ -846,7 +846,7 @@ def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_
         lags, banded = made.periodogram
         mixtures = [made.others(lags, banded)]
         for _ in range(2):
-            more = made.taken_power(mixtures[-1].density)
+            more = made.taken_power(made.grid.spread_out(mixtures[-1].density), made.highest_order)
             mixtures.append(made.others(lags + more[0], banded + more[1]))
         again.append(abs(mixtures[1].taken / mixtures[0].taken - 1) > 0.1)
         found = by_parameters(colored_information, [J], [e], inverse, np.eye(1))
