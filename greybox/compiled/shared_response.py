@@ -97,7 +97,7 @@ class SharedSystem:
             yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
 
     def responses(self, z: Array) -> ComplexPair:
-        """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
+        """Return the points of all pairs at z (p, k), (k, N), and their derivatives, (k, p, N)."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
         S, delays, slopes, delay_slopes = self.matrices(z)
@@ -106,19 +106,20 @@ class SharedSystem:
             return self._undelayed(S, slopes, points, omega)
 
         _, inputs, at = points
-        s, late = 1j * self.omega[at, None], delays[:, inputs, None]
+        s, late = 1j * self.omega[at], delays[:, None, inputs]
         result = undelayed(self.omega)
-        by_delay = np.zeros_like(result[..., :1])
+        by_delay = np.zeros_like(result[:, :1])
         if self.hold:
             size = self.omega.shape
             at_once, rate = first_terms(lambda q: undelayed(np.full(size, q / 1j)), self.hold)
             step, ramp, slope = folded_back(s * self.hold, late / self.hold)
-            result += ramp * rate + np.where(self.delayed[inputs, None], 0, step) * at_once
-            by_delay = slope * rate[..., :1] / self.hold
-        by_delay = by_delay - s * result[..., :1]
-        result[..., 1:] += by_delay * delay_slopes[:, inputs]
+            result += ramp * rate + np.where(self.delayed[inputs], 0, step) * at_once
+            by_delay = slope * rate[:, :1] / self.hold
+        by_delay = by_delay - s * result[:, :1]
+        moving = np.flatnonzero(np.any(delay_slopes != 0, axis=(0, 1)))
+        result[:, 1 + moving] += by_delay * delay_slopes[..., moving].mT[..., inputs]
         result *= np.exp(-s * late)
-        return result[..., 0], result[..., 1:]
+        return result[:, 0], result[:, 1:]
 
     def _undelayed(self, S: Array, slopes: Array, points: IntArray, omega: Any) -> ComplexArray:
         """Return responses and derivatives at points (3, N) for inputs without delays."""
@@ -130,14 +131,19 @@ class SharedSystem:
         E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
 
+        # Rows of all points: `take` leaves them contiguous, which indices of arrays do not.
         outputs, inputs, at = points
-        response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
+        at_output, at_input = at * self.outputs + outputs, at * self.inputs + inputs
+        response = (S[:, None, n:] @ right).reshape(len(S), -1)
+        response = response.take(at_output * self.inputs + inputs, -1)
+        left = np.moveaxis(left, -1, 1).reshape(len(S), n + self.outputs, -1).take(at_output, -1)
+        right = np.moveaxis(right, -2, 1).reshape(len(S), n + self.inputs, -1).take(at_input, -1)
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
-        outputs, inputs, at = points[..., None]
-        by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
-        return np.concatenate([response[..., None], by_entry @ slopes[:, moving]], axis=-1)
+        by_entry = (left[:, i] * right[:, j]).view(float)
+        by_z = (slopes[:, moving].mT @ by_entry).view(complex)
+        return np.concatenate([response[:, None], by_z], axis=1)
 
 
 class SineTest(Rebuilt):
@@ -170,12 +176,12 @@ class SineTest(Rebuilt):
         yield self.pairs[0][0], self
 
     def responses(self, z: Array) -> ComplexPair:
-        """Return the response at z (p, k), (k, n), and its derivatives by z, last.
+        """Return the response at z (p, k), (k, n), and its derivatives, (k, p, n).
 
         The response is NaN where no motion is found.
         """
         rows = np.array([self._response(column) for column in z.T])
-        return rows[..., 0], rows[..., 1:]
+        return rows[..., 0], rows[..., 1:].mT
 
     def _response(self, z: Array) -> ComplexArray:
         """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
@@ -269,14 +275,14 @@ class SharedResponses:
         """
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
-        # All responses (k, N), and their derivatives (k, N, p).
-        values, slopes = (np.hstack(piece)[:, self._order] for piece in pieces)
+        # All responses (k, N), and their derivatives (k, p, N).
+        values, slopes = (np.concatenate(piece, -1).take(self._order, -1) for piece in pieces)
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
-        jacobian = real_and_imaginary(slopes, 1)
-        gradient = first.T[:, None] @ jacobian
-        left, right = (jacobian[:, rows] for rows in self._second)
-        hessian = (left * second.T[..., None]).mT @ right
-        return cost[0], gradient[:, 0].T, hessian.reshape(len(hessian), -1).T
+        jacobian = real_and_imaginary(slopes, 2)
+        gradient = jacobian @ first.T[..., None]
+        left, right = (jacobian.take(rows, -1) for rows in self._second)
+        hessian = left @ (right * second.T[:, None]).mT
+        return cost[0], gradient[..., 0].T, hessian.reshape(len(hessian), -1).T
 
 
 def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:

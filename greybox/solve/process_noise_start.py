@@ -31,11 +31,16 @@ class ProcessNoise:
         # System, frequencies, measured responses, weights and sizes of the derivatives.
         self._terms = []
         self._numbers = 0
+        # Starts need no more precision: with twenty numbers for each parameter, as many starts of
+        # five helicopters reach the minimum as with all frequencies, 302 and 303 of 400; with ten,
+        # 253.
+        share = 20 * len(points) / (2 * sum(map(len, responses.data)))
         for system in responses.systems:
             # States follow from outputs that are measured at one frequency: where responses have
             # frequencies of their own, they are interpolated at as many as the longest has.
             longest = max(len(at) for _, (*_, at) in system.pairs)
-            omega = system.omega[evenly_spread(len(system.omega), longest)]
+            most = int(np.ceil(min(share, 1) * longest))
+            omega = system.omega[evenly_spread(len(system.omega), most)]
             # By frequency, input and output; weights are zero where nothing is measured.
             measured = np.zeros((len(omega), system.inputs, system.outputs), complex)
             for part, (output, input, at) in system.pairs:
@@ -74,21 +79,20 @@ class ProcessNoise:
                 errors, left, x = _whitened(term, S, lag, noise)
                 by_input = S[:, None, :, system.states :].mT[..., None]
                 by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
-                by_delay = own[:, None, None, :, None] * by_delay
+                by_delay = own[:, None, :, None] * by_delay[:, None]
             right = np.concatenate([x, lag[..., None] * own], axis=-1)
 
             # Only the entries that depend on z; rows (entry, frequency, input and output).
             moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
             i, j = system.rows[moving].T
             slopes = np.hstack([slopes[:, moving], delay_slopes])
-            left, right = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)[..., None]
-            for c in range(k):
-                rows = np.concatenate([-left[i, c] * right[j, c], by_delay[:, c]])
-                numbers = rows.reshape(len(rows), -1).view(float)
-                error = errors[c].ravel().view(float)
-                cost[c] += error @ error
-                gradient[:, c] += 2 * slopes[c].T @ (numbers @ error)
-                hessian[:, c] += 2 * (slopes[c].T @ (numbers @ numbers.T) @ slopes[c]).ravel()
+            left, right = (np.moveaxis(side, -1, 1).copy() for side in (left, right))
+            rows = np.concatenate([left[:, i] * -right[:, j, ..., None], by_delay], 1)
+            rows = rows.reshape(k, len(i) + system.inputs, -1).view(float)
+            errors = errors.reshape(k, -1).view(float)
+            cost += np.sum(errors**2, axis=1)
+            gradient += 2 * (slopes.mT @ (rows @ errors[..., None]))[..., 0].T
+            hessian += 2 * (slopes.mT @ (rows @ rows.mT) @ slopes).reshape(k, -1).T
         return cost / self._numbers, gradient / self._numbers, hessian / self._numbers
 
 
