@@ -69,10 +69,10 @@ class SharedSolver(ResponseSolver):
         # for every second pair of starts: those with much noise and those with less miss different
         # minima of two flexible modes.
         ratios = np.array([30.0, 3.0])[columns // 2 % 2]
-        # Behind a weak barrier fewer starts of five helicopters reach the minimum (301 instead of
-        # 326 of 400), after more iterations.
+        # Behind a weak barrier half as many starts of five helicopters reach the minimum, but only
+        # there do those of a rate with delays of many turns. So one start in four has it.
         noise = ProcessNoise(self._shared, z)
-        search = BatchedNewton(noise, *self.nlp.bounds, barriers=BARRIERS[:1])
+        search = BatchedNewton(noise, *self.nlp.bounds, barriers=BARRIERS[[0, 0, 0, 1]])
         for stage in (1.0, 0.1, 0.01):
             # With one ratio of process noise, five of seven starts take 3 to 36 iterations.
             ends = search.minimize(
