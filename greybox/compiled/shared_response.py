@@ -127,23 +127,27 @@ class SharedSystem:
         inverse = resolvents(S[:, :n, :n], omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
-        shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
-        E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
-        left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-
-        # Rows of all points: `take` leaves them contiguous, which indices of arrays do not.
         outputs, inputs, at = points
-        at_output, at_input = at * self.outputs + outputs, at * self.inputs + inputs
-        response = (S[:, None, n:] @ right).reshape(len(S), -1)
-        response = response.take(at_output * self.inputs + inputs, -1)
-        left = np.moveaxis(left, -1, 1).reshape(len(S), n + self.outputs, -1).take(at_output, -1)
-        right = np.moveaxis(right, -2, 1).reshape(len(S), n + self.inputs, -1).take(at_input, -1)
+        left, right = _at_points(Y, outputs, at), _at_points(X.mT, inputs, at)
+        response = np.sum(S[:, n + outputs].mT * right, axis=1, keepdims=True)
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
         by_entry = (left[:, i] * right[:, j]).view(float)
         by_z = (slopes[:, moving].mT @ by_entry).view(complex)
-        return np.concatenate([response[:, None], by_z], axis=1)
+        return np.concatenate([response, by_z], axis=1)
+
+
+def _at_points(side: ComplexArray, signals: IntArray, at: IntArray) -> ComplexArray:
+    """Return a side (k, w, l, n) with an identity beside it, at N points: (k, n + l, N).
+
+    The side is that of the inputs or outputs, of which each point has one of the `signals`.
+    """
+    count = side.shape[2]
+    identity = np.broadcast_to(np.eye(count), (*side.shape[:3], count))
+    rows = np.moveaxis(np.concatenate([side, identity], -1), -1, 1)
+    # `take` leaves the rows of all points contiguous, which indices of arrays do not.
+    return rows.reshape(*rows.shape[:2], -1).take(at * count + signals, -1)
 
 
 class SineTest(Rebuilt):

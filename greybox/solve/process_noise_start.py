@@ -86,12 +86,12 @@ class ProcessNoise:
             i, j = system.rows[moving].T
             slopes = np.hstack([slopes[:, moving], delay_slopes])
             left, right = (np.moveaxis(side, -1, 1).copy() for side in (left, right))
-            rows = np.concatenate([left[:, i] * -right[:, j, ..., None], by_delay], 1)
-            rows = rows.reshape(k, len(i) + system.inputs, -1).view(float)
-            errors = errors.reshape(k, -1).view(float)
-            cost += np.sum(errors**2, axis=1)
-            gradient += 2 * (slopes.mT @ (rows @ errors[..., None]))[..., 0].T
-            hessian += 2 * (slopes.mT @ (rows @ rows.mT) @ slopes).reshape(k, -1).T
+            rows = [left[:, i] * -right[:, j, ..., None], by_delay, errors[:, None]]
+            rows = np.concatenate(rows, 1).reshape(k, len(i) + system.inputs + 1, -1).view(float)
+            products = rows @ rows.mT
+            cost += products[:, -1, -1]
+            gradient += 2 * (slopes.mT @ products[:, :-1, -1:])[..., 0].T
+            hessian += 2 * (slopes.mT @ products[:, :-1, :-1] @ slopes).reshape(k, -1).T
         return cost / self._numbers, gradient / self._numbers, hessian / self._numbers
 
 

@@ -98,16 +98,17 @@ class SharedSolver(ResponseSolver):
         # Without a barrier: the first start may be a minimum of a similar problem.
         near = np.column_stack([z[:, 0], near])
         ends = super().improved(near, **limits, from_near=True)
+        ends = Ends(*(values[..., [0, *1 + columns]] for values in ends))
+        ends.iterations[1:] += iterations
         # The Hessian lacks what large residuals add, so that searches for a wrong model take up to
         # 400. Without the lowest of them the fit might have no minimum at all.
         lowest = np.argmin(ends.cost, keepdims=True)
-        if not ends.at_minimum[lowest]:
-            limits["max_iterations"] = 4 * self.limits["max_iterations"]
-            later = super().improved(ends.z[:, lowest], **limits, from_near=True)
-            ends = continued(ends, later, lowest)
-        ends = Ends(*(values[..., np.append(0, 1 + columns)] for values in ends))
-        ends.iterations[1:] += iterations
-        return ends
+        if ends.at_minimum[lowest]:
+            return ends
+        limits["max_iterations"] = 4 * self.limits["max_iterations"]
+        return continued(
+            ends, super().improved(ends.z[:, lowest], **limits, from_near=True), lowest
+        )
 
     def _in_phase(self, z: Array) -> Array:
         """Return z (p, m) with delays of less than half a turn at the highest frequency.
