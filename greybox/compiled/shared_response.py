@@ -261,12 +261,12 @@ class SharedResponses:
         cost: ca.SX,
         symbols: Sequence[ca.SX],
     ) -> None:
-        """Take the cost as an expression of symbols: real, imaginary parts; smoothing; data."""
+        """Take the cost as an expression of symbols: responses; smoothing; data.
+
+        The responses are those of one system after the other, real parts before imaginary parts.
+        """
         self.systems = systems
         self.data = [part.response.response for part in parts]
-        members = [part for system in systems for part, _ in system.pairs]
-        members = np.repeat(members, [len(self.data[part]) for part in members])
-        self._order = np.argsort(members, kind="stable")
         second, first = ca.hessian(cost, symbols[0])
         self._second = np.array(second.sparsity().get_triplet())
         outputs = [cost, first, second.nz[:]]
@@ -280,7 +280,7 @@ class SharedResponses:
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
         # All responses (k, N), and their derivatives (k, p, N).
-        values, slopes = (np.concatenate(piece, -1).take(self._order, -1) for piece in pieces)
+        values, slopes = (np.concatenate(piece, -1) for piece in pieces)
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 2)
         gradient = jacobian @ first.T[..., None]
