@@ -330,7 +330,7 @@ class ResponseCompiler:
     def systems(self) -> dict[int, SharedSystem | SineTest]:
         """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
-        shared = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
+        shared = shared_systems(self.parts, x, entries_by_name(self.names, x))
         return dict(pair for system in shared for pair in system.of_pairs())
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
@@ -343,7 +343,7 @@ class ResponseCompiler:
             return None
         data, _, measured = self.at_point()
         order = [part for system in systems for part, _ in system.pairs]
-        stacked, members = response_symbols(ca.SX, [self.parts[k] for k in order])
+        stacked, members = response_symbols([self.parts[k] for k in order])
         responses = [response for _, response in sorted(zip(order, members, strict=True))]
         smoothing = ca.SX.sym("smoothing")
         cost = ca.SX(self.weighted(self.costs(responses, measured, smoothing, choose)))

@@ -78,17 +78,19 @@ class SharedSystem:
     delayed: BoolArray
     hold: float
 
-    def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
+    def matrices(self, z: Array) -> tuple[Array, Array, IntArray, Array, Array]:
         """Return S (k, n + l, n + m), delays (k, m), and their derivatives by z (p, k).
 
-        The derivatives of the entries are (k, e, p), those of the delays (k, m, p).
+        Only some entries depend on z: their places (2, e), and derivatives (k, e, p). The last
+        derivatives are those of the delays (k, m, p).
         """
         values, slopes = self.entries(z)
         count = len(self.rows)
         S = np.zeros((z.shape[1], self.states + self.outputs, self.states + self.inputs))
         S[:, self.rows[:, 0], self.rows[:, 1]] = values[:count].T
         slopes = slopes.T.reshape(z.shape[1], len(z), -1).mT
-        return S, values[count:].T, slopes[:, :count], slopes[:, count:]
+        moving = np.flatnonzero(np.any(slopes[:, :count] != 0, axis=(0, 2)))
+        return S, values[count:].T, self.rows[moving].T, slopes[:, moving], slopes[:, count:]
 
     def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
         """Yield every part with the system of its response alone."""
@@ -100,10 +102,10 @@ class SharedSystem:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives, (k, p, N)."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
-        S, delays, slopes, delay_slopes = self.matrices(z)
+        S, delays, *by_z, delay_slopes = self.matrices(z)
 
         def undelayed(omega: Any) -> ComplexArray:
-            return self._undelayed(S, slopes, points, omega)
+            return self._undelayed(S, *by_z, points, omega)
 
         _, inputs, at = points
         s, late = 1j * self.omega[at], delays[:, None, inputs]
@@ -121,7 +123,9 @@ class SharedSystem:
         result *= np.exp(-s * late)
         return result[:, 0], result[:, 1:]
 
-    def _undelayed(self, S: Array, slopes: Array, points: IntArray, omega: Any) -> ComplexArray:
+    def _undelayed(
+        self, S: Array, places: IntArray, slopes: Array, points: IntArray, omega: Any
+    ) -> ComplexArray:
         """Return responses and derivatives at points (3, N) for inputs without delays."""
         n = self.states
         inverse = resolvents(S[:, :n, :n], omega)
@@ -130,11 +134,9 @@ class SharedSystem:
         outputs, inputs, at = points
         left, right = _at_points(Y, outputs, at), _at_points(X.mT, inputs, at)
         response = np.sum(S[:, n + outputs].mT * right, axis=1, keepdims=True)
-        # Only the entries that depend on z.
-        moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
-        i, j = self.rows[moving].T
+        i, j = places
         by_entry = (left[:, i] * right[:, j]).view(float)
-        by_z = (slopes[:, moving].mT @ by_entry).view(complex)
+        by_z = (slopes.mT @ by_entry).view(complex)
         return np.concatenate([response, by_z], axis=1)
 
 
@@ -289,10 +291,10 @@ class SharedResponses:
         return cost[0], gradient[..., 0].T, hessian.reshape(len(hessian), -1).T
 
 
-def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
+def response_symbols(parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
     """Return symbols of all responses, real parts before imaginary parts, and each response."""
     ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
-    re, im = (kind.sym(name, ends[-1]) for name in ("re", "im"))
+    re, im = (ca.SX.sym(name, ends[-1]) for name in ("re", "im"))
     return ca.vertcat(re, im), [*map(Complex, ca.vertsplit(re, ends), ca.vertsplit(im, ends))]
 
 
@@ -327,8 +329,9 @@ def shared_systems(
 def _system(
     parts: Sequence[Problem], members: Sequence[int], point: ca.SX, p: ca.SX
 ) -> SharedSystem | None:
-    model: Any = parts[members[0]].model
-    trim = trim_of(model, parts[members[0]].at)
+    first = parts[members[0]]
+    model: Any = first.model
+    trim = trim_of(model, first.at)
     if trim.root is not None:
         return None
     A, B, C, D = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
@@ -353,5 +356,5 @@ def _system(
         entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
         delayed=np.array([name in model.delays for name in model.inputs]),
-        hold=parts[members[0]].sampled_hold,
+        hold=first.sampled_hold,
     )

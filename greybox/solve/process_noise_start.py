@@ -70,7 +70,7 @@ class ProcessNoise:
         for term in self._terms:
             system, omega, *_, sizes = term
             noise = data[0, :, None, None, None] * sizes
-            S, delays, slopes, delay_slopes = system.matrices(z)
+            S, delays, (i, j), *slopes = system.matrices(z)
             s = 1j * omega[:, None]
             own = np.eye(system.inputs)
             lag = np.exp(-s * delays[:, None])
@@ -81,10 +81,8 @@ class ProcessNoise:
                 by_delay = own[:, None, :, None] * by_delay[:, None]
             right = np.concatenate([x, lag[..., None] * own], axis=-1)
 
-            # Only the entries that depend on z; rows (entry, frequency, input and output).
-            moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
-            i, j = system.rows[moving].T
-            slopes = np.hstack([slopes[:, moving], delay_slopes])
+            # Rows (entry, frequency, input and output).
+            slopes = np.hstack(slopes)
             left, right = (np.moveaxis(side, -1, 1).copy() for side in (left, right))
             rows = [left[:, i] * -right[:, j, ..., None], by_delay, errors[:, None]]
             rows = np.concatenate(rows, 1).reshape(k, len(i) + system.inputs + 1, -1).view(float)

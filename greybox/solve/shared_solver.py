@@ -119,7 +119,7 @@ class SharedSolver(ResponseSolver):
         for system in self._shared.systems if z.size else ():
             half_turn = np.pi / system.omega[-1]
             for k in np.flatnonzero(system.delayed):
-                _, delays, _, slopes = system.matrices(z)
+                _, delays, *_, slopes = system.matrices(z)
                 along = slopes[:, k].T
                 excess = half_turn * (delays[:, k] // half_turn)
                 # A fixed delay follows no variable.
