@@ -60,6 +60,7 @@ class ProcessNoise:
             sizes = np.nan_to_num(sizes, posinf=0.0).mT
             self._terms.append((system, omega, measured, weight, sizes))
 
+    @np.errstate(all="ignore")
     def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
 
@@ -72,18 +73,15 @@ class ProcessNoise:
             noise = data[0, :, None, None, None] * sizes
             S, delays, (i, j), *slopes = system.matrices(z)
             s = 1j * omega[:, None]
-            own = np.eye(system.inputs)
             lag = np.exp(-s * delays[:, None])
-            with np.errstate(all="ignore"):
-                errors, left, x = _whitened(term, S, lag, noise)
-                by_input = S[:, None, :, system.states :].mT[..., None]
-                by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
-                by_delay = own[:, None, :, None] * by_delay[:, None]
-            right = np.concatenate([x, lag[..., None] * own], axis=-1)
+            errors, left, x = _whitened(term, S, lag, noise)
+            right = np.concatenate([x, lag[..., None] * np.eye(system.inputs)], axis=-1)
 
-            # Rows (entry, frequency, input and output).
-            slopes = np.hstack(slopes)
+            # Rows (entry, frequency, input and output); those of the delays follow the entries.
             left, right = (np.moveaxis(side, -1, 1).copy() for side in (left, right))
+            by_input = np.einsum("kiu,kiwvl->kuwvl", S[..., system.states :], left)
+            by_delay = by_input * (s * right[:, system.states :])[..., None]
+            slopes = np.hstack(slopes)
             rows = [left[:, i] * -right[:, j, ..., None], by_delay, errors[:, None]]
             rows = np.concatenate(rows, 1).reshape(k, len(i) + system.inputs + 1, -1).view(float)
             products = rows @ rows.mT
