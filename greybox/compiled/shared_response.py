@@ -15,6 +15,7 @@ small where the residuals are, and may be indefinite far away from a minimum.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -103,14 +104,11 @@ class SharedSystem:
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
         S, delays, *by_z, delay_slopes = self.matrices(z)
-
-        def undelayed(omega: Any) -> ComplexArray:
-            return self._undelayed(S, *by_z, points, omega)
-
+        undelayed = partial(self._undelayed, S, *by_z, points)
         _, inputs, at = points
         s, late = 1j * self.omega[at], delays[:, None, inputs]
         result = undelayed(self.omega)
-        by_delay = np.zeros_like(result[:, :1])
+        by_delay: Any = 0.0
         if self.hold:
             size = self.omega.shape
             at_once, rate = first_terms(lambda q: undelayed(np.full(size, q / 1j)), self.hold)

@@ -89,8 +89,8 @@ class SharedSolver(ResponseSolver):
             iterations = iterations + ends.iterations[columns]
             # Starts that meet continue once, from the same three digits: each ends as it would
             # alone.
-            mantissa, exponent = np.frexp(ends.z)
-            digits = np.ldexp(np.round(1024 * mantissa), exponent - 10)
+            unit = 2.0**43 * np.spacing(ends.z)
+            digits = np.round(ends.z / unit) * unit
             (ratios, *near), column = np.unique([ratios, *digits], axis=1, return_inverse=True)
             near, columns = np.array(near), column[columns]
         # Some starts take 250 iterations, and their time would be that of the whole fit.
