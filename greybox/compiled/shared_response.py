@@ -110,8 +110,9 @@ class SharedSystem:
         result = undelayed(self.omega)
         by_delay: Any = 0.0
         if self.hold:
-            size = self.omega.shape
-            at_once, rate = first_terms(lambda q: undelayed(np.full(size, q / 1j)), self.hold)
+            at_once, rate = first_terms(
+                lambda q: undelayed(np.full(self.omega.shape, q / 1j)), self.hold
+            )
             step, ramp, slope = folded_back(s * self.hold, late / self.hold)
             result += ramp * rate + np.where(self.delayed[inputs], 0, step) * at_once
             by_delay = slope * rate[:, :1] / self.hold

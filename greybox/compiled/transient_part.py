@@ -339,7 +339,7 @@ class TransientPart(Part):
         """
         rows = np.einsum("ka,alx->klx", at.weight, mean).reshape(-1, mean.shape[-1])
         turned = np.einsum("ka,labx,bc->lkcx", at.weight, change, np.linalg.inv(at.weight))
-        hermitian = turned + turned.conj().mT
+        hermitian = turned + turned.conj().swapaxes(1, 2)
         variance = real_and_imaginary(hermitian, 1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])

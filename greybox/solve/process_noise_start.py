@@ -78,7 +78,7 @@ class ProcessNoise:
             right = np.concatenate([x, lag[..., None] * np.eye(system.inputs)], axis=-1)
 
             # Rows (entry, frequency, input and output); those of the delays follow the entries.
-            left, right = (np.moveaxis(side, -1, 1).copy() for side in (left, right))
+            left, right = (np.moveaxis(side, -1, 1) for side in (left, right))
             by_input = np.einsum("kiu,kiwvl->kuwvl", S[..., system.states :], left)
             by_delay = by_input * (s * right[:, system.states :])[..., None]
             slopes = np.hstack(slopes)
