@@ -330,7 +330,7 @@ class ResponseCompiler:
     def systems(self) -> dict[int, SharedSystem | SineTest]:
         """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
-        shared = shared_systems(self.parts, x, entries_by_name(self.names, x))
+        shared = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
         return dict(pair for system in shared for pair in system.of_pairs())
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:

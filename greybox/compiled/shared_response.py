@@ -132,11 +132,11 @@ class SharedSystem:
         Y = S[:, None, n:, :n] @ inverse
         outputs, inputs, at = points
         left, right = _at_points(Y, outputs, at), _at_points(X.mT, inputs, at)
-        response = np.sum(S[:, n + outputs].mT * right, axis=1, keepdims=True)
+        response = np.sum(S[:, n + outputs].mT * right, 1, keepdims=True)
         i, j = places
         by_entry = (left[:, i] * right[:, j]).view(float)
         by_z = (slopes.mT @ by_entry).view(complex)
-        return np.concatenate([response, by_z], axis=1)
+        return np.concatenate([response, by_z], 1)
 
 
 def _at_points(side: ComplexArray, signals: IntArray, at: IntArray) -> ComplexArray:

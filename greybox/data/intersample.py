@@ -14,7 +14,6 @@ with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (in
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -80,7 +79,11 @@ def response_of_hold(omega: Array, seconds: float) -> ComplexArray:
 
 def checked_hold(name: str, seconds: Any) -> float:
     """Return for how long each value of a signal lasted; ValueError if that is not a time."""
-    if isinstance(seconds, Real) and not isinstance(seconds, bool) and seconds >= 0:
+    if (
+        isinstance(seconds, int | float | np.number)
+        and not isinstance(seconds, bool)
+        and seconds >= 0
+    ):
         return float(seconds)
     raise ValueError(
         f"hold gives {name!r} the value {seconds!r:.40}: give math.inf for a signal that is held "

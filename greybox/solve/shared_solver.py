@@ -86,7 +86,7 @@ class SharedSolver(ResponseSolver):
                 from_near=stage < 1,
                 given=stage * ratios[None],
             )
-            iterations = iterations + ends.iterations[columns]
+            iterations += ends.iterations[columns]
             # Starts that meet continue once, from the same three digits: each ends as it would
             # alone.
             unit = 2.0**43 * np.spacing(ends.z)
@@ -98,7 +98,7 @@ class SharedSolver(ResponseSolver):
         # Without a barrier: the first start may be a minimum of a similar problem.
         near = np.column_stack([z[:, 0], near])
         ends = super().improved(near, **limits, from_near=True)
-        ends = Ends(*(values[..., [0, *1 + columns]] for values in ends))
+        ends = Ends._make(values[..., [0, *1 + columns]] for values in ends)
         ends.iterations[1:] += iterations
         # The Hessian lacks what large residuals add, so that searches for a wrong model take up to
         # 400. Without the lowest of them the fit might have no minimum at all.
