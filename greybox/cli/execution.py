@@ -82,7 +82,7 @@ def _explain(error: Exception) -> tuple[str, int]:
         return f"{place}{type(error).__name__}: {sentence}", BAD_INPUT
 
     # The library raises these for bad input; anything else is a defect of greybox.
-    if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
+    if isinstance(error, ValueError | TypeError | LookupError | OSError | ModuleNotFoundError):
         return sentence, BAD_INPUT
     sentence = f"internal error, {type(error).__name__}: {sentence}"
     return f"{sentence}; run again with --debug and report it.", FAILED

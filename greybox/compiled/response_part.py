@@ -152,7 +152,7 @@ class ResponsePart(Part):
         functions = self.functions
         if (system := functions.system) is not None:
             results = self.stored("both", values, lambda: system.responses(values[:, None]))
-            return results[is_slope][0]
+            return results[is_slope][0].T
         function = functions.slope if is_slope else functions.response
         return self.stored(
             function.name(),

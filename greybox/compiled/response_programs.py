@@ -342,7 +342,9 @@ class ResponseCompiler:
         if systems is None:
             return None
         data, _, measured = self.at_point()
-        stacked, responses = response_symbols(ca.SX, self.parts)
+        order = [part for system in systems for part, _ in system.pairs]
+        stacked, members = response_symbols([self.parts[k] for k in order])
+        responses = [response for _, response in sorted(zip(order, members, strict=True))]
         smoothing = ca.SX.sym("smoothing")
         cost = ca.SX(self.weighted(self.costs(responses, measured, smoothing, choose)))
         return SharedResponses(self.parts, systems, cost, (stacked, smoothing, data))

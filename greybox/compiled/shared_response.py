@@ -15,6 +15,7 @@ small where the residuals are, and may be indefinite far away from a minimum.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -78,17 +79,19 @@ class SharedSystem:
     delayed: BoolArray
     hold: float
 
-    def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
+    def matrices(self, z: Array) -> tuple[Array, Array, IntArray, Array, Array]:
         """Return S (k, n + l, n + m), delays (k, m), and their derivatives by z (p, k).
 
-        The derivatives of the entries are (k, e, p), those of the delays (k, m, p).
+        Only some entries depend on z: their places (2, e), and derivatives (k, e, p). The last
+        derivatives are those of the delays (k, m, p).
         """
         values, slopes = self.entries(z)
         count = len(self.rows)
         S = np.zeros((z.shape[1], self.states + self.outputs, self.states + self.inputs))
         S[:, self.rows[:, 0], self.rows[:, 1]] = values[:count].T
         slopes = slopes.T.reshape(z.shape[1], len(z), -1).mT
-        return S, values[count:].T, slopes[:, :count], slopes[:, count:]
+        moving = np.flatnonzero(np.any(slopes[:, :count] != 0, axis=(0, 2)))
+        return S, values[count:].T, self.rows[moving].T, slopes[:, moving], slopes[:, count:]
 
     def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
         """Yield every part with the system of its response alone."""
@@ -97,47 +100,55 @@ class SharedSystem:
             yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
 
     def responses(self, z: Array) -> ComplexPair:
-        """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
+        """Return the points of all pairs at z (p, k), (k, N), and their derivatives, (k, p, N)."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
-        S, delays, slopes, delay_slopes = self.matrices(z)
-
-        def undelayed(omega: Any) -> ComplexArray:
-            return self._undelayed(S, slopes, points, omega)
-
+        S, delays, *by_z, delay_slopes = self.matrices(z)
+        undelayed = partial(self._undelayed, S, *by_z, points)
         _, inputs, at = points
-        s, late = 1j * self.omega[at, None], delays[:, inputs, None]
+        s, late = 1j * self.omega[at], delays[:, None, inputs]
         result = undelayed(self.omega)
-        by_delay = np.zeros_like(result[..., :1])
+        by_delay: Any = 0.0
         if self.hold:
-            size = self.omega.shape
-            at_once, rate = first_terms(lambda q: undelayed(np.full(size, q / 1j)), self.hold)
+            at_once, rate = first_terms(
+                lambda q: undelayed(np.full(self.omega.shape, q / 1j)), self.hold
+            )
             step, ramp, slope = folded_back(s * self.hold, late / self.hold)
-            result += ramp * rate + np.where(self.delayed[inputs, None], 0, step) * at_once
-            by_delay = slope * rate[..., :1] / self.hold
-        by_delay = by_delay - s * result[..., :1]
-        result[..., 1:] += by_delay * delay_slopes[:, inputs]
+            result += ramp * rate + np.where(self.delayed[inputs], 0, step) * at_once
+            by_delay = slope * rate[:, :1] / self.hold
+        by_delay = by_delay - s * result[:, :1]
+        moving = np.flatnonzero(np.any(delay_slopes != 0, axis=(0, 1)))
+        result[:, 1 + moving] += by_delay * delay_slopes[..., moving].mT[..., inputs]
         result *= np.exp(-s * late)
-        return result[..., 0], result[..., 1:]
+        return result[:, 0], result[:, 1:]
 
-    def _undelayed(self, S: Array, slopes: Array, points: IntArray, omega: Any) -> ComplexArray:
+    def _undelayed(
+        self, S: Array, places: IntArray, slopes: Array, points: IntArray, omega: Any
+    ) -> ComplexArray:
         """Return responses and derivatives at points (3, N) for inputs without delays."""
         n = self.states
         inverse = resolvents(S[:, :n, :n], omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
-        shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
-        E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
-        left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-
         outputs, inputs, at = points
-        response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
-        # Only the entries that depend on z.
-        moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
-        i, j = self.rows[moving].T
-        outputs, inputs, at = points[..., None]
-        by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
-        return np.concatenate([response[..., None], by_entry @ slopes[:, moving]], axis=-1)
+        left, right = _at_points(Y, outputs, at), _at_points(X.mT, inputs, at)
+        response = np.sum(S[:, n + outputs].mT * right, 1, keepdims=True)
+        i, j = places
+        by_entry = (left[:, i] * right[:, j]).view(float)
+        by_z = (slopes.mT @ by_entry).view(complex)
+        return np.concatenate([response, by_z], 1)
+
+
+def _at_points(side: ComplexArray, signals: IntArray, at: IntArray) -> ComplexArray:
+    """Return a side (k, w, l, n) with an identity beside it, at N points: (k, n + l, N).
+
+    The side is that of the inputs or outputs, of which each point has one of the `signals`.
+    """
+    count = side.shape[2]
+    identity = np.broadcast_to(np.eye(count), (*side.shape[:3], count))
+    rows = np.moveaxis(np.concatenate([side, identity], -1), -1, 1)
+    # `take` leaves the rows of all points contiguous, which indices of arrays do not.
+    return rows.reshape(*rows.shape[:2], -1).take(at * count + signals, -1)
 
 
 class SineTest(Rebuilt):
@@ -170,12 +181,12 @@ class SineTest(Rebuilt):
         yield self.pairs[0][0], self
 
     def responses(self, z: Array) -> ComplexPair:
-        """Return the response at z (p, k), (k, n), and its derivatives by z, last.
+        """Return the response at z (p, k), (k, n), and its derivatives, (k, p, n).
 
         The response is NaN where no motion is found.
         """
         rows = np.array([self._response(column) for column in z.T])
-        return rows[..., 0], rows[..., 1:]
+        return rows[..., 0], rows[..., 1:].mT
 
     def _response(self, z: Array) -> ComplexArray:
         """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
@@ -251,12 +262,12 @@ class SharedResponses:
         cost: ca.SX,
         symbols: Sequence[ca.SX],
     ) -> None:
-        """Take the cost as an expression of symbols: real, imaginary parts; smoothing; data."""
+        """Take the cost as an expression of symbols: responses; smoothing; data.
+
+        The responses are those of one system after the other, real parts before imaginary parts.
+        """
         self.systems = systems
         self.data = [part.response.response for part in parts]
-        members = [part for system in systems for part, _ in system.pairs]
-        members = np.repeat(members, [len(self.data[part]) for part in members])
-        self._order = np.argsort(members, kind="stable")
         second, first = ca.hessian(cost, symbols[0])
         self._second = np.array(second.sparsity().get_triplet())
         outputs = [cost, first, second.nz[:]]
@@ -269,20 +280,20 @@ class SharedResponses:
         """
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
-        # All responses (k, N), and their derivatives (k, N, p).
-        values, slopes = (np.hstack(piece)[:, self._order] for piece in pieces)
+        # All responses (k, N), and their derivatives (k, p, N).
+        values, slopes = (np.concatenate(piece, -1) for piece in pieces)
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
-        jacobian = real_and_imaginary(slopes, 1)
-        gradient = first.T[:, None] @ jacobian
-        left, right = (jacobian[:, rows] for rows in self._second)
-        hessian = (left * second.T[..., None]).mT @ right
-        return cost[0], gradient[:, 0].T, hessian.reshape(len(hessian), -1).T
+        jacobian = real_and_imaginary(slopes, 2)
+        gradient = jacobian @ first.T[..., None]
+        left, right = (jacobian.take(rows, -1) for rows in self._second)
+        hessian = left @ (right * second.T[:, None]).mT
+        return cost[0], gradient[..., 0].T, hessian.reshape(len(hessian), -1).T
 
 
-def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
+def response_symbols(parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
     """Return symbols of all responses, real parts before imaginary parts, and each response."""
     ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
-    re, im = (kind.sym(name, ends[-1]) for name in ("re", "im"))
+    re, im = (ca.SX.sym(name, ends[-1]) for name in ("re", "im"))
     return ca.vertcat(re, im), [*map(Complex, ca.vertsplit(re, ends), ca.vertsplit(im, ends))]
 
 
@@ -317,8 +328,9 @@ def shared_systems(
 def _system(
     parts: Sequence[Problem], members: Sequence[int], point: ca.SX, p: ca.SX
 ) -> SharedSystem | None:
-    model: Any = parts[members[0]].model
-    trim = trim_of(model, parts[members[0]].at)
+    first = parts[members[0]]
+    model: Any = first.model
+    trim = trim_of(model, first.at)
     if trim.root is not None:
         return None
     A, B, C, D = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
@@ -343,5 +355,5 @@ def _system(
         entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
         delayed=np.array([name in model.delays for name in model.inputs]),
-        hold=parts[members[0]].sampled_hold,
+        hold=first.sampled_hold,
     )

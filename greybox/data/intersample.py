@@ -80,7 +80,7 @@ def response_of_hold(omega: Array, seconds: float) -> ComplexArray:
 def checked_hold(name: str, seconds: Any) -> float:
     """Return for how long each value of a signal lasted; ValueError if that is not a time."""
     if (
-        isinstance(seconds, (int, float, np.number))
+        isinstance(seconds, int | float | np.number)
         and not isinstance(seconds, bool)
         and seconds >= 0
     ):

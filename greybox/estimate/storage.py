@@ -127,7 +127,7 @@ def from_bytes(data: bytes, models: Any, place: str = "the stored fit") -> Fit:
 
 def _models(entry: ModelSource) -> Sequence[Model | type[Model]]:
     """Return the models in one entry of the argument `models`."""
-    if isinstance(entry, (str, Path)):
+    if isinstance(entry, str | Path):
         return models_of(module_from_file(Path(entry)))
     if isinstance(entry, ModuleType):
         return models_of(entry)

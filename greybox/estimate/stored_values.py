@@ -38,7 +38,7 @@ def fields_of(kind: type) -> Fields:
 
 def write(value: Any) -> Any:
     """Return a value for JSON."""
-    if value is None or isinstance(value, str | float | int):  # most values
+    if isinstance(value, str | float | int | None):  # most values
         return value
     if isinstance(value, np.ndarray) and value.dtype != object:
         parts = np.array([value.real, value.imag]) if np.iscomplexobj(value) else value

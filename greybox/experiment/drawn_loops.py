@@ -39,7 +39,7 @@ def drawn_loops(
     TypeError
         For a plant that is neither, and for values given with a fit.
     """
-    if not isinstance(plant, (Fit, Model)):
+    if not isinstance(plant, Fit | Model):
         raise TypeError(
             f"a {type(plant).__name__} has no loop here: give a Fit, a model with its values, or "
             "the FrequencyResponse of a broken loop; gb.interop.from_control(...) makes models and "

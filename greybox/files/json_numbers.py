@@ -14,7 +14,7 @@ def finite(value: float) -> float | None:
 
 def plain(value: Any) -> Any:
     """Return a value for JSON: dataclasses by stored field, arrays as lists, None for NaN."""
-    if value is None or isinstance(value, str | int | Path):  # most values
+    if isinstance(value, str | int | Path | None):  # most values
         return str(value) if isinstance(value, Path) else value
     if isinstance(value, float):
         return finite(value)

@@ -109,7 +109,7 @@ def _plain(value: Any) -> Any:
     """Return a setting as JSON can hold it."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
-    if value is None or isinstance(value, (bool, int, float, str)):
+    if isinstance(value, int | float | str | None):
         return value
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}

@@ -6,6 +6,7 @@ from dataclasses import field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
 from itertools import combinations
+from numbers import Real
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self, TypeVar, overload
@@ -585,12 +586,12 @@ def _call(function: ParameterFormula, p: Names, what: str) -> Any:
 
 def _require_number(value: Any, what: str) -> None:
     # A comparison has no slope that a solver could follow.
-    if isinstance(value, (bool, np.bool_)):
+    if isinstance(value, bool | np.bool_):
         raise ValueError(
             f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - "
             "p.T2."
         )
-    if not isinstance(value, (int, float, np.number)):
+    if not isinstance(value, Real):
         raise ValueError(
             f"{what} gives {value!r:.60}: it must give an expression of the parameters."
         )

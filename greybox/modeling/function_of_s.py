@@ -2,10 +2,10 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any, Self
 
 import casadi as ca
-import numpy as np
 
 CASADI_TYPES = (ca.SX, ca.MX, ca.DM)
 
@@ -54,7 +54,7 @@ def is_casadi(value: Any) -> bool:
 
 def is_whole(power: Any) -> bool:
     """Return whether a power is a whole number of any type."""
-    return isinstance(power, (int, float, np.integer, np.floating)) and float(power).is_integer()
+    return isinstance(power, Real) and float(power).is_integer()
 
 
 def whole_power(base: Any, power: int, unit: Any) -> Any:

@@ -15,7 +15,8 @@ from greybox.modeling.function_of_s import FunctionOfS, is_casadi
 g = 9.80665  # m/s², standard acceleration of free fall, as in greybox.data.units
 
 
-def _function(casadi: Callable[..., Any], numpy: np.ufunc, doc: str) -> Callable[..., Any]:
+def _function(casadi: Callable[..., Any], doc: str) -> Callable[..., Any]:
+    numpy = getattr(np, casadi.__name__)  # with the names of the array API standard, as CasADi's
     name = numpy.__name__
 
     def apply(x: Any) -> Any:
@@ -35,18 +36,18 @@ def _function(casadi: Callable[..., Any], numpy: np.ufunc, doc: str) -> Callable
     return apply
 
 
-exp = _function(ca.exp, np.exp, "Exponential; `exp(-s * T)` is a delay")
-log = _function(ca.log, np.log, "Natural logarithm (of flights: `logs`)")
-sqrt = _function(ca.sqrt, np.sqrt, "Square root")
-sin = _function(ca.sin, np.sin, "Sine")
-cos = _function(ca.cos, np.cos, "Cosine")
-tan = _function(ca.tan, np.tan, "Tangent")
-arcsin = _function(ca.asin, np.arcsin, "Inverse sine")
-arccos = _function(ca.acos, np.arccos, "Inverse cosine")
-arctan = _function(ca.atan, np.arctan, "Inverse tangent")
-tanh = _function(ca.tanh, np.tanh, "Hyperbolic tangent")
-ceil = _function(ca.ceil, np.ceil, "Whole number from above")
-sign = _function(ca.sign, np.sign, "Sign, 0 at 0")
+exp = _function(ca.exp, "Exponential; `exp(-s * T)` is a delay")
+log = _function(ca.log, "Natural logarithm (of flights: `logs`)")
+sqrt = _function(ca.sqrt, "Square root")
+sin = _function(ca.sin, "Sine")
+cos = _function(ca.cos, "Cosine")
+tan = _function(ca.tan, "Tangent")
+arcsin = _function(ca.asin, "Inverse sine")
+arccos = _function(ca.acos, "Inverse cosine")
+arctan = _function(ca.atan, "Inverse tangent")
+tanh = _function(ca.tanh, "Hyperbolic tangent")
+ceil = _function(ca.ceil, "Whole number from above")
+sign = _function(ca.sign, "Sign, 0 at 0")
 
 
 def arctan2(y: Any, x: Any) -> Any:

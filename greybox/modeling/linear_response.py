@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from numbers import Number
 from typing import Any
 
 import casadi as ca
@@ -13,7 +14,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, Indices, StringPair, Values, all_finite, as_arrays
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
-from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
+from greybox.modeling.function_of_s import is_casadi
 from greybox.modeling.functions import exp
 from greybox.modeling.held_inputs import first_terms, folded_back
 from greybox.modeling.linearization import jacobians, linearize
@@ -190,7 +191,7 @@ def _parts(result: Any, owner: str, count: int) -> tuple[Any, Any]:
     )
     for part in parts:
         size = part.numel() if is_casadi(part) else np.size(part)
-        if not isinstance(part, (int, float, complex, np.number, np.ndarray, *CASADI_TYPES)):
+        if not isinstance(part, Number | np.ndarray) and not is_casadi(part):
             raise ValueError(
                 f"{owner}.response returns a {type(part).__name__}: return one expression of s "
                 "and p."

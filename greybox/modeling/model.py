@@ -91,7 +91,7 @@ def declared_parameters(cls: type) -> dict[str, Parameter]:
         hidden = [
             n
             for n, value in vars(owner).items()
-            if n in parameters and isinstance(value, (int, float))
+            if n in parameters and isinstance(value, int | float)
         ]
         if hidden:
             raise TypeError(
@@ -198,7 +198,7 @@ class Model(ABC):
         values = {**(values or {}), **more}
         require_known(values, self.parameters, "parameter", self.label)
         for name, value in values.items():
-            if isinstance(value, (str, type(None))) or (
+            if isinstance(value, str | None) or (
                 isinstance(value, float) and not math.isfinite(value)
             ):
                 raise ValueError(

@@ -109,9 +109,9 @@ def source_text(function: Callable[..., Any]) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, Model):
         return {"model": reference(value)}
-    if value is None or isinstance(value, (bool, int, float, str)):
+    if isinstance(value, int | float | str | None):
         return value
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return {"text": repr(value)}
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -164,12 +165,12 @@ def parameter_table(parameters: Parameters) -> str:
 
 def is_finite_number(value: Any) -> bool:
     """Return whether a value is a finite real number, of Python or of numpy."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value)
+    return isinstance(value, Real) and math.isfinite(value)
 
 
 def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> None:
     """Raise ValueError for anything but a whole number within these limits."""
-    is_whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_whole or not least <= value <= most:
         limits = f"of at least {least}" if math.isinf(most) else f"from {least} to {most}"
         raise ValueError(f"{name} is {value!r}: give a whole number {limits}.")

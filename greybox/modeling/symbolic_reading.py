@@ -4,6 +4,7 @@ import re
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from numbers import Real
 from typing import Any, Literal
 
 import casadi as ca
@@ -121,19 +122,19 @@ def derivative_function(model: StateSpace) -> ca.Function:
 
 def as_list(result: Any) -> list[Any]:
     """Return the values of a derivative or an output as a list; a single value needs no tuple."""
-    return list(result) if isinstance(result, (tuple, list)) else [result]
+    return list(result) if isinstance(result, tuple | list) else [result]
 
 
 def column(owner: str, values: Sequence[Any]) -> ca.SX:
     """Stack scalar expressions; ValueError names a value that is not an expression."""
     for k, value in enumerate(values):
-        if not isinstance(value, (int, float, np.number, ca.SX, ca.DM)):
-            is_container = value is None or isinstance(value, (dict, np.ndarray))
+        if not isinstance(value, Real | ca.SX | ca.DM):
+            is_container = isinstance(value, dict | np.ndarray | None)
             cure = "return a tuple of expressions." if is_container else CURE
             raise ValueError(
                 f"{owner} gives a {type(value).__name__} as value {k}, not an expression: {cure}"
             )
-        if isinstance(value, (ca.SX, ca.DM)) and not value.is_scalar():
+        if isinstance(value, ca.SX | ca.DM) and not value.is_scalar():
             raise ValueError(
                 f"{owner} gives {value.numel()} numbers as value {k}: return one scalar for each."
             )

@@ -128,11 +128,14 @@ class BatchedNewton:
         upper: Array,
         data: Array = NO_DATA,
         roots: ca.Function | None = None,
+        barriers: Array = BARRIERS,
     ) -> None:
         """Take a function (z, smoothing, data), as `second_order`, and the bounds (p,) of z.
 
         It also takes the `roots` of z and data, if there are any: its derivatives may contain them.
+        The rows of `barriers` are those of one search after the other.
         """
+        self._barriers = barriers
         self._function = function
         self._data = data[:, None]
         self._roots = None if roots is None else Columns(roots)
@@ -217,7 +220,7 @@ class BatchedNewton:
         cost, gradient, hessian = self._function(*inputs, *roots)
 
         advance, within_radius = _iterations.result(p, partial(_iteration, p))
-        barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
+        barrier = self._barriers[searches.owner % len(self._barriers), levels][None]
         alike = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(
             numbers, barrier, alike, np.atleast_2d(cost), gradient, hessian

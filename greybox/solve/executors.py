@@ -120,7 +120,7 @@ def run_all(
 
 def require_executor(executor: Any) -> None:
     """Raise TypeError if this is not an executor."""
-    if executor is not None and not isinstance(executor, Executor):
+    if not isinstance(executor, Executor | None):
         raise TypeError(
             f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2)."
         )

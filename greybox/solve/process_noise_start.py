@@ -31,11 +31,15 @@ class ProcessNoise:
         # System, frequencies, measured responses, weights and sizes of the derivatives.
         self._terms = []
         self._numbers = 0
+        # Starts need no more precision: with this many numbers, 309 of 400 starts of five
+        # helicopters reach the minimum, with all frequencies 303, with ten for each parameter 253.
+        share = max(600, 20 * len(points)) / (2 * sum(map(len, responses.data)))
         for system in responses.systems:
             # States follow from outputs that are measured at one frequency: where responses have
             # frequencies of their own, they are interpolated at as many as the longest has.
             longest = max(len(at) for _, (*_, at) in system.pairs)
-            omega = system.omega[evenly_spread(len(system.omega), longest)]
+            most = int(np.ceil(min(share, 1) * longest))
+            omega = system.omega[evenly_spread(len(system.omega), most)]
             # By frequency, input and output; weights are zero where nothing is measured.
             measured = np.zeros((len(omega), system.inputs, system.outputs), complex)
             for part, (output, input, at) in system.pairs:
@@ -56,6 +60,7 @@ class ProcessNoise:
             sizes = np.nan_to_num(sizes, posinf=0.0).mT
             self._terms.append((system, omega, measured, weight, sizes))
 
+    @np.errstate(all="ignore")
     def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
 
@@ -66,29 +71,23 @@ class ProcessNoise:
         for term in self._terms:
             system, omega, *_, sizes = term
             noise = data[0, :, None, None, None] * sizes
-            S, delays, slopes, delay_slopes = system.matrices(z)
+            S, delays, (i, j), *slopes = system.matrices(z)
             s = 1j * omega[:, None]
-            own = np.eye(system.inputs)
             lag = np.exp(-s * delays[:, None])
-            with np.errstate(all="ignore"):
-                errors, left, x = _whitened(term, S, lag, noise)
-                by_input = S[:, None, :, system.states :].mT[..., None]
-                by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
-                by_delay = own[:, None, None, :, None] * by_delay
-            right = np.concatenate([x, lag[..., None] * own], axis=-1)
+            errors, left, x = _whitened(term, S, lag, noise)
+            right = np.concatenate([x, lag[..., None] * np.eye(system.inputs)], axis=-1)
 
-            # Only the entries that depend on z; rows (entry, frequency, input and output).
-            moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
-            i, j = system.rows[moving].T
-            slopes = np.hstack([slopes[:, moving], delay_slopes])
-            left, right = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)[..., None]
-            for c in range(k):
-                rows = np.concatenate([-left[i, c] * right[j, c], by_delay[:, c]])
-                numbers = rows.reshape(len(rows), -1).view(float)
-                error = errors[c].ravel().view(float)
-                cost[c] += error @ error
-                gradient[:, c] += 2 * slopes[c].T @ (numbers @ error)
-                hessian[:, c] += 2 * (slopes[c].T @ (numbers @ numbers.T) @ slopes[c]).ravel()
+            # Rows (entry, frequency, input and output); those of the delays follow the entries.
+            left, right = (np.moveaxis(side, -1, 1) for side in (left, right))
+            by_input = np.einsum("kiu,kiwvl->kuwvl", S[..., system.states :], left)
+            by_delay = by_input * (s * right[:, system.states :])[..., None]
+            slopes = np.hstack(slopes)
+            rows = [left[:, i] * -right[:, j, ..., None], by_delay, errors[:, None]]
+            rows = np.concatenate(rows, 1).reshape(k, len(i) + system.inputs + 1, -1).view(float)
+            products = rows @ rows.mT
+            cost += products[:, -1, -1]
+            gradient += 2 * (slopes.mT @ products[:, :-1, -1:])[..., 0].T
+            hessian += 2 * (slopes.mT @ products[:, :-1, :-1] @ slopes).reshape(k, -1).T
         return cost / self._numbers, gradient / self._numbers, hessian / self._numbers
 
 
