@@ -87,14 +87,15 @@ class FrequencyGrid:
         # Row by row: they fill the memory of long records, and turned or padded rows would do so
         # again.
         for i, q in np.ndindex(shape):
-            result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
+            row = deviation[i] * directions[:, q] @ weighted[i]
+            np.fft.rfft(row, self.size, out=result[i, q])  # new memory takes as long again
         return result
 
     def covariances(self, factors: Iterable[ComplexPair], order: int) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
         It is the sum of the products a bᴴ of its factors, (k, p, frequencies) each, and of their
-        adjoints.
+        adjoints. With an order of -1, the autocovariances are left out.
         """
         lags: Any = 0.0
         banded: Any = 0.0
@@ -104,12 +105,14 @@ class FrequencyGrid:
             of_bands = np.empty((k, k, len(self.starts)), dtype=complex)
             # One by one: all products together would fill the memory of long records.
             for i, j in zip(*np.tril_indices(k), strict=True):
-                first = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
-                second = np.vecdot(a[j], b[i], axis=0)  # pyright: ignore[reportCallIssue]
-                values = first + second
+                values = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
+                if a is b:
+                    values *= 2
+                else:
+                    values += np.vecdot(a[j], b[i], axis=0)  # pyright: ignore[reportCallIssue]
                 of_bands[i, j] = self.banded(values)
                 of_bands[j, i] = of_bands[i, j].conj()
-                if i == j:
+                if i == j and order >= 0:
                     of_lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
             lags, banded = lags + of_lags, banded + of_bands
 
