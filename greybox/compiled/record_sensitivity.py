@@ -72,16 +72,14 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     parameters = np.hstack([slope, np.zeros((len(slope), m))])
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle = np.zeros((0, p))
-    for batch in segments.batches():
-        nodes = np.concatenate([by_nodes[batch], initial_directions[batch]], axis=2)
-        rows = segments.directional(trajectory.course, batch, nodes, parameters)
-        root = np.tensordot(weight, rows.transpose(2, 3, 0, 1), 1)
+    for piece, samples in segments.pieces(trajectory.course, weight):
+        nodes = np.concatenate([by_nodes[piece], initial_directions[piece]], axis=2)
+        rows = segments.directional(samples[:-1], nodes, parameters)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
-        columns = np.moveaxis(root[:, :p], 1, -1).reshape(-1, p)
-        triangle = triangle_of(np.vstack([triangle, columns]))
-        result = np.tensordot(weight.T, root, 1)
-        weighted[:, :, batch], by_initial[:, :, batch] = result[:, :p], result[:, p:]
+        triangle = triangle_of(np.vstack([triangle, rows[..., :p].reshape(-1, p)]))
+        result = np.tensordot(weight.T, rows.transpose(2, 3, 0, 1), 1)
+        weighted[:, :, piece], by_initial[:, :, piece] = result[:, :p], result[:, p:]
 
     by_covariance = np.zeros((p, p))
     if placed.filter is not None:

@@ -16,7 +16,7 @@ next.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,9 +29,17 @@ from greybox.files.arrays import Array, ArrayPair, Arrays, Indices, IntArray
 from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
-# Samples whose derivatives are in memory at once: with three states and five parameters they take
-# 2 MB, as much as the cache has. Twice as many take 8 % more time.
-BATCH = 5_000
+# Samples whose derivatives are in memory at once: 10 000 with five states and ten parameters take
+# 12 MB, and a longer batch is no faster.
+BATCH = 10_000
+
+# Derivatives that are carried through segments at once: 2 MB, which the cache holds. With twelve
+# states, five times as many take twice the time.
+CACHED = 250_000
+
+# States up to which they are carried sample by sample of all segments, see `Segments.propagated`.
+# From six states on, products of the matrices of every segment take less time.
+FEW_STATES = 4
 
 
 class Course(NamedTuple):
@@ -258,15 +266,14 @@ class Segments:
         by_nodes = np.empty((self.count, n, v + 1))
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
-        for batch in self.batches():
-            ends, J = self.sensitivities(at, batch)
-            weights = weight if weight.ndim == 2 else weight[self.records[batch], None]
-            J = (weights @ J).reshape(len(J), -1, v + 1)
+        for piece, samples in self.pieces(at, weight):
+            ends, J = self.propagated(samples)
+            J = J.reshape(len(J), -1, v + 1)
             # The residuals are the last column: one product has the Hessian and the gradient.
             H = J.mT @ J
-            slopes[batch] = ends
-            by_nodes[batch] = H[:, :n]
-            by_parameters += self.by_record(H[:, n:, n:], batch)
+            slopes[piece] = ends[..., :v]
+            by_nodes[piece] = H[:, :n]
+            by_parameters += self.by_record(H[:, n:, n:], piece)
 
         return Linearization(
             transition=slopes[:, :, :n],
@@ -278,49 +285,66 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(self, at: Course, batch: slice) -> ArrayPair:
-        """Return derivatives of ends (c, n, v) and residuals, with these: (c, length, k, v + 1).
+    def pieces(self, at: Course, weight: Array) -> Iterator[tuple[slice, Array]]:
+        """Yield slices of c segments with derivatives (v + 1, n + k, length · c) of their samples.
 
-        They are those of the c segments of a `batch`, by node and active parameters.
+        They are those of next states and weighted residuals by node and active parameters. The last
+        ones are the residuals themselves.
         """
-        slopes, e = self._derivatives(at, batch)
-        ends, J = self.propagated(slopes)
-        return ends, np.concatenate([J, e.reshape(self.k, self.length, -1).T[..., None]], axis=3)
+        n, length = self.n, self.length
+        for batch in slices(self.count, BATCH // length):
+            states, data = (
+                values.reshape(-1, length, self.count)[:, :, batch]
+                for values in (at.states, at.data)
+            )
+            q = at.q[:, batch] if self._own else at.q
+            columns = data[0].size
+            part = Course(states.reshape(n, columns), q, data.reshape(-1, columns))
+            slopes, e = (
+                values.reshape(-1, length, data.shape[2])
+                for values in _finite(self._evaluate("derivatives", part))
+            )
+            rest = np.zeros((n, *data.shape[1:]))
+            for piece in slices(data.shape[2], CACHED // (length * (len(slopes) + n + self.k))):
+                samples = np.concatenate([values[..., piece] for values in (slopes, rest, e)])
+                samples = samples.reshape(-1, n + self.k, samples[0].size)
+                place = slice(batch.start + piece.start, batch.start + piece.stop)
+                if weight.ndim == 2:
+                    samples[:, n:] = weight @ samples[:, n:]
+                else:
+                    weights = np.tile(weight[self.records[place]], (length, 1, 1))
+                    samples[:, n:] = np.einsum("ckl,vlc->vkc", weights, samples[:, n:])
+                yield place, samples
 
-    def directional(self, at: Course, batch: slice, nodes: Array, parameters: Array) -> Array:
-        """Return derivatives (c, length, k, r) of the residuals of a `batch` along r directions.
+    def sensitivities(self, at: Course) -> ArrayPair:
+        """Return derivatives of ends (s, n, v) and residuals (s, length, k, v) of all segments.
 
-        In these, the nodes (c, n, r) and the active parameters (q, r) change.
+        They are those by node and active parameters.
         """
-        slopes, _ = self._derivatives(at, batch)
-        by_state, by_parameters = np.split(slopes, [self.n * (self.n + self.k)])
-        along = parameters.T @ by_parameters.reshape(len(parameters), -1)
-        slopes = np.vstack([by_state, along.reshape(-1, slopes.shape[1])])
-        return self.propagated(slopes, nodes)[1]
+        return self.propagated(self.sample_derivatives(at).T)
 
-    def _derivatives(self, at: Course, batch: slice) -> list[Array]:
-        """Return the derivatives of next states and residuals of a batch, and the residuals."""
-        states, data = (
-            values.reshape(-1, self.length, self.count)[:, :, batch]
-            for values in (at.states, at.data)
-        )
-        q = at.q[:, batch] if self._own else at.q
-        columns = data[0].size
-        part = Course(states.reshape(-1, columns), q, data.reshape(-1, columns))
-        return _finite(self._evaluate("derivatives", part))
+    def directional(self, samples: Array, nodes: Array, parameters: Array) -> Array:
+        """Return derivatives (c, length, k, r) of residuals along r directions.
+
+        In these, the nodes (c, n, r) and the active parameters (q, r) change. The derivatives of
+        the samples are those of `propagated`.
+        """
+        by_state, by_parameters = np.split(samples, [self.n])
+        along = np.tensordot(parameters.T, by_parameters, 1)
+        return self.propagated(np.concatenate([by_state, along]), nodes)[1]
 
     def sample_derivatives(self, at: Course) -> Array:
         """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
 
         They are those by the state at the sample and the active parameters.
         """
-        return self._by_sample(_finite(self._evaluate("derivatives", at))[0])
-
-    def _by_sample(self, slopes: Array) -> Array:
         # CasADi stacks them column by column. Products of stacked matrices are fast for contiguous
         # ones.
-        slopes = slopes.reshape(-1, self.n + self.k, slopes.shape[1])
-        return np.ascontiguousarray(slopes.transpose(2, 1, 0))
+        slopes, _ = _finite(self._evaluate("derivatives", at))
+        return np.ascontiguousarray(self._by_column(slopes).T)
+
+    def _by_column(self, slopes: Array) -> Array:
+        return slopes.reshape(-1, self.n + self.k, slopes.shape[1])
 
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -328,29 +352,42 @@ class Segments:
         Not finite from where the simulation is not.
         """
         slopes, _ = self._evaluate("output_derivatives", at)
-        return self.propagated(slopes)[1]
+        return self.propagated(self._by_column(slopes))[1]
 
-    def propagated(self, slopes: Array, nodes: Array | None = None) -> ArrayPair:
-        """Carry the derivatives of every sample through c segments.
+    def propagated(self, samples: Array, nodes: Array | None = None) -> ArrayPair:
+        """Carry the derivatives (v, n + k, length · c) of samples through c segments.
 
         Returns those of ends (c, n, v) and rows (c, length, k, v), by the nodes and parameters, or
-        along v directions in which the `nodes` (c, n, v) change too.
+        along directions in which the `nodes` (c, n, r) change too.
 
-        The slopes are those of next states and rows (n + k) by the states and parameters, or
-        directions, at a sample.
+        Those of the samples are of next states and rows, by their states and then by the parameters
+        or along the directions.
         """
-        n = self.n
-        slopes = self._by_sample(slopes)
-        S, rows = np.eye(n, slopes.shape[2]) if nodes is None else nodes, list[Array]()
+        n, length = self.n, self.length
+        samples = samples.reshape(*samples.shape[:2], length, -1)
+        # For few states, operations on all segments take half the time of one product each, whose
+        # matrices must be contiguous.
+        product = partial(np.einsum, "jrc,vjc->vrc")
+        if n > FEW_STATES:
+            samples = np.ascontiguousarray(samples.T).T
+            product = _stacked_product
         acting = n if nodes is None else 0
-        for slope in np.split(slopes, self.length):
-            following = slope[..., :n] @ S
+        rows = np.empty_like(samples[n - acting :, n:])
+        # Laid out as the samples are.
+        S = np.zeros_like(samples[n - acting :, :n, 0])
+        if nodes is None:
+            S[range(n), range(n)] = 1
+        else:
+            S[:] = nodes.T
+        for i in range(length):
+            slope = samples[:, :, i]
+            following = product(slope[:n], S)
             # The parameters also act at this very sample, besides through the state.
-            following[..., acting:] += slope[..., n:]
+            following[acting:] += slope[n:]
             S = following[:, :n]
-            rows.append(following[:, n:])
+            rows[:, :, i] = following[:, n:]
 
-        return S, np.stack(rows, axis=1)
+        return S.T, rows.T
 
     def mean_transition(self, at: Course) -> ArrayPair:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
@@ -360,10 +397,16 @@ class Segments:
         slopes = self.sample_derivatives(along)[..., : self.n].mean(axis=0)
         return slopes[: self.n], -slopes[self.n :]
 
-    def batches(self) -> list[slice]:
-        """Return slices of segments whose derivatives fit into memory together."""
-        size = max(BATCH // self.length, 1)
-        return [slice(first, first + size) for first in range(0, self.count, size)]
+
+def slices(count: int, size: int) -> list[slice]:
+    """Return slices of so many numbers, of at least one each."""
+    size = max(size, 1)
+    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
+
+
+def _stacked_product(slope: Array, S: Array) -> Array:
+    """Return the products (v, r, c) of derivatives (n, r, c) and (v, n, c), contiguous when transposed."""
+    return (slope.T @ S.T).T
 
 
 def _finite(values: Arrays) -> list[Array]:
