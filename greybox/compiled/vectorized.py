@@ -89,8 +89,6 @@ class Columns(Rebuilt):
     def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = inputs[0].shape[1]
-        if 0 < m <= CHUNK:
-            return [values.copy() for values in self._layout(m).run(inputs)]
         f = self.function
         outputs = [np.empty((f.numel_out(k), m)) for k in range(f.n_out())]
         # Equal shares need only one layout of the registers.
@@ -98,9 +96,8 @@ class Columns(Rebuilt):
         for begin in range(0, m, width):
             columns = slice(begin, min(begin + width, m))
             part = [v if k in self._shared else v[:, columns] for k, v in enumerate(inputs)]
-            values = self._layout(columns.stop - begin).run(part)
-            for out, value in zip(outputs, values, strict=True):
-                out[:, columns] = value
+            layout = self._layout(columns.stop - begin)
+            layout.run(part, [values[:, columns] for values in outputs])
 
         return outputs
 
@@ -189,12 +186,13 @@ class _Mapped:
             buffer.set_res(k, value.data)
         self._references = mapped, buffer  # CasADi does not keep them alive
 
-    def run(self, inputs: Arrays) -> Arrays:
-        """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
+    def run(self, inputs: Arrays, outputs: Arrays) -> None:
+        """Write the outputs, (numel, m) each."""
         for memory, value in zip(self._inputs, inputs, strict=True):
             memory[...] = value.T
         self._call()
-        return [value.T for value in self._outputs]
+        for memory, value in zip(self._outputs, outputs, strict=True):
+            value[...] = memory.T
 
 
 class _Registers:
@@ -203,7 +201,7 @@ class _Registers:
     def __init__(self, function: ca.Function, shared: Indices, m: int) -> None:
         self._reads: list[tuple[int, int, Array]] = []
         self._calls: list[tuple[Callable[..., Any], tuple[Array, ...]]] = []
-        self._outputs = [np.empty((function.numel_out(k), m)) for k in range(function.n_out())]
+        self._outputs = list[Array]()
         wide: dict[int, Array] = {}
         current: dict[int, Array] = {}
 
@@ -211,15 +209,9 @@ class _Registers:
             operation = function.instruction_id(k)
             sources, targets = function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_OUTPUT:
-                row, value = self._outputs[targets[0]][targets[1]], current[sources[0]]
-                # Many derivatives are the same at all points.
-                if value.flags.writeable:
-                    self._calls.append((np.positive, (value, row)))
-                else:
-                    row[:] = value
+                self._calls.append((self._write, (*targets, current[sources[0]])))
             elif operation == ca.OP_CONST:
                 current[targets[0]] = np.array(function.instruction_constant(k))
-                current[targets[0]].flags.writeable = False
             elif operation == ca.OP_INPUT:
                 value = np.empty(() if sources[0] in shared else m)
                 self._reads.append((sources[0], sources[1], value))
@@ -234,11 +226,15 @@ class _Registers:
                 self._calls.append((_OPERATIONS[operation], (*arguments, out)))
                 current[targets[0]] = out
 
-    def run(self, inputs: Arrays) -> Arrays:
-        """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
+    def _write(self, output: int, row: int, value: Array) -> None:
+        self._outputs[output][row] = value
+
+    def run(self, inputs: Arrays, outputs: Arrays) -> None:
+        """Write the outputs, (numel, m) each."""
+        self._outputs = outputs
         for source, row, register in self._reads:
             register[...] = inputs[source][row]
         with np.errstate(all="ignore"):
             for call, arguments in self._calls:
                 call(*arguments)
-        return self._outputs
+        self._outputs = []  # those of a long record would stay in memory
