@@ -69,12 +69,14 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     m = initial_directions.shape[2]
     p = trajectory.z.size
     # Initial states are directions in which the parameters do not change.
-    parameters = np.hstack([slope, np.zeros((len(slope), m))])
+    parameters = np.vstack([slope.T, np.zeros((m, len(slope)))])
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle = np.zeros((0, p))
     for piece, samples in segments.pieces(trajectory.course, weight):
         nodes = np.concatenate([by_nodes[piece], initial_directions[piece]], axis=2)
-        rows = segments.directional(samples[:-1], nodes, parameters)
+        by_state, by_parameters, _ = np.split(samples, [n, -1])
+        along = np.concatenate([by_state, np.tensordot(parameters, by_parameters, 1)])
+        _, rows = segments.propagated(along, nodes)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
         triangle = triangle_of(np.vstack([triangle, rows[..., :p].reshape(-1, p)]))

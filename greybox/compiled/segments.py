@@ -29,13 +29,10 @@ from greybox.files.arrays import Array, ArrayPair, Arrays, Indices, IntArray
 from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
-# Samples whose derivatives are in memory at once: 10 000 with five states and ten parameters take
-# 12 MB, and a longer batch is no faster.
-BATCH = 10_000
-
-# Derivatives that are carried through segments at once: 2 MB, which the cache holds. With twelve
-# states, five times as many take twice the time.
-CACHED = 250_000
+# Samples whose derivatives are in memory at once: with three states and five parameters they take
+# 1 MB, which the cache holds. Four times as many take a tenth more time, with twelve states twice
+# the time.
+BATCH = 2_500
 
 # States up to which they are carried sample by sample of all segments, see `Segments.propagated`.
 # From six states on, products of the matrices of every segment take less time.
@@ -292,46 +289,23 @@ class Segments:
         ones are the residuals themselves.
         """
         n, length = self.n, self.length
-        for batch in slices(self.count, BATCH // length):
+        size = max(BATCH // length, 1)
+        for first in range(0, self.count, size):
+            piece = slice(first, first + size)
             states, data = (
-                values.reshape(-1, length, self.count)[:, :, batch]
+                values.reshape(-1, length, self.count)[:, :, piece]
                 for values in (at.states, at.data)
             )
-            q = at.q[:, batch] if self._own else at.q
+            q = at.q[:, piece] if self._own else at.q
             columns = data[0].size
             part = Course(states.reshape(n, columns), q, data.reshape(-1, columns))
-            slopes, e = (
-                values.reshape(-1, length, data.shape[2])
-                for values in _finite(self._evaluate("derivatives", part))
-            )
-            rest = np.zeros((n, *data.shape[1:]))
-            for piece in slices(data.shape[2], CACHED // (length * (len(slopes) + n + self.k))):
-                samples = np.concatenate([values[..., piece] for values in (slopes, rest, e)])
-                samples = samples.reshape(-1, n + self.k, samples[0].size)
-                place = slice(batch.start + piece.start, batch.start + piece.stop)
-                if weight.ndim == 2:
-                    samples[:, n:] = weight @ samples[:, n:]
-                else:
-                    weights = np.tile(weight[self.records[place]], (length, 1, 1))
-                    samples[:, n:] = np.einsum("ckl,vlc->vkc", weights, samples[:, n:])
-                yield place, samples
-
-    def sensitivities(self, at: Course) -> ArrayPair:
-        """Return derivatives of ends (s, n, v) and residuals (s, length, k, v) of all segments.
-
-        They are those by node and active parameters.
-        """
-        return self.propagated(self.sample_derivatives(at).T)
-
-    def directional(self, samples: Array, nodes: Array, parameters: Array) -> Array:
-        """Return derivatives (c, length, k, r) of residuals along r directions.
-
-        In these, the nodes (c, n, r) and the active parameters (q, r) change. The derivatives of
-        the samples are those of `propagated`.
-        """
-        by_state, by_parameters = np.split(samples, [self.n])
-        along = np.tensordot(parameters.T, by_parameters, 1)
-        return self.propagated(np.concatenate([by_state, along]), nodes)[1]
+            slopes, e = _finite(self._evaluate("derivatives", part))
+            samples = self._by_column(np.vstack([slopes, np.zeros((n, columns)), e]))
+            weights = weight
+            if weight.ndim == 3:
+                weights = np.tile(weight[self.records[piece]].T.swapaxes(0, 1), length)
+            samples[:, n:] = np.einsum("ij...,vj...->vi...", weights, samples[:, n:])
+            yield piece, samples
 
     def sample_derivatives(self, at: Course) -> Array:
         """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
@@ -363,25 +337,24 @@ class Segments:
         Those of the samples are of next states and rows, by their states and then by the parameters
         or along the directions.
         """
-        n, length = self.n, self.length
-        samples = samples.reshape(*samples.shape[:2], length, -1)
+        n = self.n
+        samples = samples.reshape(*samples.shape[:2], self.length, -1)
         # For few states, operations on all segments take half the time of one product each, whose
         # matrices must be contiguous.
-        product = partial(np.einsum, "jrc,vjc->vrc")
-        if n > FEW_STATES:
+        are_few = n <= FEW_STATES
+        if not are_few:
             samples = np.ascontiguousarray(samples.T).T
-            product = _stacked_product
-        acting = n if nodes is None else 0
+        nodes = np.eye(n, len(samples))[None] if nodes is None else nodes
+        acting = nodes.shape[2] + n - len(samples)
         rows = np.empty_like(samples[n - acting :, n:])
-        # Laid out as the samples are.
-        S = np.zeros_like(samples[n - acting :, :n, 0])
-        if nodes is None:
-            S[range(n), range(n)] = 1
-        else:
-            S[:] = nodes.T
-        for i in range(length):
+        S = np.empty_like(samples[n - acting :, :n, 0])
+        S[:] = nodes.T
+        for i in range(self.length):
             slope = samples[:, :, i]
-            following = product(slope[:n], S)
+            by_state = slope[:n]
+            following = (
+                np.einsum("jic,vjc->vic", by_state, S) if are_few else (by_state.T @ S.T).T
+            )
             # The parameters also act at this very sample, besides through the state.
             following[acting:] += slope[n:]
             S = following[:, :n]
@@ -396,17 +369,6 @@ class Segments:
         along = Course(at.states[:, sample], at.q, at.data[:, sample])
         slopes = self.sample_derivatives(along)[..., : self.n].mean(axis=0)
         return slopes[: self.n], -slopes[self.n :]
-
-
-def slices(count: int, size: int) -> list[slice]:
-    """Return slices of so many numbers, of at least one each."""
-    size = max(size, 1)
-    return [slice(first, min(first + size, count)) for first in range(0, count, size)]
-
-
-def _stacked_product(slope: Array, S: Array) -> Array:
-    """Return the products (v, r, c) of derivatives (n, r, c) and (v, n, c), contiguous when transposed."""
-    return (slope.T @ S.T).T
 
 
 def _finite(values: Arrays) -> list[Array]:

@@ -109,10 +109,7 @@ class FrequencyGrid:
             # One by one: all products together would fill the memory of long records.
             for i, j in zip(*np.tril_indices(k), strict=True):
                 values = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
-                if a is b:
-                    values *= 2
-                else:
-                    values += np.vecdot(a[j], b[i], axis=0)  # pyright: ignore[reportCallIssue]
+                values += values if a is b else np.vecdot(a[j], b[i], axis=0)  # pyright: ignore
                 of_bands[i, j] = self.banded(values)
                 of_bands[j, i] = of_bands[i, j].conj()
                 if i == j and order >= 0:

@@ -51,9 +51,8 @@ class GaussNewton(LocalSolver):
         self.settings = settings
         self.limits = limits or _limits(nlp)
         self._parts = AllParts(nlp, self.limits, settings)
-        # Where runs of all samples of a long record ended, by the minimum of its excerpts, and what
-        # predictions leave unexplained where they began.
-        self._ends: dict[bytes, tuple[float, Outcome]] = {}
+        # Where runs of all samples of a long record ended, by the minimum of its excerpts.
+        self._ends: dict[bytes, Outcome] = {}
         self._polished: tuple[Array, Nodes, Iterate] | None = None
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
@@ -93,16 +92,12 @@ class GaussNewton(LocalSolver):
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
-            key = minimum.tobytes()
-            left, outcome = self._ends.get(key, (0.0, None))
-            if outcome is None:
-                after = parts.at(self._nearest(minimum))
-                left = parts.unexplained(after)
+            after = parts.at(self._nearest(minimum))
             # Excerpts may lack the manoeuvre that shows a parameter.
-            if left < parts.unexplained(begin):
-                outcome = outcome or self._solved(after, EXACT)
+            if parts.unexplained(after) < parts.unexplained(begin):
+                outcome = self._ends.get(minimum.tobytes()) or self._solved(after, EXACT)
                 if outcome.converged:
-                    self._ends[key] = left, replace(outcome, seconds=0.0)
+                    self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
                     return spent(outcome, first)
         return self._solved(*self._begun(begin))
 
