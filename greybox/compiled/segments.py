@@ -300,7 +300,8 @@ class Segments:
             columns = data[0].size
             part = Course(states.reshape(n, columns), q, data.reshape(-1, columns))
             slopes, e = _finite(self._evaluate("derivatives", part))
-            samples = self._by_column(np.vstack([slopes, np.zeros((n, columns)), e]))
+            samples = np.vstack([slopes, np.zeros((n, columns)), e])
+            samples = samples.reshape(-1, n + self.k, columns)
             weights = weight
             if weight.ndim == 3:
                 weights = np.tile(weight[self.records[piece]].T.swapaxes(0, 1), length)
@@ -315,10 +316,7 @@ class Segments:
         # CasADi stacks them column by column. Products of stacked matrices are fast for contiguous
         # ones.
         slopes, _ = _finite(self._evaluate("derivatives", at))
-        return np.ascontiguousarray(self._by_column(slopes).T)
-
-    def _by_column(self, slopes: Array) -> Array:
-        return slopes.reshape(-1, self.n + self.k, slopes.shape[1])
+        return np.ascontiguousarray(slopes.reshape(-1, self.n + self.k, slopes.shape[1]).T)
 
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -326,7 +324,7 @@ class Segments:
         Not finite from where the simulation is not.
         """
         slopes, _ = self._evaluate("output_derivatives", at)
-        return self.propagated(self._by_column(slopes))[1]
+        return self.propagated(slopes)[1]
 
     def propagated(self, samples: Array, nodes: Array | None = None) -> ArrayPair:
         """Carry the derivatives (v, n + k, length · c) of samples through c segments.
@@ -338,7 +336,7 @@ class Segments:
         or along the directions.
         """
         n = self.n
-        samples = samples.reshape(*samples.shape[:2], self.length, -1)
+        samples = samples.reshape(-1, n + self.k, self.length, samples.shape[-1] // self.length)
         # For few states, operations on all segments take half the time of one product each, whose
         # matrices must be contiguous.
         are_few = n <= FEW_STATES

@@ -85,12 +85,12 @@ class FrequencyGrid:
         """
         shape = len(weighted), directions.shape[1]
         # Of a spectrum, seven digits are plenty: those of long records fill the memory.
-        real, kind = (np.float32, np.complex64) if self.longest > LONG else (float, complex)
+        kind: Any = np.complex64 if self.longest > LONG else complex
         result = np.empty((*shape, len(self.weight)), kind)
         # Row by row: they fill the memory of long records, and turned or padded rows would do so
         # again.
         for i, q in np.ndindex(shape):
-            row = (deviation[i] * directions[:, q] @ weighted[i]).astype(real)
+            row = (deviation[i] * directions[:, q] @ weighted[i]).astype(result.real.dtype)
             np.fft.rfft(row, self.size, out=result[i, q])  # new memory takes as long again
         return result
 
@@ -98,7 +98,7 @@ class FrequencyGrid:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
         It is the sum of the products a bᴴ of its factors, (k, p, frequencies) each, and of their
-        adjoints. With an order of -1, the autocovariances are left out.
+        adjoints.
         """
         lags: Any = 0.0
         banded: Any = 0.0
@@ -112,7 +112,7 @@ class FrequencyGrid:
                 values += values if a is b else np.vecdot(a[j], b[i], axis=0)  # pyright: ignore
                 of_bands[i, j] = self.banded(values)
                 of_bands[j, i] = of_bands[i, j].conj()
-                if i == j and order >= 0:
+                if i == j:
                     of_lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
             lags, banded = lags + of_lags, banded + of_bands
 

@@ -315,7 +315,7 @@ class ResidualSpectra:
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
         factors = ((z, z) for z in self.transforms())
-        return self.grid.covariances(factors, -1)[1].conj() / 2
+        return self.grid.covariances(factors, 0)[1].conj() / 2
 
     @cached_property
     def slow(self) -> Array:

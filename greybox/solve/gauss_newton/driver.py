@@ -88,7 +88,7 @@ class GaussNewton(LocalSolver):
             if parts.unexplained(moved) < (left if is_inside else 0.01):
                 begin = moved
         if (excerpts := self._excerpts) is not self:
-            first = excerpts._solved(*excerpts._begun(excerpts._parts.at(begin.z)))
+            first = excerpts.run(start)
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
