@@ -183,8 +183,8 @@ def solve_continuity(
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
-    H = hessian * np.outer(size, size) + RIDGE * np.eye(n)
-    A = np.where(linked, transition * np.outer(1 / size, size), 0.0)
+    H = hessian * size * size[:, None] + RIDGE * np.eye(n)
+    A = np.where(linked, transition * size / size[:, None], 0.0)
     x = stationarity * size[:, None]
     multiplier = np.where(linked, continuity / size[:, None], 0.0)
     variance = np.broadcast_to(variance, n) / size**2

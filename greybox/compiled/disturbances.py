@@ -171,7 +171,7 @@ class DisturbedRecord:
     def _by_nodes(self) -> ArrayTriple:
         """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
         part, n = self.part, self.part.states
-        ends, J = part.segments.propagated(np.concatenate(self._slopes).T)
+        ends, J = part.segments.sensitivities(self.trajectory.course, slice(None))
         # Known initial states cannot compensate for a term.
         unknown = ~part.known_states[:, None]
         J = J[..., :n] * unknown[:, None]

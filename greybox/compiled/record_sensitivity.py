@@ -56,41 +56,41 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
     noticed = real_root(of_diagonal(linearization.node_hessian).sum(axis=0))
-    slope = placed.slope
-    squares = np.einsum("snp,snp->p", by_nodes, linearization.node_hessian @ by_nodes)
-    squares += (slope * (linearization.parameter_hessian[0] @ slope)).sum(axis=0)
     del linearization  # for a long record, a tenth of the memory
     known = part.known_states
-    by_nodes = np.where(known[:, :, None], placed.initial_slope @ slope, by_nodes)
+    by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)
 
     s = data.segments
     length = data.segment_length
     k = len(part.outputs)
     m = initial_directions.shape[2]
     p = trajectory.z.size
-    # Initial states are directions in which the parameters do not change.
-    parameters = np.vstack([slope.T, np.zeros((m, len(slope)))])
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
-    triangle = np.zeros((0, p))
-    for piece, samples in segments.pieces(trajectory.course, weight):
-        nodes = np.concatenate([by_nodes[piece], initial_directions[piece]], axis=2)
-        by_state, by_parameters, _ = np.split(samples, [n, -1])
-        along = np.concatenate([by_state, np.tensordot(parameters, by_parameters, 1)])
-        _, rows = segments.propagated(along, nodes)
+    triangle, squares = np.zeros((0, p)), np.zeros(p)
+    for batch in segments.batches():
+        _, J = segments.sensitivities(trajectory.course, batch)
+        J = (weight @ J).reshape(len(J), length * k, -1)
+        by_states = J[..., :n] @ by_nodes[batch]
+        by_parameters = J[..., n:-1] @ placed.slope
+        for columns in (by_states, by_parameters):
+            squares += np.einsum("crp,crp->p", columns, columns)
+        root = by_states + by_parameters
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
-        triangle = triangle_of(np.vstack([triangle, rows[..., :p].reshape(-1, p)]))
-        result = np.tensordot(weight.T, rows.transpose(2, 3, 0, 1), 1)
-        weighted[:, :, piece], by_initial[:, :, piece] = result[:, :p], result[:, p:]
+        triangle = triangle_of(np.vstack([triangle, root.swapaxes(0, 1).reshape(-1, p)]))
+        directions = J[..., :n] @ initial_directions[batch]
+        for result, columns in ((weighted, root), (by_initial, directions)):
+            by_output = columns.reshape(len(J), length, k, -1)
+            result[:, :, batch] = (weight.T @ by_output).transpose(2, 3, 0, 1)
 
     by_covariance = np.zeros((p, p))
     if placed.filter is not None:
         active = len(part.model.active)
-        rows = filter_information(placed.filter, weight, part.compared_samples, active) @ slope
+        rows = filter_information(placed.filter, weight, part.compared_samples, active)
+        rows = rows @ placed.slope
+        squares += (rows**2).sum(axis=0)
         triangle = triangle_of(np.vstack([triangle, rows]))
         by_covariance = rows.T @ rows
-        # With the weights of the filter, the linearization has its covariance.
-        squares = np.maximum(squares, np.diag(by_covariance))
 
     first = by_nodes[data.begins_stretch] * noticed[:, None]
     by_initial = by_initial.reshape(k, m, s * length)

@@ -16,7 +16,7 @@ next.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -34,8 +34,8 @@ from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 # the time.
 BATCH = 2_500
 
-# States up to which they are carried sample by sample of all segments, see `Segments.propagated`.
-# From six states on, products of the matrices of every segment take less time.
+# States up to which derivatives are carried through all segments at once, which takes half the time
+# of one product for every segment. With six states, both take as long.
 FEW_STATES = 4
 
 
@@ -263,14 +263,15 @@ class Segments:
         by_nodes = np.empty((self.count, n, v + 1))
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
-        for piece, samples in self.pieces(at, weight):
-            ends, J = self.propagated(samples)
-            J = J.reshape(len(J), -1, v + 1)
+        for batch in self.batches():
+            ends, J = self.sensitivities(at, batch)
+            weights = weight if weight.ndim == 2 else weight[self.records[batch], None]
+            J = (weights @ J).reshape(len(J), -1, v + 1)
             # The residuals are the last column: one product has the Hessian and the gradient.
             H = J.mT @ J
-            slopes[piece] = ends[..., :v]
-            by_nodes[piece] = H[:, :n]
-            by_parameters += self.by_record(H[:, n:, n:], piece)
+            slopes[batch] = ends
+            by_nodes[batch] = H[:, :n]
+            by_parameters += self.by_record(H[:, n:, n:], batch)
 
         return Linearization(
             transition=slopes[:, :, :n],
@@ -282,39 +283,27 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def pieces(self, at: Course, weight: Array) -> Iterator[tuple[slice, Array]]:
-        """Yield slices of c segments with derivatives (v + 1, n + k, length · c) of their samples.
+    def sensitivities(self, at: Course, batch: slice) -> ArrayPair:
+        """Return derivatives of ends (c, n, v) and residuals, with these: (c, length, k, v + 1).
 
-        They are those of next states and weighted residuals by node and active parameters. The last
-        ones are the residuals themselves.
+        They are those of the c segments of a `batch`, by node and active parameters.
         """
-        n, length = self.n, self.length
-        size = max(BATCH // length, 1)
-        for first in range(0, self.count, size):
-            piece = slice(first, first + size)
-            states, data = (
-                values.reshape(-1, length, self.count)[:, :, piece]
-                for values in (at.states, at.data)
-            )
-            q = at.q[:, piece] if self._own else at.q
-            columns = data[0].size
-            part = Course(states.reshape(n, columns), q, data.reshape(-1, columns))
-            slopes, e = _finite(self._evaluate("derivatives", part))
-            samples = np.vstack([slopes, np.zeros((n, columns)), e])
-            samples = samples.reshape(-1, n + self.k, columns)
-            weights = weight
-            if weight.ndim == 3:
-                weights = np.tile(weight[self.records[piece]].T.swapaxes(0, 1), length)
-            samples[:, n:] = np.einsum("ij...,vj...->vi...", weights, samples[:, n:])
-            yield piece, samples
+        states, data = (
+            values.reshape(-1, self.length, self.count)[:, :, batch]
+            for values in (at.states, at.data)
+        )
+        q = at.q[:, batch] if self._own else at.q
+        columns = data[0].size
+        part = Course(states.reshape(-1, columns), q, data.reshape(-1, columns))
+        slopes, e = _finite(self._evaluate("derivatives", part))
+        ends, J = self.propagated(slopes)
+        return ends, np.concatenate([J, e.reshape(self.k, self.length, -1).T[..., None]], axis=3)
 
     def sample_derivatives(self, at: Course) -> Array:
         """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
 
         They are those by the state at the sample and the active parameters.
         """
-        # CasADi stacks them column by column. Products of stacked matrices are fast for contiguous
-        # ones.
         slopes, _ = _finite(self._evaluate("derivatives", at))
         return np.ascontiguousarray(slopes.reshape(-1, self.n + self.k, slopes.shape[1]).T)
 
@@ -326,35 +315,30 @@ class Segments:
         slopes, _ = self._evaluate("output_derivatives", at)
         return self.propagated(slopes)[1]
 
-    def propagated(self, samples: Array, nodes: Array | None = None) -> ArrayPair:
-        """Carry the derivatives (v, n + k, length · c) of samples through c segments.
+    def propagated(self, slopes: Array) -> ArrayPair:
+        """Carry the derivatives of every sample through c segments.
 
-        Returns those of ends (c, n, v) and rows (c, length, k, v), by the nodes and parameters, or
-        along directions in which the `nodes` (c, n, r) change too.
+        Returns those of ends (c, n, v) and rows (c, length, k, v).
 
-        Those of the samples are of next states and rows, by their states and then by the parameters
-        or along the directions.
+        The slopes are those of next states and rows (n + k) by the v states and parameters at a
+        sample.
         """
         n = self.n
-        samples = samples.reshape(-1, n + self.k, self.length, samples.shape[-1] // self.length)
-        # For few states, operations on all segments take half the time of one product each, whose
-        # matrices must be contiguous.
-        are_few = n <= FEW_STATES
-        if not are_few:
-            samples = np.ascontiguousarray(samples.T).T
-        nodes = np.eye(n, len(samples))[None] if nodes is None else nodes
-        acting = nodes.shape[2] + n - len(samples)
-        rows = np.empty_like(samples[n - acting :, n:])
-        S = np.empty_like(samples[n - acting :, :n, 0])
-        S[:] = nodes.T
+        # CasADi stacks them column by column.
+        slopes = slopes.reshape(-1, n + self.k, self.length, slopes.shape[1] // self.length)
+        if n > FEW_STATES:  # products of stacked matrices are fast for contiguous ones
+            slopes = np.ascontiguousarray(slopes.T).T
+        S = np.zeros_like(slopes[:, :n, 0])
+        S[range(n), range(n)] = 1
+        rows = np.empty_like(slopes[:, n:])
         for i in range(self.length):
-            slope = samples[:, :, i]
-            by_state = slope[:n]
-            following = (
-                np.einsum("jic,vjc->vic", by_state, S) if are_few else (by_state.T @ S.T).T
-            )
+            slope = slopes[:, :, i]
+            if n > FEW_STATES:
+                following = (slope[:n].T @ S.T).T
+            else:
+                following = np.einsum("jic,vjc->vic", slope[:n], S)
             # The parameters also act at this very sample, besides through the state.
-            following[acting:] += slope[n:]
+            following[n:] += slope[n:]
             S = following[:, :n]
             rows[:, :, i] = following[:, n:]
 
@@ -367,6 +351,11 @@ class Segments:
         along = Course(at.states[:, sample], at.q, at.data[:, sample])
         slopes = self.sample_derivatives(along)[..., : self.n].mean(axis=0)
         return slopes[: self.n], -slopes[self.n :]
+
+    def batches(self) -> list[slice]:
+        """Return slices of segments whose derivatives fit into memory together."""
+        size = max(BATCH // self.length, 1)
+        return [slice(first, first + size) for first in range(0, self.count, size)]
 
 
 def _finite(values: Arrays) -> list[Array]:

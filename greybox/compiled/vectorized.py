@@ -103,9 +103,7 @@ class Columns(Rebuilt):
         return outputs
 
 
-def _layout(
-    function: ca.Function, shared: Indices, fewest: int, m: int
-) -> "_Mapped | _Registers":
+def _layout(function: ca.Function, shared: Indices, fewest: int, m: int) -> "_Mapped | _Registers":
     """Return a function for m columns; registers from the `fewest` on, if numpy can do it all."""
     # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each. But the
     # layout takes 2 µs an operation.

@@ -85,8 +85,8 @@ class FrequencyGrid:
         """
         shape = len(weighted), directions.shape[1]
         # Of a spectrum, seven digits are plenty: those of long records fill the memory.
-        kind: Any = np.complex64 if self.longest > LONG else complex
-        result = np.empty((*shape, len(self.weight)), kind)
+        precision = np.complex64 if self.longest > LONG else complex
+        result = np.empty((*shape, len(self.weight)), precision)
         # Row by row: they fill the memory of long records, and turned or padded rows would do so
         # again.
         for i, q in np.ndindex(shape):

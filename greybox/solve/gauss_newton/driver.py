@@ -75,20 +75,20 @@ class GaussNewton(LocalSolver):
         It is moved if predictions over whole segments are worse than the means of the outputs. With
         long records, excerpts lead on from there.
         """
-        parts, nlp = self._parts, self.nlp
+        parts = self._parts
         begin = parts.at(self._nearest(start))
         # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
-        if can_move(nlp) and (left := parts.unexplained(begin)) > 1:
-            moved = parts.at(improved(nlp, self.limits, begin.z[None]).z[0])
+        if can_move(self.nlp) and (left := parts.unexplained(begin)) > 1:
+            moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             z = moved.z
             is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
             # From a bound, a run seldom returns, unless that is nearly where it ends: predictions
             # then leave a hundredth of the variance.
             if parts.unexplained(moved) < (left if is_inside else 0.01):
                 begin = moved
-        if (excerpts := self._excerpts) is not self:
-            first = excerpts.run(start)
+        if self._excerpts is not self:
+            first = self._excerpts.run(start)
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
@@ -217,8 +217,7 @@ class GaussNewton(LocalSolver):
         if not can_screen(self.nlp):
             return None
         z = np.array([self._nearest(start) for start in starts[1:]])
-        points = improved(self._excerpts.nlp, self.limits, z)
-        promising = [k + 1 for k in distinct(points)]
+        promising = [k + 1 for k in distinct(improved(self._excerpts.nlp, self.limits, z))]
         untried = sorted(set(range(1, len(starts))) - set(promising))
 
         # Declared values may be good ones: they are always among the first.
