@@ -202,7 +202,7 @@ class _Registers:
             operation = function.instruction_id(k)
             sources, targets = function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_OUTPUT:
-                self._calls.append((self._write, (*targets, current[sources[0]])))
+                self._calls.append((_write, (self._outputs, *targets, current[sources[0]])))
                 continue
             if operation == ca.OP_CONST:
                 value = np.array(function.instruction_constant(k))
@@ -219,15 +219,16 @@ class _Registers:
                 self._calls.append((_OPERATIONS[operation], (*arguments, value)))
             current[targets[0]] = value
 
-    def _write(self, output: int, row: int, value: Array) -> None:
-        self._outputs[output][row] = value
-
     def run(self, inputs: Arrays, outputs: Arrays) -> None:
         """Write the outputs, (numel, m) each."""
-        self._outputs = outputs
+        self._outputs[:] = outputs
         for source, row, register in self._reads:
             register[...] = inputs[source][row]
         with np.errstate(all="ignore"):
             for call, arguments in self._calls:
                 call(*arguments)
-        self._outputs = []  # those of a long record would stay in memory
+        self._outputs.clear()  # those of a long record would stay in memory
+
+
+def _write(outputs: Arrays, output: int, row: int, value: Array) -> None:
+    outputs[output][row] = value
