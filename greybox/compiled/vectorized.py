@@ -97,8 +97,7 @@ class Columns(Rebuilt):
         for begin in range(0, m, width):
             columns = slice(begin, min(begin + width, m))
             part = [v if k in self._shared else v[:, columns] for k, v in enumerate(inputs)]
-            layout = self._layout(columns.stop - begin)
-            layout.run(part, [values[:, columns] for values in outputs])
+            self._layout(columns.stop - begin).run(part, [v[:, columns] for v in outputs])
 
         return outputs
 
@@ -107,10 +106,12 @@ def _layout(function: ca.Function, shared: Indices, fewest: int, m: int) -> "_Ma
     """Return a function for m columns; registers from the `fewest` on, if numpy can do it all."""
     # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each. But the
     # layout takes 2 µs an operation.
-    if m >= fewest and function.is_a("SXFunction"):
-        operations = map(function.instruction_id, range(function.n_instructions()))
-        if _KNOWN.issuperset(operations):
-            return _Registers(function, shared, m)
+    if (
+        m >= fewest
+        and function.is_a("SXFunction")
+        and _KNOWN.issuperset(map(function.instruction_id, range(function.n_instructions())))
+    ):
+        return _Registers(function, shared, m)
     return _Mapped(function, shared, m)
 
 

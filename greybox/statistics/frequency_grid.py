@@ -83,13 +83,12 @@ class FrequencyGrid:
 
         The sensitivities (k, p, n) are turned into the columns of `directions` (p, r).
         """
-        shape = len(weighted), directions.shape[1]
+        shape = len(weighted), directions.shape[1], len(self.weight)
         # Of a spectrum, seven digits are plenty: those of long records fill the memory.
-        precision = np.complex64 if self.longest > LONG else complex
-        result = np.empty((*shape, len(self.weight)), precision)
+        result = np.empty(shape, np.complex64 if self.longest > LONG else complex)
         # Row by row: they fill the memory of long records, and turned or padded rows would do so
         # again.
-        for i, q in np.ndindex(shape):
+        for i, q in np.ndindex(shape[:2]):
             row = (deviation[i] * directions[:, q] @ weighted[i]).astype(result.real.dtype)
             np.fft.rfft(row, self.size, out=result[i, q])  # new memory takes as long again
         return result

@@ -87,7 +87,7 @@ class GaussNewton(LocalSolver):
             # then leave a hundredth of the variance.
             if parts.unexplained(moved) < (left if is_inside else 0.01):
                 begin = moved
-        if self._excerpts is not self:
+        if self._excerpts:
             first = self._excerpts.run(start)
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
@@ -102,10 +102,10 @@ class GaussNewton(LocalSolver):
         return self._solved(*self._begun(begin))
 
     @cached_property
-    def _excerpts(self) -> "GaussNewton":
-        """Return the solver of the excerpts of a long record; of a short one this solver."""
+    def _excerpts(self) -> "GaussNewton | None":
+        """Return the solver of the excerpts of a long record."""
         if max(part.samples for part in self.nlp.parts) <= 4 * EXCERPT:
-            return self
+            return None
         excerpts = replace(self.nlp, parts=tuple(p.excerpt(EXCERPT) for p in self.nlp.parts))
         return GaussNewton(excerpts, settings=self.settings, limits=self.limits)
 
@@ -203,7 +203,7 @@ class GaussNewton(LocalSolver):
 
         Excerpts decide it for a long record.
         """
-        return self._excerpts._parts.at(self._nearest(start)).finite
+        return (self._excerpts or self)._parts.at(self._nearest(start)).finite
 
     @DIVERGING
     def screened(self, starts: Array) -> Screened | None:
@@ -217,7 +217,8 @@ class GaussNewton(LocalSolver):
         if not can_screen(self.nlp):
             return None
         z = np.array([self._nearest(start) for start in starts[1:]])
-        promising = [k + 1 for k in distinct(improved(self._excerpts.nlp, self.limits, z))]
+        points = improved((self._excerpts or self).nlp, self.limits, z)
+        promising = [k + 1 for k in distinct(points)]
         untried = sorted(set(range(1, len(starts))) - set(promising))
 
         # Declared values may be good ones: they are always among the first.
