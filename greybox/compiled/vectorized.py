@@ -194,7 +194,7 @@ class _Registers:
 
     def __init__(self, function: ca.Function, shared: Indices, m: int) -> None:
         self._reads: list[tuple[int, int, Array]] = []
-        self._calls: list[tuple[Callable[..., Any], tuple[Array, ...]]] = []
+        self._calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
         self._outputs = list[Array]()
         wide: dict[int, Array] = {}
         current: dict[int, Array] = {}

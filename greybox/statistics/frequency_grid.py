@@ -85,7 +85,7 @@ class FrequencyGrid:
         """
         shape = len(weighted), directions.shape[1], len(self.weight)
         # Of a spectrum, seven digits are plenty: those of long records fill the memory.
-        result = np.empty(shape, np.complex64 if self.longest > LONG else complex)
+        result: Any = np.empty(shape, np.complex64 if self.longest > LONG else complex)
         # Row by row: they fill the memory of long records, and turned or padded rows would do so
         # again.
         for i, q in np.ndindex(shape[:2]):

@@ -217,8 +217,9 @@ class GaussNewton(LocalSolver):
         if not can_screen(self.nlp):
             return None
         z = np.array([self._nearest(start) for start in starts[1:]])
-        points = improved((self._excerpts or self).nlp, self.limits, z)
-        promising = [k + 1 for k in distinct(points)]
+        promising = [
+            k + 1 for k in distinct(improved((self._excerpts or self).nlp, self.limits, z))
+        ]
         untried = sorted(set(range(1, len(starts))) - set(promising))
 
         # Declared values may be good ones: they are always among the first.
