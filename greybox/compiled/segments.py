@@ -29,9 +29,14 @@ from greybox.files.arrays import Array, ArrayPair, Arrays, Indices, IntArray
 from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
-# Samples whose derivatives are in memory at once: 10 000 with five states and ten parameters take
-# 12 MB, and a longer batch is no faster.
-BATCH = 10_000
+# Samples whose derivatives are in memory at once: with three states and five parameters they take
+# 1 MB, which the cache holds. Four times as many take a tenth more time, with twelve states twice
+# the time.
+BATCH = 2_500
+
+# States up to which derivatives are carried through all segments at once, which takes half the time
+# of one product for every segment. With six states, both take as long.
+FEW_STATES = 4
 
 
 class Course(NamedTuple):
@@ -299,13 +304,8 @@ class Segments:
 
         They are those by the state at the sample and the active parameters.
         """
-        return self._by_sample(_finite(self._evaluate("derivatives", at))[0])
-
-    def _by_sample(self, slopes: Array) -> Array:
-        # CasADi stacks them column by column. Products of stacked matrices are fast for contiguous
-        # ones.
-        slopes = slopes.reshape(-1, self.n + self.k, slopes.shape[1])
-        return np.ascontiguousarray(slopes.transpose(2, 1, 0))
+        slopes, _ = _finite(self._evaluate("derivatives", at))
+        return np.ascontiguousarray(slopes.reshape(-1, self.n + self.k, slopes.shape[1]).T)
 
     def output_sensitivities(self, at: Course) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -324,16 +324,25 @@ class Segments:
         sample.
         """
         n = self.n
-        slopes = self._by_sample(slopes)
-        S, rows = np.eye(n, slopes.shape[2]), list[Array]()
-        for slope in np.split(slopes, self.length):
-            following = slope[..., :n] @ S
+        # CasADi stacks them column by column.
+        slopes = slopes.reshape(-1, n + self.k, self.length, slopes.shape[1] // self.length)
+        if n > FEW_STATES:  # products of stacked matrices are fast for contiguous ones
+            slopes = np.ascontiguousarray(slopes.T).T
+        S = np.zeros_like(slopes[:, :n, 0])
+        S[range(n), range(n)] = 1
+        rows = np.empty_like(slopes[:, n:])
+        for i in range(self.length):
+            slope = slopes[:, :, i]
+            if n > FEW_STATES:
+                following = (slope[:n].T @ S.T).T
+            else:
+                following = np.einsum("jic,vjc->vic", slope[:n], S)
             # The parameters also act at this very sample, besides through the state.
-            following[..., n:] += slope[..., n:]
+            following[n:] += slope[n:]
             S = following[:, :n]
-            rows.append(following[:, n:])
+            rows[:, :, i] = following[:, n:]
 
-        return S, np.stack(rows, axis=1)
+        return S.T, rows.T
 
     def mean_transition(self, at: Course) -> ArrayPair:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""

@@ -7,6 +7,7 @@ are done once.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -14,7 +15,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, Arrays, Indices
 from greybox.files.rebuilt import Rebuilt
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 
 CHUNK = 4096  # columns at once: as many as fit into the cache
@@ -74,15 +75,13 @@ class Columns(Rebuilt):
     """
 
     def __init__(self, function: ca.Function, shared: Indices = (), fewest: int = FEWEST) -> None:
-        function = _dense(function)
-        self.function, self._shared, self._fewest = function, shared, fewest
-        self._layouts: dict[int, _Mapped | _Registers] = {}
+        self.function, self._shared = _dense(function), shared
+        # Searches end one by one: layouts for past numbers of columns are not used again.
+        self._layout = lru_cache(12)(partial(_layout, self.function, shared, fewest))
 
     def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = inputs[0].shape[1]
-        if 0 < m <= CHUNK:
-            return [values.copy() for values in self._layout(m).run(inputs)]
         f = self.function
         outputs = [np.empty((f.numel_out(k), m)) for k in range(f.n_out())]
         # Equal shares need only one layout of the registers.
@@ -90,30 +89,22 @@ class Columns(Rebuilt):
         for begin in range(0, m, width):
             columns = slice(begin, min(begin + width, m))
             part = [v if k in self._shared else v[:, columns] for k, v in enumerate(inputs)]
-            values = self._layout(columns.stop - begin).run(part)
-            for out, value in zip(outputs, values, strict=True):
-                out[:, columns] = value
+            self._layout(columns.stop - begin).run(part, [v[:, columns] for v in outputs])
 
         return outputs
 
-    def _layout(self, m: int) -> "_Mapped | _Registers":
-        if m not in self._layouts:
-            # Searches end one by one: layouts for past numbers of columns are not used again.
-            if len(self._layouts) > 12:
-                self._layouts.clear()
-            # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each.
-            # But the layout takes 2 µs an operation.
-            use_casadi = m < self._fewest or not self._has_ufuncs
-            kind = _Mapped if use_casadi else _Registers
-            self._layouts[m] = kind(self.function, self._shared, m)
-        return self._layouts[m]
 
-    @cached_property
-    def _has_ufuncs(self) -> bool:
-        """Whether numpy can do every operation."""
-        f = self.function
-        operations = map(f.instruction_id, range(f.n_instructions()))
-        return f.is_a("SXFunction") and _KNOWN.issuperset(operations)
+def _layout(function: ca.Function, shared: Indices, fewest: int, m: int) -> "_Mapped | _Registers":
+    """Return a function for m columns; registers from the `fewest` on, if numpy can do it all."""
+    # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each. But the
+    # layout takes 2 µs an operation.
+    if (
+        m >= fewest
+        and function.is_a("SXFunction")
+        and _KNOWN.issuperset(map(function.instruction_id, range(function.n_instructions())))
+    ):
+        return _Registers(function, shared, m)
+    return _Mapped(function, shared, m)
 
 
 @one_thread_at_a_time
@@ -181,12 +172,13 @@ class _Mapped:
             buffer.set_res(k, value.data)
         self._references = mapped, buffer  # CasADi does not keep them alive
 
-    def run(self, inputs: Arrays) -> Arrays:
-        """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
+    def run(self, inputs: Arrays, outputs: Arrays) -> None:
+        """Write the outputs, (numel, m) each."""
         for memory, value in zip(self._inputs, inputs, strict=True):
             memory[...] = value.T
         self._call()
-        return [value.T for value in self._outputs]
+        for memory, value in zip(self._outputs, outputs, strict=True):
+            value[...] = memory.T
 
 
 class _Registers:
@@ -194,8 +186,8 @@ class _Registers:
 
     def __init__(self, function: ca.Function, shared: Indices, m: int) -> None:
         self._reads: list[tuple[int, int, Array]] = []
-        self._calls: list[tuple[Callable[..., Any], tuple[Array, ...]]] = []
-        self._outputs = [np.empty((function.numel_out(k), m)) for k in range(function.n_out())]
+        self._calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
+        self._outputs = list[Array]()
         wide: dict[int, Array] = {}
         current: dict[int, Array] = {}
 
@@ -203,34 +195,33 @@ class _Registers:
             operation = function.instruction_id(k)
             sources, targets = function.instruction_input(k), function.instruction_output(k)
             if operation == ca.OP_OUTPUT:
-                row, value = self._outputs[targets[0]][targets[1]], current[sources[0]]
-                # Many derivatives are the same at all points.
-                if value.flags.writeable:
-                    self._calls.append((np.positive, (value, row)))
-                else:
-                    row[:] = value
-            elif operation == ca.OP_CONST:
-                current[targets[0]] = np.array(function.instruction_constant(k))
-                current[targets[0]].flags.writeable = False
+                self._calls.append((_write, (self._outputs, *targets, current[sources[0]])))
+                continue
+            if operation == ca.OP_CONST:
+                value = np.array(function.instruction_constant(k))
             elif operation == ca.OP_INPUT:
                 value = np.empty(() if sources[0] in shared else m)
                 self._reads.append((sources[0], sources[1], value))
-                current[targets[0]] = value
             else:
                 arguments = [current[source] for source in sources]
                 if operation == ca.OP_TWICE:
                     arguments *= 2
                 is_narrow = arguments[0].ndim == arguments[-1].ndim == 0
                 # The result of shared numbers may be read much later: it needs its own register.
-                out = np.empty(()) if is_narrow else wide.setdefault(targets[0], np.empty(m))
-                self._calls.append((_OPERATIONS[operation], (*arguments, out)))
-                current[targets[0]] = out
+                value = np.empty(()) if is_narrow else wide.setdefault(targets[0], np.empty(m))
+                self._calls.append((_OPERATIONS[operation], (*arguments, value)))
+            current[targets[0]] = value
 
-    def run(self, inputs: Arrays) -> Arrays:
-        """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
+    def run(self, inputs: Arrays, outputs: Arrays) -> None:
+        """Write the outputs, (numel, m) each."""
+        self._outputs[:] = outputs
         for source, row, register in self._reads:
             register[...] = inputs[source][row]
         with np.errstate(all="ignore"):
             for call, arguments in self._calls:
                 call(*arguments)
-        return self._outputs
+        self._outputs.clear()  # those of a long record would stay in memory
+
+
+def _write(outputs: Arrays, output: int, row: int, value: Array) -> None:
+    outputs[output][row] = value

@@ -62,9 +62,11 @@ MOST_BYTES = 1 << 28
 
 LOST = "the executor gave up its tasks: its workers or its scheduler are gone."
 
-# glibc returns freed memory beyond twice the largest block that was ever freed, and getting it back
-# takes 6 % of the fit of a record of 6000 samples. This block is never touched.
-np.empty(31 << 20, np.uint8)
+# The C library of Linux keeps freed memory up to twice the size of the largest array that was
+# freed so far, if that has at most 32 MiB, and returns the rest to the system. To ask for it again
+# at each evaluation makes one of 15 starts of 30 responses 1.5 to 2 times as long, and a fit of
+# 6000 samples 6 % longer. So an array of that size is freed first, which nothing fills.
+np.empty(4_000_000)
 
 
 def run_all(

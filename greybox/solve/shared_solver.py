@@ -39,11 +39,6 @@ class SharedSolver(ResponseSolver):
     def __init__(self, nlp: CompiledProblem, *arguments: Any, **options: Any) -> None:
         """Build the solver; starts of sine tests share no work, and their progress is shown."""
         super().__init__(nlp, *arguments, **options)
-        # The C library of Linux keeps freed memory up to twice the size of the largest array that
-        # was freed so far, if that has at most 32 MiB, and returns the rest to the system. To ask
-        # for it again at each evaluation makes one for 15 starts of 30 responses, with derivatives,
-        # 1.5 to 2 times as long. So an array of that size is freed first, which nothing fills.
-        np.empty(4_000_000)
         self._shared: Any = nlp.programs[-1].shared
         self._sine_tests = [test for test in self._shared.systems if isinstance(test, SineTest)]
         if self._sine_tests:

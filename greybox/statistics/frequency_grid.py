@@ -12,6 +12,7 @@ from greybox.files.arrays import Array, ComplexArray, ComplexPair, IntArray, fro
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
+LONG = 100_000  # samples beyond which transforms have single precision
 COLUMNS = 16384  # frequencies at once in memory: 6 MB for three outputs and eight parameters
 
 
@@ -82,12 +83,14 @@ class FrequencyGrid:
 
         The sensitivities (k, p, n) are turned into the columns of `directions` (p, r).
         """
-        shape = len(weighted), directions.shape[1]
-        result = np.empty((*shape, len(self.weight)), dtype=complex)
+        shape = len(weighted), directions.shape[1], len(self.weight)
+        # Of a spectrum, seven digits are plenty: those of long records fill the memory.
+        result: Any = np.empty(shape, np.complex64 if self.longest > LONG else complex)
         # Row by row: they fill the memory of long records, and turned or padded rows would do so
         # again.
-        for i, q in np.ndindex(shape):
-            result[i, q] = np.fft.rfft(deviation[i] * directions[:, q] @ weighted[i], self.size)
+        for i, q in np.ndindex(shape[:2]):
+            row = (deviation[i] * directions[:, q] @ weighted[i]).astype(result.real.dtype)
+            np.fft.rfft(row, self.size, out=result[i, q])  # new memory takes as long again
         return result
 
     def covariances(
@@ -121,7 +124,7 @@ class FrequencyGrid:
             for start in range(0, len(self.weight), COLUMNS):
                 part = slice(start, start + COLUMNS)
                 spread = self.spread_out(density, part) * self.weight[part]
-                columns = np.ascontiguousarray(transform[..., part])
+                columns = np.ascontiguousarray(transform[..., part], dtype=complex)
                 # As pairs of reals, whose product is the real part of the complex product.
                 parts.append(products(columns.view(float), filtered(spread, columns).view(float)))
 

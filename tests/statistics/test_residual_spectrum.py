@@ -670,6 +670,7 @@ def test_long_records_need_few_zeros_against_products_of_their_ends():
     J = np.array([np.ones(n), np.linspace(-1, 1, n)])
     density = (1 - phi**2) / np.abs(1 - phi * np.exp(-1j * grid.omega)) ** 2
     transforms = grid.transform(J[None], np.eye(2), np.ones(1))
+    assert_allclose(transforms[0], np.fft.rfft(J, grid.size), rtol=1e-5, atol=1e-6 * n)
     found = grid.score_covariance([transforms], density[None, None].astype(complex))
     past = lfilter([1.0], [1.0, -phi], J, axis=1) @ J.T  # of sums over earlier samples and this one
     assert_allclose(np.diag(found), np.diag(past + past.T - J @ J.T), rtol=0.01)

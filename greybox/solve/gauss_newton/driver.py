@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.constraints import Limits, constraints_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed
@@ -75,22 +75,20 @@ class GaussNewton(LocalSolver):
         It is moved if predictions over whole segments are worse than the means of the outputs. With
         long records, excerpts lead on from there.
         """
-        parts, nlp = self._parts, self.nlp
+        parts = self._parts
         begin = parts.at(self._nearest(start))
         # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
-        if can_move(nlp) and (left := parts.unexplained(begin)) > 1:
-            moved = parts.at(improved(nlp, self.limits, begin.z[None]).z[0])
+        if can_move(self.nlp) and (left := parts.unexplained(begin)) > 1:
+            moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             z = moved.z
             is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
             # From a bound, a run seldom returns, unless that is nearly where it ends: predictions
             # then leave a hundredth of the variance.
             if parts.unexplained(moved) < (left if is_inside else 0.01):
                 begin = moved
-        if max(part.samples for part in nlp.parts) > 4 * EXCERPT:
-            excerpts = replace(nlp, parts=tuple(part.excerpt(EXCERPT) for part in nlp.parts))
-            shorter = GaussNewton(excerpts, settings=self.settings, limits=self.limits)
-            first = shorter._solved(*shorter._begun(shorter._parts.at(begin.z)))
+        if self._excerpts:
+            first = self._excerpts.run(start)
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
@@ -102,6 +100,14 @@ class GaussNewton(LocalSolver):
                     self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
                     return spent(outcome, first)
         return self._solved(*self._begun(begin))
+
+    @cached_property
+    def _excerpts(self) -> "GaussNewton | None":
+        """Return the solver of the excerpts of a long record."""
+        if max(part.samples for part in self.nlp.parts) <= 4 * EXCERPT:
+            return None
+        excerpts = replace(self.nlp, parts=tuple(p.excerpt(EXCERPT) for p in self.nlp.parts))
+        return GaussNewton(excerpts, settings=self.settings, limits=self.limits)
 
     def _begun(self, begin: Iterate) -> tuple[Iterate, Progress]:
         """Return where to begin: with nodes from the data, or with simulated ones.
@@ -193,8 +199,11 @@ class GaussNewton(LocalSolver):
 
     @DIVERGING
     def is_finite_at(self, start: Array) -> bool:
-        """Return whether the model is finite at the parameters `start` (p,), near the data."""
-        return self._parts.at(self._nearest(start)).finite
+        """Return whether the model is finite at the parameters `start` (p,), near the data.
+
+        Excerpts decide it for a long record.
+        """
+        return (self._excerpts or self)._parts.at(self._nearest(start)).finite
 
     @DIVERGING
     def screened(self, starts: Array) -> Screened | None:
@@ -208,7 +217,9 @@ class GaussNewton(LocalSolver):
         if not can_screen(self.nlp):
             return None
         z = np.array([self._nearest(start) for start in starts[1:]])
-        promising = [k + 1 for k in distinct(improved(self.nlp, self.limits, z))]
+        promising = [
+            k + 1 for k in distinct(improved((self._excerpts or self).nlp, self.limits, z))
+        ]
         untried = sorted(set(range(1, len(starts))) - set(promising))
 
         # Declared values may be good ones: they are always among the first.

@@ -92,7 +92,7 @@ def test_a_run_of_a_long_record_begins_where_excerpts_lead(monkeypatch):
     steps = len(counted)
     counted.clear()
     monkeypatch.setattr(driver, "EXCERPT", 60)
-    outcome = solver.run(np.array([10.0]))
+    outcome = GaussNewton(solver.nlp).run(np.array([10.0]))
     assert outcome.converged
     assert outcome.estimate == pytest.approx(usual.estimate, rel=1e-6)
     assert counted.count(300) < steps
@@ -147,7 +147,7 @@ def test_excerpts_without_the_manoeuvre_do_not_mislead_a_run(monkeypatch):
     solver = GaussNewton(compile_problem(gb.Problem(Lag(), still, HELD)))
     usual = solver.run(np.array([1.0]))
     counted = linearized(monkeypatch, 60)
-    outcome = solver.run(np.array([1.0]))
+    outcome = GaussNewton(solver.nlp).run(np.array([1.0]))
     assert {*counted} == {100, 300}
     assert outcome.estimate == pytest.approx(usual.estimate, rel=1e-6)
     assert outcome.cost == pytest.approx(usual.cost, rel=1e-9)
