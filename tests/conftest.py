@@ -44,10 +44,8 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    # Tests and modules stay until the end: the collector need not look at them again. It begins
-    # after every 700 new objects otherwise, and hypothesis has a function that it calls each time:
-    # together a fiftieth of the time.
-    gc.freeze()
+    # The collector begins after every 700 new objects otherwise, and looks at all tests and modules
+    # each time: a fiftieth of the time.
     gc.set_threshold(20_000)
     gc.enable()
 

@@ -87,7 +87,8 @@ class SharedSolver(ResponseSolver):
             unit = 2.0**43 * np.spacing(ends.z)
             digits = np.round(ends.z / unit) * unit
             (ratios, *near), column = np.unique([ratios, *digits], axis=1, return_inverse=True)
-            near, columns = np.array(near), column[columns]
+            # numpy 2.0.0 returns a row.
+            near, columns = np.array(near), column.ravel()[columns]
         # Some starts take 250 iterations, and their time would be that of the whole fit.
         limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
         # Without a barrier: the first start may be a minimum of a similar problem.
