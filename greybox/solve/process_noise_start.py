@@ -31,15 +31,11 @@ class ProcessNoise:
         # System, frequencies, measured responses, weights and sizes of the derivatives.
         self._terms = []
         self._numbers = 0
-        # Starts need no more precision: with this many numbers, 309 of 400 starts of five
-        # helicopters reach the minimum, with all frequencies 303, with ten for each parameter 253.
-        share = max(600, 20 * len(points)) / (2 * sum(map(len, responses.data)))
         for system in responses.systems:
             # States follow from outputs that are measured at one frequency: where responses have
             # frequencies of their own, they are interpolated at as many as the longest has.
             longest = max(len(at) for _, (*_, at) in system.pairs)
-            most = int(np.ceil(min(share, 1) * longest))
-            omega = system.omega[evenly_spread(len(system.omega), most)]
+            omega = system.omega[evenly_spread(len(system.omega), longest)]
             # By frequency, input and output; weights are zero where nothing is measured.
             measured = np.zeros((len(omega), system.inputs, system.outputs), complex)
             for part, (output, input, at) in system.pairs:

@@ -65,7 +65,7 @@ class SharedSolver(ResponseSolver):
         # minima of two flexible modes.
         ratios = np.array([30.0, 3.0])[columns // 2 % 2]
         # Starts behind a strong barrier meet. Behind a weak one fewer reach the minimum of five
-        # helicopters, after more iterations: 309 of 400 with every second start there, 324 with
+        # helicopters, after more iterations: 291 of 400 with every second start there, 312 with
         # every fourth. But only there, and with less noise, do those of a rate with delays of many
         # turns.
         noise = ProcessNoise(self._shared, z)
