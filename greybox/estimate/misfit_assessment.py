@@ -73,9 +73,8 @@ IN_GUSTS = 0.001
 # simulation follows, and the probability above which there is no other test: that of 3000 samples
 # with autoregressive errors takes five times as long. Probabilities allow for the number of terms,
 # so that those of right models are mostly one. Of 130 slightly wrong models with white residuals,
-# one was called wrong by the other test alone, with p = 0.002; of 330 others and 120 right ones, it
-# called 14, whose first probabilities were below 0.001, and none of 40 with 0.1 to 0.3.
-FEW, CLEAR = (300, 500), 0.1
+# one was called wrong by the other test alone, with p = 0.002.
+FEW, CLEAR = (300, 500), 0.3
 
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
 

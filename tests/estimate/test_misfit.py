@@ -898,7 +898,7 @@ def test_the_rest_before_a_step_shows_no_offset(seed):
 
 def test_each_of_several_records_may_have_an_offset():
     one = problem()
-    one = one.with_(data=one.data.with_signals(x=one.data["x"] + 0.008))
+    one = one.with_(data=one.data.with_signals(x=one.data["x"] + 0.006))
     p_values = []
     for parts in (one, one + one.with_(name="again")):
         causes = gb.fit(parts, starts=1, progress=False).misfit.causes
