@@ -290,7 +290,8 @@ class ResponseSolver(LocalSolver):
         if stop_requested():
             return True
         # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.
-        [outcome] = self.judged([self.again(run.estimate, run, CONFIRMING)])
+        z = self.batches[-1].off_saddle(self.nlp.scaling.to_solver(run.estimate))
+        [outcome] = self.judged([self.again(self.nlp.estimate_at(z), run, CONFIRMING)])
 
         # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost

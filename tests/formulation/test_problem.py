@@ -241,6 +241,16 @@ def test_an_ordering_of_two_lags_leaves_one_variant():
     assert_truth(ordered, TWO_LAGS)
 
 
+@pytest.mark.parametrize("lag", [0.05, 0.1, 0.4])
+def test_equal_lags_are_no_minimum(lag):
+    # From equal lags, no slope leads to unequal ones.
+    equal = {"K": 1.0, "T1": lag, "T2": lag, "tau": 0.01}
+    found = fit(gb.Problem(LagLagDelay(), TWO), starts=[equal, equal | {"K": 2.0}])
+    assert len(found.minima) == 1
+    lags = sorted((found.estimate["T1"], found.estimate["T2"]))
+    assert lags == pytest.approx(sorted((TWO_LAGS["T1"], TWO_LAGS["T2"])), rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("constraint", "value"),
     [
