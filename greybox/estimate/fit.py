@@ -38,7 +38,7 @@ from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted, require_kind
 from greybox.files.version import __version__
 from greybox.formulation.prior_part import stated_priors
-from greybox.formulation.starts import AnyStarts, Listed, as_starts
+from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
@@ -249,7 +249,6 @@ def fit_with_storage(
             multistart,
             solver,
             points,
-            movable=not isinstance(rule, Listed),
             executor=executor,
             storage=storage,
             promising=solver.promising if starts is None else (),

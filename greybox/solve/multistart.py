@@ -69,7 +69,6 @@ def multistart(
     starts: Array,
     *,
     progress: ProgressReport | None = None,
-    movable: bool = True,
     executor: Executor | None = None,
     storage: RunStorage | None = None,
     promising: Indices = (),
@@ -85,18 +84,18 @@ def multistart(
 
     Then, with `beside`, other minima are looked for from the best one, see `other_minima`.
 
-    A `movable` start moves to where the model is finite. Unfinished runs at a lower cost than all
-    that converged are continued. All runs are stored. A run that fails is a result with its status,
-    and never ranks before one that converged. When a stop is requested
-    (`greybox.solve.interruption`), the current run is the last. With an executor its workers make
-    the runs (`greybox.solve.executors`). Runs in the `storage` are not made again.
+    Starts move to where the model is finite. Unfinished runs at a lower cost than all that
+    converged are continued. All runs are stored. A run that fails is a result with its status, and
+    never ranks before one that converged. When a stop is requested (`greybox.solve.interruption`),
+    the current run is the last. With an executor its workers make the runs
+    (`greybox.solve.executors`). Runs in the `storage` are not made again.
     """
     # In 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
     # that of the conversion.
-    points = FiniteStarts(solver, starts) if movable else starts
+    points = FiniteStarts(solver, starts)
     memory = Memory(storage, solver)
     *counts, enough = promising or (len(starts), 0)
-    screened = solver.screened(starts) if movable and counts[-1] < len(starts) else None
+    screened = solver.screened(starts) if counts[-1] < len(starts) else None
 
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf

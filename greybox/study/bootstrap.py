@@ -391,7 +391,7 @@ def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
         )
     # A fit has no states at the nodes: one run from the estimate finds them again.
     solver = solver_for(nlp)
-    search = multistart(solver, x[None], movable=False)
+    search = multistart(solver, x[None])
     search, solver, _ = refine_discretization(search, solver)
     nlp = solver.nlp
     # Replicates start from the estimate: if it were no minimum, all of them would move away from

@@ -87,7 +87,7 @@ def _least_cost(fit: Fit, criterion: Criterion) -> float | None:
         return None
     solver = SolverChoice().solver(problem)
     start = np.array([[fit.estimate[name] for name in solver.nlp.free]])
-    minima = solver.polished(multistart(solver, start, movable=False)).minima
+    minima = solver.polished(multistart(solver, start)).minima
     is_found = minima and minima[0].cost <= fit.costs[criterion.name]
     return minima[0].cost if is_found else None
 
