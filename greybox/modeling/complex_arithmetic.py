@@ -76,7 +76,6 @@ class Complex(FunctionOfS):
 
 
 def _product(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
-    # Half the operations, each of which takes CasADi as long as a thousand of them in a solver.
     if d is REAL:
         return a * c, b * c
     return a * c - b * d, a * d + b * c
