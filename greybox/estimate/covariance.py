@@ -570,6 +570,6 @@ def known_covariances(nlp: CompiledProblem) -> Iterator[tuple[Array, float]]:
     sources = {id(source): source for name, source in held.items() if name in nlp.names}
     for source in sources.values():
         is_from = [held.get(name) is source for name in nlp.names]
-        embedded = np.zeros((len(is_from), len(is_from)))
+        embedded = np.zeros((len(is_from),) * 2)
         embedded[np.ix_(is_from, is_from)] = source.covariance_of([*compress(nlp.names, is_from)])
         yield embedded, source.dof

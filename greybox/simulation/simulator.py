@@ -135,9 +135,8 @@ class Simulator:
         self._substeps = self._integrator.substeps or 0
         system = model.system.observed(outputs)
         self._initial = InitialStates(system)
-        arguments = system, model.held, model.criterion, model.names
         # For an integrator and a number of substeps.
-        self._step = cache(partial(sample_step, *arguments))
+        self._step = cache(partial(sample_step, system, model.held, model.criterion, model.names))
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,)."""
