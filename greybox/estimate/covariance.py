@@ -335,7 +335,7 @@ def prior_shares(accuracy: Accuracy) -> Values:
 
     roots = [_share(part, p).root[:, :p] @ accuracy.white for part in accuracy.informations]
     information = np.array([np.sum(root**2, axis=0) for root in roots])
-    share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
+    share = information[is_prior].sum(0) / np.maximum(information.sum(0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
     return by_name(nlp.free, share.tolist())
 
