@@ -76,14 +76,14 @@ class Columns(Rebuilt):
 
     def __init__(self, function: ca.Function, shared: Indices = (), fewest: int = FEWEST) -> None:
         self.function, self._shared = _dense(function), shared
+        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         # Searches end one by one: layouts for past numbers of columns are not used again.
         self._layout = lru_cache(12)(partial(_layout, self.function, shared, fewest))
 
     def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = inputs[0].shape[1]
-        f = self.function
-        outputs = [np.empty((f.numel_out(k), m)) for k in range(f.n_out())]
+        outputs = [np.empty((size, m)) for size in self._sizes]
         # Equal shares need only one layout of the registers.
         width = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
         for begin in range(0, m, width):
@@ -123,8 +123,7 @@ def second_order(inputs: Sequence[ca.SX], cost: ca.SX) -> Columns:
 def _dense(function: ca.Function) -> ca.Function:
     """Return the function with dense inputs and outputs."""
     # Columns are read by position: structural zeros need a place too.
-    are_dense = function.nnz_in() == function.numel_in()
-    if are_dense and function.nnz_out() == function.numel_out():
+    if (function.nnz_in(), function.nnz_out()) == (function.numel_in(), function.numel_out()):
         return function
 
     inputs = input_symbols(function)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -267,7 +268,7 @@ def _with_covariance(
         slope[:p, p:] -= root @ (root.T @ part.share.root[:, :p].T) @ part.share.root[:, p:]
 
     turned = np.eye(k, p) @ (root @ ((stacked @ root).T @ (stacked @ first)))
-    earlier = known_covariances(nlp)
+    earlier = [*known_covariances(nlp)]
     terms: list[tuple[Array, float]] = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
     # Errors that responses share, such as those of wind, add up.
     shared, bins = shared_covariance(
@@ -334,7 +335,7 @@ def prior_shares(accuracy: Accuracy) -> Values:
 
     roots = [_share(part, p).root[:, :p] @ accuracy.white for part in accuracy.informations]
     information = np.array([np.sum(root**2, axis=0) for root in roots])
-    share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
+    share = information[is_prior].sum(0) / np.maximum(information.sum(0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
     return by_name(nlp.free, share.tolist())
 
@@ -546,31 +547,29 @@ def _at_bound(
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
         # flat valley, a minimum may lie this close to a bound that is not active.
         held |= close & (outward > 0.01 * deviation)
-    return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
+    return tuple(compress(nlp.free, held))
 
 
 @one_thread_at_a_time
 def active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, Strings]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
+    # Without a constraint, derivatives are not worth their compilation.
+    if not nlp.limits:
+        return np.empty((0, x.size)), ()
     values = nlp.all_values(x)
-    gradient = nlp.constraint.jacobian()(values, 0).full()[:, : len(nlp.free)]
-    slack = np.asarray(nlp.constraint(values)).ravel()
+    gradient = nlp.constraint.jacobian()(values, 0).full()[:, : x.size]
+    slack = nlp.constraint(values).full().ravel()
     active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
 
-    return gradient[active], tuple(
-        label for label, holds in zip(nlp.limits, active, strict=True) if holds
-    )
+    return gradient[active], tuple(compress(nlp.limits, active))
 
 
-def known_covariances(nlp: CompiledProblem) -> list[tuple[Array, float]]:
-    """Return the covariance (k, k) of the constants from each earlier fit, zero elsewhere."""
+def known_covariances(nlp: CompiledProblem) -> Iterator[tuple[Array, float]]:
+    """Yield the covariance (k, k) of the constants from each earlier fit, zero elsewhere."""
     held = nlp.problem.held_estimates
     sources = {id(source): source for name, source in held.items() if name in nlp.names}
-    result = []
     for source in sources.values():
-        places = [k for k, name in enumerate(nlp.names) if held.get(name) is source]
-        embedded = np.zeros((len(nlp.names), len(nlp.names)))
-        embedded[np.ix_(places, places)] = source.covariance_of([nlp.names[k] for k in places])
-        result.append((embedded, source.dof))
-
-    return result
+        is_from = [held.get(name) is source for name in nlp.names]
+        embedded = np.zeros((len(is_from),) * 2)
+        embedded[np.ix_(is_from, is_from)] = source.covariance_of([*compress(nlp.names, is_from)])
+        yield embedded, source.dof

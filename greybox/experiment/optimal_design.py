@@ -59,26 +59,28 @@ def shares(informations: Array, matters: BoolArray) -> Array:
     def with_slope(w: Array) -> ArrayPair:
         inverse = np.linalg.inv(np.tensordot(w, informations, 1) + floor)
         slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
-        return np.diag(inverse)[matters], slope[matters]
+        variance = np.diag(inverse)[matters]
+        return np.log(variance), slope[matters] / variance[:, None]
 
     # The times with the smallest sum. The unit of time is the one in which equal shares of one
-    # suffice: the variances are then of size one, as SLSQP expects.
+    # suffice. A variance is far from its tangents, and infinite if all times that it needs are
+    # zero: without the logarithm and a least time, one of a hundred searches ended there, and
+    # rounding decided which. With both, none of 1958 was 0.1 % above the best answer.
     begin = np.full(count, 1 / count)
-    unit = np.max(with_slope(begin)[0])
-    outcome = minimize(
+    unit = with_slope(begin)[0].max()
+    times = minimize(
         np.sum,
         begin,
         jac=np.ones_like,
-        bounds=[(0.0, None)] * count,
+        bounds=[(1e-6 / count, None)] * count,
         constraints={
             "type": "ineq",
-            "fun": lambda t: 1 - with_slope(t)[0] / unit,
-            "jac": lambda t: -with_slope(t)[1] / unit,
+            "fun": lambda t: unit - with_slope(t)[0],
+            "jac": lambda t: -with_slope(t)[1],
         },
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-9},
-    )
-    share = outcome.x / outcome.x.sum()
+    ).x
     # A thousandth of the flight is less than the rounding of a sine to whole periods.
-    share[share < 1e-3] = 0
-    return share / share.sum()
+    times[times < 1e-3 * times.sum()] = 0
+    return times / times.sum()

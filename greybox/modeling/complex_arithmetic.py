@@ -35,13 +35,13 @@ class Complex(FunctionOfS):
         return self._with(operand, lambda a, b, c, d: (a + c, b + d))
 
     def __mul__(self, operand: Any) -> "Complex":
-        return self._with(operand, lambda a, b, c, d: (a * c - b * d, a * d + b * c))
+        return self._with(operand, _product)
 
     def __truediv__(self, operand: Any) -> "Complex":
         return self._with(operand, _quotient)
 
     def __rtruediv__(self, operand: Any) -> "Complex":
-        return self._with(operand, lambda a, b, c, d: _quotient(c, d, a, b))
+        return _complex(operand) / self
 
     def __neg__(self) -> "Complex":
         return Complex(-self.re, -self.im, self.pade)
@@ -75,6 +75,12 @@ class Complex(FunctionOfS):
         return self**0.5
 
 
+def _product(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
+    if d is REAL:
+        return a * c, b * c
+    return a * c - b * d, a * d + b * c
+
+
 def _quotient(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
     if d is REAL:
         return a / c, b / c
@@ -85,8 +91,7 @@ def _quotient(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
 def _complex(value: Any) -> Complex:
     if isinstance(value, Complex):
         return value
-    if is_casadi(value) or np.asarray(value).dtype.kind in "fiu":
-        return Complex(value, REAL)
-    if np.asarray(value).dtype.kind != "c":
+    kind = "f" if is_casadi(value) else np.asarray(value).dtype.kind
+    if kind not in "fiuc":
         raise TypeError(f"{value!r:.60} in a formula of s: give numbers or expressions.")
-    return Complex(np.real(value), np.imag(value))
+    return Complex(np.real(value), np.imag(value)) if kind == "c" else Complex(value, REAL)

@@ -108,9 +108,7 @@ def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
     return ca.Function("substep", [x, u, slope, p, h], [ca.vertcat(result, late)], options)
 
 
-def repeated(
-    substep: ca.Function, substeps: int, x: Any, mean: Any, change: Any, p: Any, h: Any
-) -> Any:
+def repeated(substep: Any, substeps: int, x: Any, mean: Any, change: Any, p: Any, h: Any) -> Any:
     """Return x one sample later, after so many steps of a `substep_function`.
 
     `mean` and `change` (m,) are those of the inputs over the sample, which lasts h.

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
-from greybox.compiled.vectorized import Remembering
+from greybox.compiled.vectorized import Columns, Remembering
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -25,7 +25,7 @@ from greybox.files.arrays import (
     frozen,
     real_root,
 )
-from greybox.modeling.integrators import Integrator, Radau, RungeKutta
+from greybox.modeling.integrators import Integrator, Radau, RungeKutta, repeated
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (
     MOST_SUBSTEPS,
@@ -133,9 +133,10 @@ class Simulator:
         self._integrator = integrator or RungeKutta()
         self._is_automatic = integrator is None
         self._substeps = self._integrator.substeps or 0
-        self._steps: dict[int, SampleStep] = {}
-        self._system = model.system.observed(outputs)
-        self._initial = InitialStates(self._system)
+        system = model.system.observed(outputs)
+        self._initial = InitialStates(system)
+        # For an integrator and a number of substeps.
+        self._step = cache(partial(sample_step, system, model.held, model.criterion, model.names))
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,)."""
@@ -299,7 +300,7 @@ class Simulator:
             # of the state, just within TOLERANCE.
             self._substeps = stable_substeps(poles, step, reach=0.03, most=MOST_AT_FIRST)
         while True:
-            result = run(self._step(self._substeps))
+            result = run(self._step(self._integrator, self._substeps))
             states = result.along.states
             finite = all_finite(states)
             most = self._substeps >= MOST_SUBSTEPS
@@ -315,14 +316,14 @@ class Simulator:
                 and (finite or not result.estimates)
             ):
                 # What is stiff far from rest.
-                explicit = self._integrator, self._substeps, self._steps
+                explicit = self._integrator, self._substeps
                 self._is_automatic, self._integrator = False, Radau()
-                self._substeps, self._steps = MOST_AT_FIRST, {}
+                self._substeps = MOST_AT_FIRST
                 implicit = self._accurate(step, run)
                 if not finite or all_finite(implicit.along.states):
                     return implicit
                 # A jump, such as that of dry friction at rest, stops Newton's iteration, not RK4.
-                self._integrator, self._substeps, self._steps = explicit
+                self._integrator, self._substeps = explicit
                 return result
             if most or error <= TOLERANCE:
                 return result
@@ -334,30 +335,21 @@ class Simulator:
         states = result.along.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
         # At 400 of all samples, since each costs two evaluations of the model.
-        checked = usable[evenly_spread(usable.size, 400)].tolist()
-        if not checked:
+        checked = usable[evenly_spread(usable.size, 400)]
+        if not checked.size:
             return 0.0
-        x = states[:, checked]
+        x, data = states[:, checked], result.data[:, checked]
+        step, model = result.segments.step, self._model
+        # Samples of half the substeps would have to be compiled, for these few calls alone.
+        begin, mean, change, *_ = map(np.asarray, step.measurement(x, model.q, data))
+        substep = Columns(step.substep, (3,))
         coarse, fine = (
-            np.asarray(self._step(count).function(x, self._model.q, result.data[:, checked])[0])
+            repeated(lambda *at: substep(*at)[0], count, begin, mean, change, model.p, data[-1:])
             for count in (self._substeps, 2 * self._substeps)
         )
         change = np.abs(fine - coarse)
         mean = np.where(np.isfinite(change), change, 0.0).mean(axis=1, keepdims=True)
         return relative_change(mean, x)
-
-    def _step(self, substeps: int) -> SampleStep:
-        if substeps not in self._steps:
-            model = self._model
-            self._steps[substeps] = sample_step(
-                self._system,
-                model.held,
-                model.criterion,
-                model.names,
-                self._integrator,
-                substeps,
-            )
-        return self._steps[substeps]
 
 
 def diverged(signals: NamedArrays) -> BoolArray:

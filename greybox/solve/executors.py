@@ -416,5 +416,8 @@ _libraries = cache(ThreadpoolController)  # finding them takes 1 ms
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Leave matrix products to one thread until the end."""
+    # It brings a library of its own, which a fit loads anyway: later, it would keep its threads.
+    import scipy.linalg  # noqa: F401, PLC0415
+
     with _libraries().limit(limits=1, user_api="blas"):
         yield

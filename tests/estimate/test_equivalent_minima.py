@@ -56,6 +56,27 @@ class Integrator(gb.TransferFunction):
         return p.K / (s * (s + p.a) * (p.T * s + 1))
 
 
+class Square(gb.TransferFunction):
+    """A gain that is the same for two values."""
+
+    input, output = "u", "y"
+    a = gb.Parameter(1.0, bounds=(-5, 5))
+    T = gb.Parameter(0.3, bounds=(0.01, 5))
+
+    def response(self, s, p):
+        return (p.a - 0.5) ** 2 / (p.T * s + 1)
+
+
+@pytest.mark.parametrize(("first", "second"), [(1.5, -0.5), (-0.5, 1.5)])
+def test_the_value_that_is_farthest_from_the_estimate_is_named(first, second):
+    data = measured(Square(), np.geomspace(0.3, 20, 10), {"a": 1.5, "T": 0.3}, noise=0.02, seed=1)
+    starts = [{"a": 0.9 * first}, {"a": 0.9 * second}]
+    fit = gb.fit(gb.Problem(Square(), data), starts, progress=False)
+    (text,) = same_response(fit)
+    assert fit.estimate["a"] == pytest.approx(first, rel=0.05)
+    assert float(re.search(r"a = (-?[\d.]*\d)", text)[1]) == pytest.approx(second, rel=0.05)
+
+
 def test_values_that_one_start_in_a_hundred_reaches_are_named():
     truth = {"K": 4.0, "a": 1.2, "T": 0.1}
     data = measured(Integrator(), np.geomspace(0.3, 20, 10), truth, noise=0.05, seed=1)

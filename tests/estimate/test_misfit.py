@@ -1618,4 +1618,5 @@ def test_a_long_record_of_short_stretches_is_tested():
     force = np.where(np.arange(time.size) % 15 == 14, np.nan, force)
     problem = gb.Problem(Speed(), flight.with_signals(F=force, v=v + noise))
     fit = gb.fit(problem, starts=[{}], progress=False, profiles=False)
+    assert fit.misfit is not None
     assert any("the residuals of v in 'Speed' stay correlated" in text for text in fit.warnings)

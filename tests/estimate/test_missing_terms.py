@@ -247,3 +247,35 @@ def test_a_limit_on_one_side_of_a_trim_is_named_with_its_value(side, limit):
     cause = causes(lambda _, command: side(command, limit), trim=2.0)[0]
     level = re.fullmatch(r"a gain of u that is smaller beyond ([\d.]+), as .* one side", cause)[1]
     assert float(level) == pytest.approx(limit, abs=0.1)
+
+
+class Basin(gb.StateSpace):
+    """The level of a basin, from its middle."""
+
+    states, inputs, outputs = ("h",), ("u",), ("h",)
+    b = gb.Parameter(1.0, bounds=(0.1, 10))
+    c = gb.Parameter(1.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u - p.c * x.h,)
+
+    def output(self, x, u, p):
+        return (x.h,)
+
+
+@pytest.mark.parametrize(("bound", "level"), [(gb.maximum, 0.5), (gb.minimum, -0.5)])
+def test_a_stop_that_a_seventh_of_the_samples_reach_is_named_with_its_level(bound, level):
+    class Stopped(Basin):
+        def derivative(self, x, u, p):
+            (speed,) = super().derivative(x, u, p)
+            return (speed - 20 * bound(x.h - level, 0.0),)
+
+    random = np.random.default_rng(0)
+    u = np.repeat(random.uniform(-1, 1, 30), 20)
+    flight = gb.Record(0.1 * np.arange(u.size), {"u": u}, hold={"u": np.inf})
+    h = gb.simulate(Stopped(), {"b": 1.0, "c": 1.0}, flight)["h"]
+    flight = flight.with_signals(h=h + 0.01 * random.normal(size=h.size))
+    fit = gb.fit(gb.Problem(Basin(), flight), starts=[{}], progress=False, profiles=False)
+    cause = fit.misfit.likely[0].text
+    near = re.fullmatch(r"a stop or an overflow of h near (\S+) in the equation of h", cause)[1]
+    assert float(near) == pytest.approx(level, abs=0.03)

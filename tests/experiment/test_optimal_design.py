@@ -6,13 +6,15 @@ import pytest
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 
 
-def test_two_frequencies_that_tell_of_one_parameter_each():
-    informations = np.array([np.diag([1.0, 0.0]), np.diag([0.0, 4.0])])
+@pytest.mark.parametrize("ratio", [0.3, 4.0, 9.0, 100.0])
+def test_two_frequencies_that_tell_of_one_parameter_each(ratio):
+    informations = np.array([np.diag([1.0, 0.0]), np.diag([0.0, ratio])])
     both = np.array([True, True])
     found = shares(informations, both)
-    assert found == pytest.approx([0.8, 0.2], abs=1e-4)  # 1 / w = 1 / (4 (1 - w))
+    best = ratio / (1 + ratio)  # 1 / w = 1 / (ratio (1 - w))
+    assert found == pytest.approx([best, 1 - best], abs=1e-4)
     needed = time_needed(np.tensordot(found, informations, 1), both)
-    assert needed == pytest.approx(1.25, rel=1e-4)
+    assert needed == pytest.approx(1 / best, rel=1e-4)
 
 
 @pytest.mark.parametrize("wanted", [3, 2])

@@ -118,6 +118,12 @@ def test_the_best_gain_rejects_disturbances_best(answers):
 
 
 @pytest.mark.usefixtures("few_draws")
+def test_a_quarter_to_four_times_todays_gain_is_tried_without_a_range():
+    tried = gb.safe_gains(fitted(0), RateLoop(), ["K_P"]).values["K_P"]
+    assert tried[[0, -1]] == pytest.approx([0.15 / 4, 0.15 * 4])
+
+
+@pytest.mark.usefixtures("few_draws")
 def test_a_best_gain_at_an_end_of_the_range_is_named():
     narrow = gb.safe_gains(fitted(0), RateLoop(), {"K_P": (0.1, 0.12)})
     assert "At an end of the tried range: the best K_P." in str(narrow)

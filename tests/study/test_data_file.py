@@ -129,6 +129,24 @@ def test_angle_of_attack_and_sideslip_are_no_response(tmp_path):
     assert read_data(path, Wind())["beta"].tolist() == [2, 4, 6]
 
 
+def test_rows_name_the_responses_of_one_input_and_two_outputs(tmp_path):
+    class Cart(gb.StateSpace):
+        """Its position and speed."""
+
+        states, inputs, outputs = ("x", "v"), ("u",), ("x", "v")
+
+        def derivative(self, x, u, p):
+            return (x.v, u.u - x.v)
+
+        def output(self, x, u, p):
+            return (x.x, x.v)
+
+    path = tmp_path / "both.csv"
+    path.write_text("output,input,omega_rad_s,alpha,beta\nx,u,1,-0.5,-0.5\nv,u,1,0.5,-0.5\n")
+    responses = read_data(path, Cart())
+    assert [(each.input, each.output) for each in responses] == [("u", "x"), ("u", "v")]
+
+
 def test_fit_says_of_a_record_what_inspect_says(capsys, tmp_path):
     lines = FLIGHT.read_text().splitlines()
     body = lines.index("time [s],theta [rad],v [m/s]") + 1
