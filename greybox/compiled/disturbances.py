@@ -170,14 +170,14 @@ class DisturbedRecord:
     @cached_property
     def _by_nodes(self) -> ArrayTriple:
         """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
-        part, n = self.part, self.part.states
-        ends, J = part.segments.sensitivities(self.trajectory.course, slice(None))
+        part, n, k = self.part, self.part.states, len(self.weight)
+        along = self.trajectory.course
+        ends, J = part.segments.sensitivities(along, slice(None), np.eye(k))
         # Known initial states cannot compensate for a term.
         unknown = ~part.known_states[:, None]
-        J = J[..., :n] * unknown[:, None]
-        weighted = self.weight.T @ self.weight @ J
-        shape = len(J), -1, n
-        return ends[..., :n] * unknown, J.reshape(shape), weighted.reshape(shape).mT
+        J = J[..., :n] * unknown
+        weighted = self.weight.T @ self.weight @ J.reshape(len(J), -1, k, n)
+        return ends[..., :n] * unknown, J, weighted.reshape(J.shape).mT
 
     def _carried(self, effects: Effect) -> ArrayPair:
         """Carry the effects of c terms through the segments, from zero nodes.
