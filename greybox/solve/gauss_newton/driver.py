@@ -54,7 +54,7 @@ class GaussNewton(LocalSolver):
         # Where runs of all samples of a long record ended, by the minimum of its excerpts.
         self._ends: dict[bytes, Outcome] = {}
         # The last run's estimate, nodes and end: parts remember the linearization there.
-        self._end: tuple[Array, Nodes, Iterate] | None = None
+        self._end: tuple[Array, tuple[Array, ...], Iterate] | None = None
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
@@ -173,7 +173,7 @@ class GaussNewton(LocalSolver):
             nodes,
         )
 
-    def _ended(self, end: Iterate) -> tuple[Array, Nodes]:
+    def _ended(self, end: Iterate) -> tuple[Array, tuple[Array, ...]]:
         """Return the parameters and the nodes of every part at an end, which is remembered."""
         nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
         self._end = self.nlp.estimate_at(end.z), nodes, end
