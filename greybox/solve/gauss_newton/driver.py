@@ -51,8 +51,9 @@ class GaussNewton(LocalSolver):
         self.settings = settings
         self.limits = limits or _limits(nlp)
         self._parts = AllParts(nlp, self.limits, settings)
-        # Where runs of all samples of a long record ended, by the minimum of its excerpts.
-        self._ends: dict[bytes, Outcome] = {}
+        # By the minimum of the excerpts of a long record: what predictions of the whole leave there,
+        # and where the run of all samples ended.
+        self._ends: dict[bytes, tuple[float, Outcome]] = {}
         # The last run's estimate, nodes and end: parts remember the linearization there.
         self._end: tuple[Array, tuple[Array, ...], Iterate] | None = None
 
@@ -78,9 +79,24 @@ class GaussNewton(LocalSolver):
         """
         parts = self._parts
         begin = parts.at(self._nearest(start))
+        left = parts.unexplained(begin)
+        if self._excerpts:
+            first = self._excerpts.run(start)
+            # Runs that meet there continue once, from the same digits: each ends as it would alone,
+            # which resumed searches and those of several workers rely on.
+            minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
+            left_after, outcome = self._ends.get(minimum.tobytes()) or (math.inf, None)
+            if outcome is None:
+                after = parts.at(self._nearest(minimum))
+                left_after = parts.unexplained(after)
+                outcome = self._solved(after, EXACT) if left_after < left else None
+            # Excerpts may lack the manoeuvre that shows a parameter.
+            if outcome and outcome.converged and left_after < left:
+                self._ends[minimum.tobytes()] = left_after, replace(outcome, seconds=0.0)
+                return spent(outcome, first)
         # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
-        if can_move(self.nlp) and (left := parts.unexplained(begin)) > 1:
+        if can_move(self.nlp) and left > 1:
             moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
             z = moved.z
             is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
@@ -88,18 +104,6 @@ class GaussNewton(LocalSolver):
             # then leave a hundredth of the variance.
             if parts.unexplained(moved) < (left if is_inside else 0.01):
                 begin = moved
-        if self._excerpts:
-            first = self._excerpts.run(start)
-            # Runs that meet there continue once, from the same digits: each ends as it would alone,
-            # which resumed searches and those of several workers rely on.
-            minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
-            after = parts.at(self._nearest(minimum))
-            # Excerpts may lack the manoeuvre that shows a parameter.
-            if parts.unexplained(after) < parts.unexplained(begin):
-                outcome = self._ends.get(minimum.tobytes()) or self._solved(after, EXACT)
-                if outcome.converged:
-                    self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
-                    return spent(outcome, first)
         return self._solved(*self._begun(begin))
 
     @cached_property
