@@ -53,7 +53,7 @@ def condense(
     to their curvature (Levenberg-Marquardt). `largest` (n,) are the variances beyond which initial
     states are held, if given.
     """
-    held = np.zeros((1, *b.node_hessian.shape[1:]))
+    held = np.zeros(1)
     if largest is not None:
         held = _held_curvature(b, variance, data, largest)
     node_hessian = b.node_hessian + held
@@ -64,12 +64,13 @@ def condense(
         node_damping = damping * _node_curvature(b, variance, data)
         node_hessian += diagonal(node_damping)
 
-    # The right-hand sides: that of the residuals, and its derivatives by the parameters.
-    size = state_sizes(node_hessian, b.transition)
-    forces = np.concatenate([node_hessian, b.node_gradient[:, :, None], b.cross_hessian], axis=2)
-    del node_hessian  # of a long record, a hundredth of the memory
-    ends = np.concatenate([b.transition, trajectory.gaps[:, :, None], b.parameter_sensitivity], 2)
-    x, multiplier = _solved_chain(forces, ends, data.coupled, size, variance)
+    # The right-hand sides: the gradient of the residuals, and its derivatives with respect to the
+    # parameters.
+    stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
+    continuity = -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2)
+    x, multiplier = solve_continuity(
+        node_hessian, b.transition, data.coupled, stationarity, continuity, variance
+    )
 
     # The last segment of a stretch continues nowhere: its multiplier is zero.
     change = segments.summed(b.cross_hessian, x)
@@ -89,19 +90,15 @@ def condense(
     hessian = (hessian + hessian.mT) / 2
     slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
-
-    def by_solver(values: Array) -> Array:
-        if slope.ndim > 2:
-            return values @ slope[segments.records]
-        return np.tensordot(values, slope, 1)  # in one product, not in one for every segment
-
+    # A copy for every segment of a long record would take a hundredth of the memory.
+    by_segment = slope if slope.ndim == 2 else slope[segments.records]
     return Condensed(
         hessian=(slopes.mT @ hessian @ slopes).sum(axis=0),
         gradient=np.einsum("rqz,rq->z", slopes, gradient),
         node_step=step,
-        node_sensitivity=by_solver(x[:, :, 1:]),
+        node_sensitivity=x[:, :, 1:] @ by_segment,
         multiplier=multiplier[:, :, 0],
-        multiplier_sensitivity=by_solver(multiplier[:, :, 1:]),
+        multiplier_sensitivity=multiplier[:, :, 1:] @ by_segment,
         damping=node_damping,
         held=held,
         decrease=max(-lost, 0.0),
@@ -111,7 +108,7 @@ def condense(
 def _held_curvature(b: Linearization, variance: Array, data: SampledData, largest: Array) -> Array:
     """Return the curvature (s, n, n) that holds what the outputs hardly show of the first nodes.
 
-    It is zero, (1, n, n), if they show all. What they hardly show are directions whose variances
+    It is zero, (1,), if they show all. What they hardly show are directions whose variances
     at known parameters exceed four times the `largest` (n,).
     """
     # Along such a direction, the linearization does not reach to where its step leads: runs would
@@ -121,7 +118,7 @@ def _held_curvature(b: Linearization, variance: Array, data: SampledData, larges
     # What the first segments show is enough for most models.
     shown = np.linalg.eigvalsh(b.node_hessian[begins] * size * size[:, None])
     if shown.min(initial=1.0) > 0.25:
-        return np.zeros((1, *b.node_hessian.shape[1:]))
+        return np.zeros(1)
     curvature = np.zeros_like(b.node_hessian)
     forces = begins[:, None, None] * np.diag(1 / size)
     x, _ = solve_continuity(
@@ -186,84 +183,62 @@ def solve_continuity(
     numpy.linalg.LinAlgError
         If the system is singular.
     """
-    return _solved_chain(
-        np.concatenate([hessian, -stationarity], axis=2),
-        np.concatenate([transition, -continuity], axis=2),
-        coupled,
-        state_sizes(hessian, transition),
-        variance,
-    )
-
-
-def _solved_chain(
-    S: Array, T: Array, coupled: BoolArray, size: Array, variance: Array | float
-) -> ArrayPair:
-    """Solve the system of `solve_continuity`, in place, for states of the `size` (n,).
-
-    For every right-hand side, the end of segment j is T_j (x_j, 1), and the gradient by x_j is
-    S_j (x_j, 1); S and T are (s, n, n + r).
-    """
-    s, n, width = S.shape
-    x, multiplier = np.zeros((2, s, n, width - n))
+    s, n, r = stationarity.shape
     if n == 0:
-        return x, multiplier
+        return np.zeros((s, 0, r)), np.zeros((s, 0, r))
+    size = state_sizes(hessian, transition)
+    linked = coupled[:, None, None]
+    H = hessian * size * size[:, None] + RIDGE * np.eye(n)
+    A = np.where(linked, transition * size / size[:, None], 0.0)
+    x = stationarity * size[:, None]
+    multiplier = np.where(linked, continuity / size[:, None], 0.0)
     variance = np.broadcast_to(variance, n) / size**2
-    # In units of the sizes, all states are of order one.
-    S *= size[:, None]
-    S[:, :, :n] *= size
-    S[:, :, :n] += RIDGE * np.eye(n)
-    T /= size[:, None]
-    T[:, :, :n] *= size
-    T[~coupled] = 0
 
     # Two neighboring segments of a long chain with exact continuity become one, as often as
     # possible: the second node follows from the first. That takes a fifth of the time of the banded
     # system. All is done in place: fresh memory for copies would take as long as the arithmetic.
     remaining, pairs = np.arange(s), list[Any]()
+    coupled = coupled.copy()
     while len(remaining) * n >= LONG_CHAIN and not variance.any():
         paired = 2 * np.flatnonzero(coupled[:-1:2])
         first, second = remaining[paired], remaining[paired + 1]
-        T_first = T[first]
-        both = _followed(T[second], T_first)
+        A_first, A_second, H_second, gap = A[first], A[second], H[second], multiplier[first]
+        both = A_second @ A_first
         # Nodes that are far apart do not determine an unstable trajectory between them.
-        if not (len(paired) and np.abs(both[:, :, :n]).max() < MOST_GROWTH):
+        if not (len(paired) and np.abs(both).max() < MOST_GROWTH):
             break
-        S[first] += T_first[:, :, :n].mT @ _followed(S[second], T_first)
-        T[first] = both
-        pairs.append((first, second, T_first))
-        coupled = np.delete(coupled, paired)
-        remaining = np.delete(remaining, paired + 1)
+        H[first] += A_first.mT @ H_second @ A_first
+        A[first] = both
+        x[first] += A_first.mT @ (x[second] + H_second @ gap)
+        multiplier[first] = multiplier[second] + A_second @ gap
+        pairs.append((first, second, A_first, gap))
+        coupled[paired] = coupled[paired + 1]
+        remaining, coupled = (np.delete(each, paired + 1) for each in (remaining, coupled))
 
-    x[remaining], multiplier[remaining] = _solved_bands(
-        coupled, variance, S[remaining], T[remaining]
-    )
-    for first, second, T_first in reversed(pairs):
-        force = multiplier[first]
-        x[second] = _followed(T_first, x[first])
-        multiplier[first] = _followed(S[second], x[second]) + T[second, :, :n].mT @ force
-        multiplier[second] = force
+    chain = (values[remaining] for values in (H, A, x, multiplier))
+    x[remaining], multiplier[remaining] = _solved_bands(coupled, variance, *chain)
+    for first, second, A_first, gap in reversed(pairs):
+        end, force = A_first @ x[first] - gap, multiplier[first]
+        multiplier[first] = H[second] @ end + A[second].mT @ force - x[second]
+        x[second], multiplier[second] = end, force
     x *= size[:, None]
     multiplier /= size[:, None]
     return x, multiplier
 
 
-def _followed(affine: Array, values: Array) -> Array:
-    """Return A B + (0, c) of affine functions (A, c), (s, n, n + r), and B, (s, n, n + r) or r."""
-    n = values.shape[1]
-    result = affine[:, :, :n] @ values
-    result[:, :, n - affine.shape[2] :] += affine[:, :, n:]
-    return result
-
-
 def _solved_bands(
-    coupled: BoolArray, variance: Array, by_state: Array, following: Array
+    coupled: BoolArray,
+    variance: Array,
+    hessian: Array,
+    transition: Array,
+    stationarity: Array,
+    continuity: Array,
 ) -> ArrayPair:
     """Solve the system of `solve_continuity`, its states of order one, as a banded matrix."""
     # It takes half a second to import.
     from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
 
-    s, n, _ = following.shape
-    hessian, transition = by_state[:, :, :n], following[:, :, :n]
+    s, n, r = stationarity.shape
     # Row i of column j is entry (j, 2 width + i - j) of the transposed bands. LAPACK takes matrices
     # by column, and keeps `width` more rows for its factors. The bands of a long record are large:
     # they are filled in place.
@@ -280,13 +255,13 @@ def _solved_bands(
     bands[:, n:, 2 * width + n] = link  # of a multiplier, in the row of the next state
     bands[1:, :n, 2 * width - n] = link[:-1]
 
-    right = -np.hstack([by_state, following])[:, :, n:].reshape(2 * n * s, -1)
+    right = np.hstack([stationarity, continuity]).reshape(2 * n * s, r)
     matrix = bands.reshape(2 * n * s, -1).T
     # It works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
     *_, solution, failure = dgbsv(width, width, matrix, right, overwrite_ab=1, overwrite_b=1)
     if failure or not all_finite(solution):
         raise np.linalg.LinAlgError("the nodes of the record are not determined.")
-    solution = solution.reshape(s, 2 * n, -1)
+    solution = solution.reshape(s, 2 * n, r)
     return solution[:, :n], solution[:, n:]
 
 

@@ -104,7 +104,7 @@ class Condensed:
     damping : (s, n) array
         Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is
         added to the cost.
-    held : (s, n, n) array, or (1, n, n) of zeros
+    held : (s, n, n) array, or a zero (1,)
         Curvature that holds initial states which the outputs hardly show.
     decrease : float
         Decrease of the merit that is predicted for the step of the nodes alone.
@@ -130,8 +130,6 @@ class Condensed:
 
     def damping_penalty(self, dz: Array) -> float:
         """Return the damping term in the cost at a step dz (p,), less its value at dz = 0."""
-        if not self.damping.any():
-            return 0.0
         moved = self.change_of_nodes(dz)
         return 0.5 * float((self.damping * (moved**2 - self.node_step**2)).sum())
 

@@ -301,12 +301,9 @@ class SegmentedPart(Part):
         self, linearization: Linearization, trajectory: Trajectory, held: Array
     ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
-        b = linearization
-        gaps = trajectory.gaps[:, :, None]
-        hessian = b.node_hessian + held
-        x, _ = solve_continuity(
-            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps
-        )
+        gaps = -trajectory.gaps[:, :, None]
+        hessian, transition = linearization.node_hessian + held, linearization.transition
+        x, _ = solve_continuity(hessian, transition, self.data.coupled, np.zeros_like(gaps), gaps)
         return trajectory.nodes + x[:, :, 0]
 
 

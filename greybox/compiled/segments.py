@@ -303,10 +303,9 @@ class Segments:
         slopes, e = _finite(self._evaluate("derivatives", part))
         ends, J = self.propagated(slopes)
         rows = np.concatenate([J.T, e.reshape(1, self.k, self.length, -1)])
-        if weight.ndim == 2:  # one product for every direction, instead of one for every sample
-            rows = (weight @ rows.reshape(len(rows), self.k, columns)).reshape(rows.shape)
-        else:
-            rows = np.einsum("cab,vblc->valc", weight[self.records[batch]], rows)
+        # One product for every direction, instead of one for every sample.
+        weights = weight[None] if weight.ndim == 2 else weight[self.records[batch]]
+        rows = np.einsum("cab,vblc->valc", weights, rows)
         return ends, np.ascontiguousarray(rows.T).reshape(len(ends), -1, len(rows))
 
     def sample_derivatives(self, at: Course) -> Array:
@@ -364,7 +363,8 @@ class Segments:
 
     def batches(self) -> list[slice]:
         """Return slices of segments whose derivatives fit into memory together."""
-        size = max(BATCH // self.length, 1)
+        # Equal ones need only one layout of the registers.
+        size = math.ceil(self.count / math.ceil(self.count / max(BATCH // self.length, 1)))
         return [slice(first, first + size) for first in range(0, self.count, size)]
 
 

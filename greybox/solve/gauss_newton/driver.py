@@ -51,9 +51,8 @@ class GaussNewton(LocalSolver):
         self.settings = settings
         self.limits = limits or _limits(nlp)
         self._parts = AllParts(nlp, self.limits, settings)
-        # By the minimum of the excerpts of a long record: what predictions of the whole leave there,
-        # and where the run of all samples ended.
-        self._ends: dict[bytes, tuple[float, Outcome]] = {}
+        # Where runs of all samples of a long record ended, by the minimum of its excerpts.
+        self._ends: dict[bytes, Outcome] = {}
         # The last run's estimate, nodes and end: parts remember the linearization there.
         self._end: tuple[Array, tuple[Array, ...], Iterate] | None = None
 
@@ -85,15 +84,13 @@ class GaussNewton(LocalSolver):
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
-            left_after, outcome = self._ends.get(minimum.tobytes()) or (math.inf, None)
-            if outcome is None:
-                after = parts.at(self._nearest(minimum))
-                left_after = parts.unexplained(after)
-                outcome = self._solved(after, EXACT) if left_after < left else None
+            after = parts.at(self._nearest(minimum))
             # Excerpts may lack the manoeuvre that shows a parameter.
-            if outcome and outcome.converged and left_after < left:
-                self._ends[minimum.tobytes()] = left_after, replace(outcome, seconds=0.0)
-                return spent(outcome, first)
+            if parts.unexplained(after) < left:
+                outcome = self._ends.get(minimum.tobytes()) or self._solved(after, EXACT)
+                if outcome.converged:
+                    self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
+                    return spent(outcome, first)
         # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
         # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
         if can_move(self.nlp) and left > 1:

@@ -88,17 +88,17 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     # About twice as many outputs as states: half of them are left to predict. Without these first
     # steps, searches for an aircraft in wide boxes take twice the time (`screened_starts.py`).
     r = len(z)
-    short_segments = [
-        ShortSegments(p, r, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
-    ]
     whole_segments = [ShortSegments(p, r, most, p.data.segment_length) for p in chosen]
     with np.errstate(all="ignore"):  # points that overflow stay where they are
         states = np.hstack([record.states_from_data(z) for record in whole_segments])
+        drawn = evaluated(z, states, whole_segments)
         # Steps took half of the fit of 20 states, and improved the order of the starts no further.
         if not can_move(nlp):
-            return evaluated(z, states, whole_segments)
+            return drawn
+        short_segments = [
+            ShortSegments(p, r, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
+        ]
         short = descended(evaluated(z, states, short_segments), short_segments, limits, 4)
-        drawn = evaluated(z, states, whole_segments)
         moved = evaluated(short.z, short.states, whole_segments)
         return descended(lower(drawn, moved), whole_segments, limits, 3)
 
