@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ArrayPair, ArrayTriple
+from greybox.files.arrays import Array, ArrayPair
 from greybox.modeling.added_terms import factors_of_derivatives
 
 Effect = Array
@@ -158,26 +158,25 @@ class DisturbedRecord:
 
     def _nodes(self, ends: Array, rows: Array) -> Array:
         """Return the nodes (s, n, c) that follow such ends and residuals from zero ones."""
-        transition, J, weighted = self._by_nodes
+        transition, J = self._by_nodes
         coupled, nodes = self.part.data.coupled, np.zeros_like(ends)
         if self.growth > UNSTABLE:
             # Simulated from zero, they would lose their digits: fitted, they remain small.
+            inverse = np.kron(np.eye(self.part.segments.length), self.weight.T @ self.weight)
+            weighted = J.mT @ inverse
             return solve_continuity(weighted @ J, transition, coupled, -weighted @ rows, -ends)[0]
         for j in np.flatnonzero(coupled).tolist():
             nodes[j + 1] = transition[j] @ nodes[j] + ends[j]
         return nodes
 
     @cached_property
-    def _by_nodes(self) -> ArrayTriple:
-        """How ends (s, n, n) and residuals (s, length · k, n) follow nodes; and JᵀWᵀW of these."""
-        part, n = self.part, self.part.states
-        ends, J = part.segments.sensitivities(self.trajectory.course, slice(None))
+    def _by_nodes(self) -> ArrayPair:
+        """How ends (s, n, n) and residuals (s, length · k, n) follow the nodes."""
+        part, n, weight = self.part, self.part.states, np.eye(len(self.weight))
+        ends, J = part.segments.sensitivities(self.trajectory.course, slice(None), weight)
         # Known initial states cannot compensate for a term.
         unknown = ~part.known_states[:, None]
-        J = J[..., :n] * unknown[:, None]
-        weighted = self.weight.T @ self.weight @ J
-        shape = len(J), -1, n
-        return ends[..., :n] * unknown, J.reshape(shape), weighted.reshape(shape).mT
+        return ends[..., :n] * unknown, J[..., :n] * unknown
 
     def _carried(self, effects: Effect) -> ArrayPair:
         """Carry the effects of c terms through the segments, from zero nodes.

@@ -104,7 +104,7 @@ class Condensed:
     damping : (s, n) array
         Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is
         added to the cost.
-    held : (s, n, n) array
+    held : (s, n, n) array, or a zero (1,)
         Curvature that holds initial states which the outputs hardly show.
     decrease : float
         Decrease of the merit that is predicted for the step of the nodes alone.

@@ -52,7 +52,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     """Return how the residuals times `weight` follow the parameters along a trajectory."""
     data, segments, n = part.data, part.segments, part.states
     placed: Placed = trajectory.detail
-    linearization = part.linearize(trajectory, weight)
+    linearization = part.linearize(trajectory, weight, again=False)
     by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
     noticed = real_root(of_diagonal(linearization.node_hessian).sum(axis=0))
@@ -68,8 +68,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle, squares = np.zeros((0, p)), np.zeros(p)
     for batch in segments.batches():
-        _, J = segments.sensitivities(trajectory.course, batch)
-        J = (weight @ J).reshape(len(J), length * k, -1)
+        _, J = segments.sensitivities(trajectory.course, batch, weight)
         by_states = J[..., :n] @ by_nodes[batch]
         by_parameters = J[..., n:-1] @ placed.slope
         for columns in (by_states, by_parameters):
@@ -81,7 +80,8 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         directions = J[..., :n] @ initial_directions[batch]
         for result, columns in ((weighted, root), (by_initial, directions)):
             by_output = columns.reshape(len(J), length, k, -1)
-            result[:, :, batch] = (weight.T @ by_output).transpose(2, 3, 0, 1)
+            of_outputs = np.tensordot(weight, by_output, ((0,), (2,)))
+            result[:, :, batch] = of_outputs.transpose(0, 3, 1, 2)
 
     by_covariance = np.zeros((p, p))
     if placed.filter is not None:

@@ -163,12 +163,13 @@ class SampledData:
         Without a `fill` the last value is repeated: zero may be outside of a model's domain, as an
         airspeed.
         """
-        joined = []
-        for value, count in zip(values, self.segment_counts, strict=True):
-            missing = count * self.segment_length - value.shape[1]
-            last = value[:, -1:] if fill is None else np.full((len(value), 1), fill)
-            joined.append(np.hstack([value, np.repeat(last, missing, axis=1)]))
-        return np.hstack(joined)
+        joined = np.empty((len(values[0]), self.samples))
+        ends = np.append(self.first_samples[1:], self.samples)
+        for value, first, end in zip(values, self.first_samples, ends, strict=True):
+            last = first + value.shape[1]
+            joined[:, first:last] = value
+            joined[:, last:end] = value[:, -1:] if fill is None else fill
+        return joined
 
     def at_samples(self, values: Array) -> Array:
         """Choose the samples (r, samples) of all stretches from rows (r, n) of the whole record."""

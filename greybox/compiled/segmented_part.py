@@ -238,11 +238,17 @@ class SegmentedPart(Part):
 
     # --- linearization
 
-    def linearize(self, trajectory: Trajectory, weight: Array) -> Linearization:
-        """Linearize along a trajectory, known initial states eliminated."""
-        # Polishing ends with the linearization from which the standard errors follow.
+    def linearize(
+        self, trajectory: Trajectory, weight: Array, *, again: bool = True
+    ) -> Linearization:
+        """Linearize along a trajectory, known initial states eliminated.
+
+        The linearization is remembered if it will be asked for `again`.
+        """
+        # A run ends with the linearization that polishes it, and from which standard errors follow.
         last, self._linearized = self._linearized, None
         if last and last[0] is trajectory and np.array_equal(last[1], weight):
+            self._linearized = last if again else None
             return last[2]
         placed: Placed = trajectory.detail
         b = self.segments.linearize(trajectory.course, weight)
@@ -253,7 +259,7 @@ class SegmentedPart(Part):
 
         records = self.segments.records
         b = without_known_states(b, self.known_states, placed.initial_slope, records)
-        self._linearized = trajectory, weight, b
+        self._linearized = (trajectory, weight, b) if again else None
         return b
 
     @property
@@ -295,12 +301,9 @@ class SegmentedPart(Part):
         self, linearization: Linearization, trajectory: Trajectory, held: Array
     ) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
-        b = linearization
-        gaps = trajectory.gaps[:, :, None]
-        hessian = b.node_hessian + held
-        x, _ = solve_continuity(
-            hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps
-        )
+        gaps = -trajectory.gaps[:, :, None]
+        hessian, transition = linearization.node_hessian + held, linearization.transition
+        x, _ = solve_continuity(hessian, transition, self.data.coupled, np.zeros_like(gaps), gaps)
         return trajectory.nodes + x[:, :, 0]
 
 

@@ -233,7 +233,7 @@ class Segments:
         if self.number == 1:
             return (residuals @ residuals.T)[None]
         by_segment = self.by_segment(residuals)
-        return self.by_record(by_segment.mT @ by_segment)
+        return self.summed(by_segment, by_segment)
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
@@ -243,6 +243,12 @@ class Segments:
         starts = np.flatnonzero(np.diff(records, prepend=-1))
         result[records[starts]] = np.add.reduceat(values, starts, axis=0)
         return result
+
+    def summed(self, a: Array, b: Array) -> Array:
+        """Return the products aᵀb (r, p, q) of values (s, n, p) and (s, n, q), sums by record."""
+        if self.number == 1:  # in one product, not in one for every segment
+            return np.tensordot(a, b, ((0, 1), (0, 1)))[None]
+        return self.by_record(a.mT @ b)
 
     def outputs(self, at: Course) -> Array:
         """Return simulated outputs (k, columns)."""
@@ -264,9 +270,7 @@ class Segments:
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
         for batch in self.batches():
-            ends, J = self.sensitivities(at, batch)
-            weights = weight if weight.ndim == 2 else weight[self.records[batch], None]
-            J = (weights @ J).reshape(len(J), -1, v + 1)
+            ends, J = self.sensitivities(at, batch, weight)
             # The residuals are the last column: one product has the Hessian and the gradient.
             H = J.mT @ J
             slopes[batch] = ends
@@ -283,10 +287,11 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(self, at: Course, batch: slice) -> ArrayPair:
-        """Return derivatives of ends (c, n, v) and residuals, with these: (c, length, k, v + 1).
+    def sensitivities(self, at: Course, batch: slice, weight: Array) -> ArrayPair:
+        """Return derivatives of ends (c, n, v) and weighted residuals, with these: (c, r, v + 1).
 
-        They are those of the c segments of a `batch`, by node and active parameters.
+        They are those of the c segments of a `batch`, by node and active parameters. The rows are
+        the `weight` times the residuals (k,) of every sample, see `linearize`.
         """
         states, data = (
             values.reshape(-1, self.length, self.count)[:, :, batch]
@@ -297,7 +302,11 @@ class Segments:
         part = Course(states.reshape(-1, columns), q, data.reshape(-1, columns))
         slopes, e = _finite(self._evaluate("derivatives", part))
         ends, J = self.propagated(slopes)
-        return ends, np.concatenate([J, e.reshape(self.k, self.length, -1).T[..., None]], axis=3)
+        rows = np.concatenate([J.T, e.reshape(1, self.k, self.length, -1)])
+        # One product for every direction, instead of one for every sample.
+        weights = weight[None] if weight.ndim == 2 else weight[self.records[batch]]
+        rows = np.einsum("cab,vblc->valc", weights, rows)
+        return ends, np.ascontiguousarray(rows.T).reshape(len(ends), -1, len(rows))
 
     def sample_derivatives(self, at: Course) -> Array:
         """Return derivatives (columns, n + k, v) of next states and residuals of every sample.
@@ -354,7 +363,8 @@ class Segments:
 
     def batches(self) -> list[slice]:
         """Return slices of segments whose derivatives fit into memory together."""
-        size = max(BATCH // self.length, 1)
+        # Equal ones need only one layout of the registers.
+        size = math.ceil(self.count / math.ceil(self.count / max(BATCH // self.length, 1)))
         return [slice(first, first + size) for first in range(0, self.count, size)]
 
 

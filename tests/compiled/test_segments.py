@@ -115,7 +115,8 @@ def test_a_guarded_root_below_zero_leaves_the_solver_exact_derivatives():
     rows[-1] = 0.05
     data = segments.columns(rows)
     states, _ = segments.simulate(np.array([[-1.0]]), np.ones(1), data)
-    ends, residuals = segments.sensitivities(Course(states, np.ones(1), data), slice(None))
+    along = Course(states, np.ones(1), data)
+    ends, residuals = segments.sensitivities(along, slice(None), np.eye(1))
     assert_allclose(ends[0, 0], [1, 0])
     assert_allclose(residuals[..., 1], 0, atol=1e-15)
 

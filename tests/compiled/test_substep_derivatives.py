@@ -64,8 +64,9 @@ def test_derivatives_are_differences(own):
     by_segment = np.repeat(q[:, None], count, axis=1) if own else q
     states, _ = segments.simulate(nodes, by_segment, data)
     along = Course(states, by_segment, data)
-    others, *_ = before.sensitivities(along, slice(None))
-    ends, residuals = segments.sensitivities(along, slice(None))
+    weight = random.normal(size=(segments.k, segments.k))
+    others, *_ = before.sensitivities(along, slice(None), weight)
+    ends, residuals = segments.sensitivities(along, slice(None), weight)
     assert np.abs(ends - others).max() > 1e-4
 
     def run(node, values, segment):
@@ -88,7 +89,8 @@ def test_derivatives_are_differences(own):
                 moved.append(run(node, values, segment))
             end, error = ((up - down) / (2 * h) for up, down in zip(*moved, strict=True))
             assert_allclose(ends[segment, :, column], end, atol=1e-7)
-            assert_allclose(residuals[segment, ..., column], error, atol=1e-7)
+            weighted = (error @ weight.T).ravel()
+            assert_allclose(residuals[segment, :, column], weighted, atol=1e-7)
 
 
 def test_a_rod_is_estimated_as_by_scipy():

@@ -53,7 +53,8 @@ class GaussNewton(LocalSolver):
         self._parts = AllParts(nlp, self.limits, settings)
         # Where runs of all samples of a long record ended, by the minimum of its excerpts.
         self._ends: dict[bytes, Outcome] = {}
-        self._polished: tuple[Array, Nodes, Iterate] | None = None
+        # The last run's estimate, nodes and end: parts remember the linearization there.
+        self._end: tuple[Array, tuple[Array, ...], Iterate] | None = None
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
@@ -77,16 +78,7 @@ class GaussNewton(LocalSolver):
         """
         parts = self._parts
         begin = parts.at(self._nearest(start))
-        # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
-        # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
-        if can_move(self.nlp) and (left := parts.unexplained(begin)) > 1:
-            moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
-            z = moved.z
-            is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
-            # From a bound, a run seldom returns, unless that is nearly where it ends: predictions
-            # then leave a hundredth of the variance.
-            if parts.unexplained(moved) < (left if is_inside else 0.01):
-                begin = moved
+        left = parts.unexplained(begin)
         if self._excerpts:
             first = self._excerpts.run(start)
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
@@ -94,11 +86,21 @@ class GaussNewton(LocalSolver):
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
             after = parts.at(self._nearest(minimum))
             # Excerpts may lack the manoeuvre that shows a parameter.
-            if parts.unexplained(after) < parts.unexplained(begin):
+            if parts.unexplained(after) < left:
                 outcome = self._ends.get(minimum.tobytes()) or self._solved(after, EXACT)
                 if outcome.converged:
                     self._ends[minimum.tobytes()] = replace(outcome, seconds=0.0)
                     return spent(outcome, first)
+        # Nodes follow segments that diverge, away from the data: without this, 30 to 32 of 40
+        # starts of the tilt plant arrive, in twice the time (`time_fit.py`).
+        if can_move(self.nlp) and left > 1:
+            moved = parts.at(improved(self.nlp, self.limits, begin.z[None]).z[0])
+            z = moved.z
+            is_inside = np.all((z > self.limits.low) & (z < self.limits.high))
+            # From a bound, a run seldom returns, unless that is nearly where it ends: predictions
+            # then leave a hundredth of the variance.
+            if parts.unexplained(moved) < (left if is_inside else 0.01):
+                begin = moved
         return self._solved(*self._begun(begin))
 
     @cached_property
@@ -160,16 +162,23 @@ class GaussNewton(LocalSolver):
         if status.startswith(CONVERGED) and not are_stable(self._parts, iterate):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
+        estimate, nodes = self._ended(iterate)
         return Outcome(
-            nlp.estimate_at(iterate.z),
+            estimate,
             status,
             end.iterations,
             time.perf_counter() - began,
             status.startswith(CONVERGED) and math.isfinite(cost),
             cost,
             self._parts.signature(iterate) if iterate.finite else None,
-            tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
+            nodes,
         )
+
+    def _ended(self, end: Iterate) -> tuple[Array, tuple[Array, ...]]:
+        """Return the parameters and the nodes of every part at an end, which is remembered."""
+        nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
+        self._end = self.nlp.estimate_at(end.z), nodes, end
+        return self._end[:2]
 
     @DIVERGING
     def polished(self, search: Multistart) -> Multistart:
@@ -190,9 +199,8 @@ class GaussNewton(LocalSolver):
         # stability limit.
         if not best.cost - same_cost(self.nlp, best.cost) <= cost <= with_rounding(best.cost):
             return search
-        minimum = replace(best, cost=min(cost, best.cost), estimate=self.nlp.estimate_at(end.z))
-        nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
-        self._polished = minimum.estimate, nodes, end
+        estimate, nodes = self._ended(end)
+        minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
         return replace(search, minima=(minimum, *search.minima[1:]), nodes=nodes)
 
     # --- starts
@@ -288,9 +296,8 @@ class GaussNewton(LocalSolver):
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part."""
-        # The part remembers its linearization along the very trajectory of the polished minimum.
-        if self._polished and self._polished[0] is x and self._polished[1] is nodes:
-            return self._polished[2]
+        if self._end and self._end[1] is nodes and np.array_equal(self._end[0], x):
+            return self._end[2]
         return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.groups.joined(nodes))
 
 

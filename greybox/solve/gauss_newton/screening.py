@@ -76,7 +76,10 @@ def can_move(nlp: CompiledProblem) -> bool:
 
 
 def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
-    """Return where a few steps lead from the points z (r, p), judged over whole segments."""
+    """Return where a few steps lead from the points z (r, p), judged over whole segments.
+
+    Where steps cannot lead to better parameters, see `can_move`, the points stay.
+    """
     parts = nlp.parts_of(RecordPart)
     # Some 32 segments, evenly over at most eight records, are enough for a dozen parameters, and an
     # evaluation takes less than a millisecond a start.
@@ -85,14 +88,17 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     # About twice as many outputs as states: half of them are left to predict. Without these first
     # steps, searches for an aircraft in wide boxes take twice the time (`screened_starts.py`).
     r = len(z)
-    short_segments = [
-        ShortSegments(p, r, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
-    ]
     whole_segments = [ShortSegments(p, r, most, p.data.segment_length) for p in chosen]
     with np.errstate(all="ignore"):  # points that overflow stay where they are
         states = np.hstack([record.states_from_data(z) for record in whole_segments])
-        short = descended(evaluated(z, states, short_segments), short_segments, limits, 4)
         drawn = evaluated(z, states, whole_segments)
+        # Steps took half of the fit of 20 states, and improved the order of the starts no further.
+        if not can_move(nlp):
+            return drawn
+        short_segments = [
+            ShortSegments(p, r, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
+        ]
+        short = descended(evaluated(z, states, short_segments), short_segments, limits, 4)
         moved = evaluated(short.z, short.states, whole_segments)
         return descended(lower(drawn, moved), whole_segments, limits, 3)
 
