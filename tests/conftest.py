@@ -45,9 +45,7 @@ def pytest_collection_modifyitems(items):
 
 def pytest_collection_finish():
     # The collector begins after every 700 new objects otherwise, and looks at all tests and modules
-    # each time: a fiftieth of the time. What is there now stays, and is left out: collections at the
-    # end took a second.
-    gc.freeze()
+    # each time: a fiftieth of the time.
     gc.set_threshold(20_000)
     gc.enable()
 
