@@ -199,27 +199,6 @@ class BatchedNewton:
         self._end(searches, searches.live, ends)
         return ends
 
-    def off_saddle(self, z: Array) -> Array:
-        """Return the end z (p,) of a search, moved where the cost falls to both sides of it.
-
-        A search from two equal lags has no slope toward unequal ones. Whether it ever leaves them
-        is then decided by rounding.
-        """
-        inputs = z[:, None], np.full((1, 1), SMOOTHING), self._data
-        hessian = self._derivatives(*inputs)[2].reshape(len(z), -1)
-        low, high = (bound.ravel() for bound in self._bounds)
-        free = np.diag(((z > low) & (z < high)).astype(float))
-        curvatures, directions = np.linalg.eigh(free @ hessian @ free)
-        if curvatures[0] >= -FLATTEST * curvatures[-1]:
-            return z
-        # A hundredth of the start box: far enough for a slope that no search takes for zero.
-        return np.clip(z + 1e-2 * directions[:, 0], low, high)
-
-    def _derivatives(self, z: Array, smoothing: Array, data: Array) -> Sequence[Array]:
-        """Return costs, gradients and Hessians at the columns of z (p, m)."""
-        roots = [] if self._roots is None else self._roots(z, data)
-        return self._function(z, smoothing, data, *roots)
-
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
         """Move searches to the ends."""
         owner, numbers = searches.owner[which], searches.numbers[:, which]
@@ -236,7 +215,9 @@ class BatchedNewton:
         p = len(trial)
         levels = (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
         smoothings = SMOOTHINGS if smoothing is None else np.full(LAST + 1, smoothing)
-        cost, gradient, hessian = self._derivatives(trial, smoothings[levels][None], searches.data)
+        roots = [] if self._roots is None else self._roots(trial, searches.data)
+        inputs = trial, smoothings[levels][None], searches.data
+        cost, gradient, hessian = self._function(*inputs, *roots)
 
         advance, within_radius = _iterations.result(p, partial(_iteration, p))
         barrier = self._barriers[searches.owner % len(self._barriers), levels][None]
