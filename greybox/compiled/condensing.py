@@ -73,8 +73,7 @@ def condense(
     )
 
     # The last segment of a stretch continues nowhere: its multiplier is zero.
-    change = segments.summed(b.cross_hessian, x)
-    change += segments.summed(b.parameter_sensitivity, multiplier)
+    change = segments.by_record(b.cross_hessian.mT @ x + b.parameter_sensitivity.mT @ multiplier)
     hessian = b.parameter_hessian + change[:, :, 1:]
     gradient = b.parameter_gradient + change[:, :, 0]
 
@@ -90,15 +89,13 @@ def condense(
     hessian = (hessian + hessian.mT) / 2
     slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
-    # A copy for every segment of a long record would take a hundredth of the memory.
-    by_segment = slope if slope.ndim == 2 else slope[segments.records]
     return Condensed(
         hessian=(slopes.mT @ hessian @ slopes).sum(axis=0),
         gradient=np.einsum("rqz,rq->z", slopes, gradient),
         node_step=step,
-        node_sensitivity=x[:, :, 1:] @ by_segment,
+        node_sensitivity=x[:, :, 1:] @ slopes[segments.records],
         multiplier=multiplier[:, :, 0],
-        multiplier_sensitivity=multiplier[:, :, 1:] @ by_segment,
+        multiplier_sensitivity=multiplier[:, :, 1:] @ slopes[segments.records],
         damping=node_damping,
         held=held,
         decrease=max(-lost, 0.0),

@@ -52,7 +52,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     """Return how the residuals times `weight` follow the parameters along a trajectory."""
     data, segments, n = part.data, part.segments, part.states
     placed: Placed = trajectory.detail
-    linearization = part.linearize(trajectory, weight, again=False)
+    linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
     noticed = real_root(of_diagonal(linearization.node_hessian).sum(axis=0))

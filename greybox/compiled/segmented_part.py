@@ -238,17 +238,11 @@ class SegmentedPart(Part):
 
     # --- linearization
 
-    def linearize(
-        self, trajectory: Trajectory, weight: Array, *, again: bool = True
-    ) -> Linearization:
-        """Linearize along a trajectory, known initial states eliminated.
-
-        The linearization is remembered if it will be asked for `again`.
-        """
-        # A run ends with the linearization that polishes it, and from which standard errors follow.
+    def linearize(self, trajectory: Trajectory, weight: Array) -> Linearization:
+        """Linearize along a trajectory, known initial states eliminated."""
+        # Polishing ends with the linearization from which the standard errors follow.
         last, self._linearized = self._linearized, None
         if last and last[0] is trajectory and np.array_equal(last[1], weight):
-            self._linearized = last if again else None
             return last[2]
         placed: Placed = trajectory.detail
         b = self.segments.linearize(trajectory.course, weight)
@@ -259,7 +253,7 @@ class SegmentedPart(Part):
 
         records = self.segments.records
         b = without_known_states(b, self.known_states, placed.initial_slope, records)
-        self._linearized = (trajectory, weight, b) if again else None
+        self._linearized = trajectory, weight, b
         return b
 
     @property

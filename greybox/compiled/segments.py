@@ -233,7 +233,7 @@ class Segments:
         if self.number == 1:
             return (residuals @ residuals.T)[None]
         by_segment = self.by_segment(residuals)
-        return self.summed(by_segment, by_segment)
+        return self.by_record(by_segment.mT @ by_segment)
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
@@ -243,12 +243,6 @@ class Segments:
         starts = np.flatnonzero(np.diff(records, prepend=-1))
         result[records[starts]] = np.add.reduceat(values, starts, axis=0)
         return result
-
-    def summed(self, a: Array, b: Array) -> Array:
-        """Return the products aᵀb (r, p, q) of values (s, n, p) and (s, n, q), sums by record."""
-        if self.number == 1:  # in one product, not in one for every segment
-            return np.tensordot(a, b, ((0, 1), (0, 1)))[None]
-        return self.by_record(a.mT @ b)
 
     def outputs(self, at: Course) -> Array:
         """Return simulated outputs (k, columns)."""

@@ -76,14 +76,14 @@ class Columns(Rebuilt):
 
     def __init__(self, function: ca.Function, shared: Indices = (), fewest: int = FEWEST) -> None:
         self.function, self._shared = _dense(function), shared
-        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         # Searches end one by one: layouts for past numbers of columns are not used again.
         self._layout = lru_cache(12)(partial(_layout, self.function, shared, fewest))
 
     def __call__(self, *inputs: Array) -> Arrays:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = inputs[0].shape[1]
-        outputs = [np.empty((size, m)) for size in self._sizes]
+        f = self.function
+        outputs = [np.empty((f.numel_out(k), m)) for k in range(f.n_out())]
         # Equal shares need only one layout of the registers.
         width = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
         for begin in range(0, m, width):

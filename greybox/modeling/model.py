@@ -88,16 +88,12 @@ def declared_parameters(cls: type) -> dict[str, Parameter]:
     parameters: dict[str, Parameter] = {}
     # Base classes first, so that a subclass can declare a parameter anew.
     for owner in reversed(cls.__mro__):
-        hidden = [
-            n
-            for n, value in vars(owner).items()
-            if n in parameters and isinstance(value, int | float)
-        ]
-        if hidden:
-            raise TypeError(
-                f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use "
-                "gb.Parameter(...)."
-            )
+        for name in parameters.keys() & vars(owner).keys():
+            if not isinstance(vars(owner)[name], Parameter):
+                raise TypeError(
+                    f"{cls.__name__}.{name} is {vars(owner)[name]!r} where a Parameter was "
+                    "declared: use gb.Parameter(...)."
+                )
         parameters |= {
             name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
         }
@@ -132,6 +128,8 @@ class Model(ABC):
         bases = (base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE))
         for base in (Names, *bases):
             require_usable(parameters, cls.__name__, base)
+        if "algebraic" in vars(cls):
+            raise TypeError(f"{cls.__name__}.algebraic has no effect: write it into the formulas.")
         cls.parameters = MappingProxyType(parameters)
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:

@@ -15,12 +15,17 @@ Derivatives are those at the best states (the envelope theorem): with S = [[A, B
 whitening W of R + Y Q Yᴴ they are those of -W [Y, I] dS [x; u].
 """
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from greybox.compiled.shared_response import resolvents
-from greybox.files.arrays import Array, ArrayTriple, ComplexArray, evenly_spread, positive_or_one
+from greybox.files.arrays import Array, ArrayPair, ArrayTriple, evenly_spread, positive_or_one
+
+# Points that are evaluated together. With 19, arrays of sixty responses no longer fit into memory
+# that is used again, and each point takes twice the time.
+TOGETHER = 8
 
 
 class ProcessNoise:
@@ -64,49 +69,51 @@ class ProcessNoise:
         """
         p, k = z.shape
         cost, gradient, hessian = np.zeros(k), np.zeros((p, k)), np.zeros((p * p, k))
-        for term in self._terms:
-            system, omega, *_, sizes = term
-            noise = data[0, :, None, None, None] * sizes
-            S, delays, (i, j), *slopes = system.matrices(z)
-            s = 1j * omega[:, None]
-            lag = np.exp(-s * delays[:, None])
-            errors, left, x = _whitened(term, S, lag, noise)
-            right = np.concatenate([x, lag[..., None] * np.eye(system.inputs)], axis=-1)
-
-            # Rows (entry, frequency, input and output); those of the delays follow the entries.
-            left, right = (np.moveaxis(side, -1, 1) for side in (left, right))
-            by_input = np.einsum("kiu,kiwvl->kuwvl", S[..., system.states :], left)
-            by_delay = by_input * (s * right[:, system.states :])[..., None]
-            slopes = np.hstack(slopes)
-            rows = [left[:, i] * -right[:, j, ..., None], by_delay, errors[:, None]]
-            rows = np.concatenate(rows, 1).reshape(k, len(i) + system.inputs + 1, -1).view(float)
-            products = rows @ rows.mT
-            cost += products[:, -1, -1]
-            gradient += 2 * (slopes.mT @ products[:, :-1, -1:])[..., 0].T
-            hessian += 2 * (slopes.mT @ products[:, :-1, :-1] @ slopes).reshape(k, -1).T
-        return cost / self._numbers, gradient / self._numbers, hessian / self._numbers
+        for term, first in product(self._terms, range(0, k, TOGETHER)):
+            at = slice(first, first + TOGETHER)
+            rows, slopes = _derivatives(term, z[:, at], data[0, at])
+            products = rows @ rows.mT / self._numbers
+            cost[at] += products[:, -1, -1]
+            gradient[:, at] += 2 * (slopes.mT @ products[:, :-1, -1:])[..., 0].T
+            squares = slopes.mT @ products[:, :-1, :-1] @ slopes
+            hessian[:, at] += 2 * squares.reshape(-1, p * p).T
+        return cost, gradient, hessian
 
 
-def _whitened(
-    term: tuple[Any, ...], S: Array, lag: ComplexArray, noise: Array
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return the whitened errors (k, w, m, l), W [Y, I] (k, w, m, l, n + l), and x (k, w, m, n)."""
-    system, omega, measured, weight, _ = term
+def _derivatives(term: tuple[Any, ...], z: Array, ratio: Array) -> ArrayPair:
+    """Return whitened derivatives (k, rows, numbers) of the errors, and slopes (k, rows - 1, p).
+
+    The rows are those of the entries of S, of the delays, and the errors themselves; the slopes are
+    those of the entries and delays by z (p, k). The `ratio` (k,) is that of noise to errors.
+    """
+    system, omega, measured, weight, sizes = term
+    S, delays, (i, j), *slopes = system.matrices(z)
+    noise = ratio[:, None, None, None] * sizes
+    lag = np.exp(-1j * omega[:, None] * delays[:, None])
     n, outputs = system.states, system.outputs
     inverse = resolvents(S[:, :n, :n], omega)
     states = lag[..., None] * (inverse @ S[:, None, :n, n:]).mT
     C, D = S[:, None, n:, :n], S[:, None, n:, n:].mT
-    errors = weight * (measured - states @ C.mT - lag[..., None] * D)
+    modeled = weight * (states @ C.mT + lag[..., None] * D)
     by_noise = weight[..., None] * (C @ inverse)[:, :, None]
     scaled = by_noise * noise[..., None, :]
+    covariance = np.eye(outputs) + scaled @ scaled.conj().mT
     # A pole at a frequency: such trials are refused, since the sum of noise and errors is not
     # definite in double precision.
-    refused = ~(np.abs(scaled).max(axis=(-2, -1)) < 1e7)
-    scaled[refused], errors[refused] = 0, np.nan
+    refused = ~(np.trace(covariance, axis1=-2, axis2=-1).real < 1e14)
+    covariance[refused], modeled[refused] = np.eye(outputs), np.nan
 
-    root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().mT)
-    whitening = np.linalg.inv(root)
-    errors = (whitening @ errors[..., None])[..., 0]
-    left = np.concatenate([whitening @ by_noise, whitening * weight[..., None, :]], axis=-1)
-    driven = noise**2 * (left[..., :n].conj().mT @ errors[..., None])[..., 0]
-    return errors, left, states + (inverse[:, :, None] @ driven[..., None])[..., 0]
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    both = np.stack([1j * omega[:, None, None] * modeled, weight * measured - modeled], -1)
+    columns = [whitening @ by_noise, whitening * weight[..., None, :], whitening @ both]
+    left = np.moveaxis(np.concatenate(columns, -1), -1, 1)
+    *_, by_delay, errors = left.swapaxes(0, 1)
+    driven = noise**2 * np.einsum("knwml,kwml->kwmn", left[:, :n].conj(), errors)
+    x = states + (inverse[:, :, None] @ driven[..., None])[..., 0]
+
+    # Entries of B and D, and delays, act on the responses to their own input only.
+    own = np.eye(system.inputs)
+    right = -np.moveaxis(np.concatenate([x, lag[..., None] * own], -1), -1, 1)[..., None]
+    delayed = by_delay[:, None] * own[:, None, :, None]
+    rows = np.concatenate([left[:, i] * right[:, j], delayed, errors[:, None]], 1)
+    return rows.reshape(*rows.shape[:2], -1).view(float), np.hstack(slopes)

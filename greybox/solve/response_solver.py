@@ -292,7 +292,7 @@ class ResponseSolver(LocalSolver):
         # A search from two equal lags has no slope toward unequal ones: it ends at a saddle, unless
         # rounding differs. From beside the end, by different parts of the start box, IPOPT sees it.
         z = self.nlp.scaling.to_solver(run.estimate)
-        x = self.nlp.estimate_at(z + 1e-5 * np.sin(1 + np.arange(z.size)))
+        x = self.nlp.estimate_at(z + 1e-5 * np.cos(np.arange(z.size)))
         # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.
         [outcome] = self.judged([self.again(x, run, CONFIRMING)])
 

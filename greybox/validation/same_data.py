@@ -37,8 +37,11 @@ def data_difference(fits: Fits, names: Labels) -> str:
             )
         for a, b in zip(first, fit.parts, strict=True):
             if type(a.data) is not type(b.data) or not a.data.is_same_as(b.data):  # type: ignore[arg-type]
+                # Excerpts have the checksum of the whole log.
                 titles = [
-                    f"({p.data.name or p.name!r}, checksum {p.data.checksum[:8]})" for p in (b, a)
+                    f"({p.data.name or p.name!r}, {p.compared_numbers} numbers, checksum "
+                    f"{p.data.checksum[:8]})"
+                    for p in (b, a)
                 ]
                 return f"{name} was fitted to other data {titles[0]} than {names[0]} {titles[1]}"
             outputs = [", ".join(part.outputs) for part in (b, a)]

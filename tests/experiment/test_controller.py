@@ -186,7 +186,7 @@ def declare(**body):
             ValueError,
             "cannot have a parameter or signal called 'values'",
         ),
-        ({"K": 0.2}, TypeError, "Own.K is a number where a Parameter was"),
+        ({"K": 0.2}, TypeError, "Own.K is 0.2 where a Parameter was"),
     ],
 )
 def test_bad_declarations(body, error, sentence):

@@ -138,15 +138,21 @@ def test_a_fixed_and_a_free_rotor_do_not_connect():
     assert list(merged_parameters([YawRate(), YawAngle()])) == list(YawRate().parameters)
 
 
-def test_a_number_in_the_place_of_a_declared_parameter_is_refused():
+@pytest.mark.parametrize("value", [0.5, None])
+def test_a_value_in_the_place_of_a_declared_parameter_is_refused(value):
     class Lag(gb.TransferFunction):
         tau = gb.Parameter(0.1, bounds=(0.01, 1))
 
         def response(self, s, p):
             return 1 / (p.tau * s + 1)
 
-    with pytest.raises(TypeError, match=r"Slow\.tau is a number where a Parameter was declared"):
-        type("Slow", (Lag,), {"tau": 0.5})
+    with pytest.raises(TypeError, match=rf"Slow\.tau is {value} where a Parameter was declared"):
+        type("Slow", (Lag,), {"tau": value})
+
+
+def test_algebraic_states_are_refused():
+    with pytest.raises(TypeError, match=r"Own\.algebraic has no effect"):
+        type("Own", (gb.StateSpace,), {"algebraic": ("z",)})
 
 
 def test_signals_are_picked_by_name_or_because_they_are_the_only_ones():

@@ -125,3 +125,12 @@ def test_numbers_of_data_and_outputs_are_counted_in_each_kind(fits):
     assert why_not_comparable([fits[1.0], fewer], ("a", "b")).startswith(
         "a was fitted to 60 numbers of 'made' and b "
     )
+
+
+def test_excerpts_of_one_record_are_told_apart():
+    """They have one checksum, that of the whole."""
+    time = np.arange(40.0)
+    step = gb.Record(time, {"u": (time > 5) * 1.0, "y": np.maximum(time - 5, 0)})
+    fits = [gb.fit(gb.Problem(Lag(), r), starts=1) for r in (step, step.between(0, 21))]
+    with pytest.raises(ValueError, match=r"22 numbers, .* than Lag 1 \(.*, 40 numbers, "):
+        gb.compare(*fits)

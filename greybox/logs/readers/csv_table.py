@@ -145,11 +145,6 @@ def _require_numbers(path: Path, stated: NamedStrings, without: Labels) -> None:
     raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
 
 
-def _nanoseconds(cells: Labels) -> Array:
-    """Return dates (n,) in the format of ISO 8601, UTC, in ns since 1970; ValueError for others."""
-    return np.array([cell.removesuffix("Z") for cell in cells], "datetime64[ns]").astype(float)
-
-
 def _columns(
     headings: Sequence[Heading], text: DelimitedText
 ) -> tuple[dict[str, Array], list[str]]:
@@ -183,8 +178,10 @@ def _columns(
         odd = [j for j in missing if cells[j].lower() not in MISSING]
         # Some damaged cells do not make a column one of text.
         if len(odd) > sum(map(bool, cells)) / 2:
+            # Dates of ISO 8601, UTC, in ns since 1970.
+            dates = [cell.removesuffix("Z") for cell in cells]
             with suppress(ValueError):
-                columns[name] = _nanoseconds(cells)
+                columns[name] = np.array(dates, "datetime64[ns]").astype(float)
                 continue
             not_numeric.append(name)
             continue

@@ -53,8 +53,7 @@ class GaussNewton(LocalSolver):
         self._parts = AllParts(nlp, self.limits, settings)
         # Where runs of all samples of a long record ended, by the minimum of its excerpts.
         self._ends: dict[bytes, Outcome] = {}
-        # The last run's estimate, nodes and end: parts remember the linearization there.
-        self._end: tuple[Array, tuple[Array, ...], Iterate] | None = None
+        self._polished: tuple[Array, Nodes, Iterate] | None = None
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
@@ -162,23 +161,16 @@ class GaussNewton(LocalSolver):
         if status.startswith(CONVERGED) and not are_stable(self._parts, iterate):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
-        estimate, nodes = self._ended(iterate)
         return Outcome(
-            estimate,
+            nlp.estimate_at(iterate.z),
             status,
             end.iterations,
             time.perf_counter() - began,
             status.startswith(CONVERGED) and math.isfinite(cost),
             cost,
             self._parts.signature(iterate) if iterate.finite else None,
-            nodes,
+            tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
         )
-
-    def _ended(self, end: Iterate) -> tuple[Array, tuple[Array, ...]]:
-        """Return the parameters and the nodes of every part at an end, which is remembered."""
-        nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
-        self._end = self.nlp.estimate_at(end.z), nodes, end
-        return self._end[:2]
 
     @DIVERGING
     def polished(self, search: Multistart) -> Multistart:
@@ -199,8 +191,9 @@ class GaussNewton(LocalSolver):
         # stability limit.
         if not best.cost - same_cost(self.nlp, best.cost) <= cost <= with_rounding(best.cost):
             return search
-        estimate, nodes = self._ended(end)
-        minimum = replace(best, cost=min(cost, best.cost), estimate=estimate)
+        minimum = replace(best, cost=min(cost, best.cost), estimate=self.nlp.estimate_at(end.z))
+        nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
+        self._polished = minimum.estimate, nodes, end
         return replace(search, minima=(minimum, *search.minima[1:]), nodes=nodes)
 
     # --- starts
@@ -296,8 +289,9 @@ class GaussNewton(LocalSolver):
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part."""
-        if self._end and self._end[1] is nodes and np.array_equal(self._end[0], x):
-            return self._end[2]
+        # The part remembers its linearization along the very trajectory of the polished minimum.
+        if self._polished and self._polished[0] is x and self._polished[1] is nodes:
+            return self._polished[2]
         return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.groups.joined(nodes))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.files.arrays import Array, column_lengths, positive_or_one
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Step
-from greybox.solve.gauss_newton.iteration import descend, followed, is_invisible
+from greybox.solve.gauss_newton.iteration import descend, followed
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import exact_step
 from greybox.solve.gauss_newton.stability import are_stable
@@ -59,7 +59,9 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         end = iterate
         shortest = remaining
         distance = 2 * step.distance
-        if is_invisible(step, iterate):
+        # Of a standard error, the step changes none of the first nine digits, or of the parameters,
+        # which long records determine to many digits, none of the first twelve.
+        if remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z)):
             break
 
         following = followed(parts, iterate, step)

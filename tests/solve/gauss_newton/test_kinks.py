@@ -1,6 +1,7 @@
-"""Tanks that run empty: a guarded root has no slope there, and the integrated cost has kinks."""
+"""Minima at kinks of the cost: tanks that run empty, dead zones, whole samples of a delay."""
 
 import numpy as np
+import pytest
 from hard_models import GuardedTanks, simulated
 from spring_lag_tilt import HELD
 
@@ -58,3 +59,36 @@ def test_a_minimum_at_a_kink_is_named():
         assert abs(fit.estimate["d"] - 1) < 1e-3
         assert any("kink of 'DeadZone'" in warning for warning in fit.warnings)
         assert verdict(fit).grade != "good"
+
+
+class DelayedLag(gb.StateSpace):
+    """A lag of a held input that arrives late."""
+
+    states, inputs, outputs = ("x",), ("u",), ("y",)
+    delays = {"u": "T_delay"}
+    K = gb.Parameter(1.0, bounds=(0, 20))
+    T = gb.Parameter(0.5, bounds=(0.01, 3), unit="s")
+    T_delay = gb.Parameter(0.05, bounds=(0, 0.5), unit="s")
+
+    def derivative(self, x, u, p):
+        return ((p.K * u.u - x.x) / p.T,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+@pytest.mark.parametrize("seed", [1029, 1053])
+def test_a_delay_of_whole_samples_converges(seed):
+    """Six samples: beside it, the slope of the cost changes. Steps from either side cross it."""
+    random, step = np.random.default_rng(seed), 0.05
+    u = np.repeat(random.choice([-1.0, 1.0], 20), 20)
+
+    y = [2 * u[0]]
+    for late in np.concatenate([np.full(6, u[0]), u[:-7]]):
+        y.append(2 * late + np.exp(-step / 0.4) * (y[-1] - 2 * late))
+    y = np.array(y) + 0.02 * random.normal(size=u.size)
+    record = gb.Record(step * np.arange(u.size), {"u": u, "y": y}, hold={"u": np.inf, "y": 0})
+    fit = gb.fit(gb.Problem(DelayedLag(), record), starts=3, progress=False)
+
+    assert fit.converged
+    assert fit.estimate["T_delay"] == pytest.approx(0.3, abs=1e-6)
