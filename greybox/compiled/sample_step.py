@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
+from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, Strings, frozen
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, repeated, substep_function
@@ -60,6 +61,11 @@ class SampleStep:
     def symbols(self) -> list[Any]:
         """Return x, q and d as symbols of the kind that the function takes."""
         return input_symbols(self.function)
+
+    @cached_property
+    def substep_of_columns(self) -> Columns:
+        """Return the substep at many states and inputs, with the same parameters."""
+        return Columns(self.substep, (3,))
 
     @cached_property
     def built(self) -> dict[Any, Any]:

@@ -11,7 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Course, Segments
-from greybox.compiled.vectorized import Columns, Remembering
+from greybox.compiled.vectorized import Remembering
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -340,13 +340,14 @@ class Simulator:
             return 0.0
         x, data = states[:, checked], result.data[:, checked]
         step, model = result.segments.step, self._model
-        # Samples of half the substeps would have to be compiled, for these few calls alone.
-        begin, mean, change, *_ = map(np.asarray, step.measurement(x, model.q, data))
-        substep = Columns(step.substep, (3,))
-        coarse, fine = (
-            repeated(lambda *at: substep(*at)[0], count, begin, mean, change, model.p, data[-1:])
-            for count in (self._substeps, 2 * self._substeps)
-        )
+        coarse = np.asarray(step.function(x, model.q, data)[0])
+        # A sample of halved substeps would have to be compiled, for these few calls alone.
+        begin, mean, slope, *_ = map(np.asarray, step.measurement(x, model.q, data))
+
+        def substep(*at: Array) -> Array:
+            return step.substep_of_columns(*at)[0]
+
+        fine = repeated(substep, 2 * self._substeps, begin, mean, slope, model.p, data[-1:])
         change = np.abs(fine - coarse)
         mean = np.where(np.isfinite(change), change, 0.0).mean(axis=1, keepdims=True)
         return relative_change(mean, x)

@@ -303,10 +303,9 @@ class ResponseSolver(LocalSolver):
             if not outcome.converged or not higher <= tolerated:
                 return False
             if higher < -tolerated:
-                certified[run.index] = outcome
-                return False
+                break
         certified[run.index] = outcome
-        return True
+        return higher >= -tolerated
 
     # --- the last digits
 

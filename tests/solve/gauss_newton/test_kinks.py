@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hard_models import GuardedTanks, simulated
+from sampled_lag import SampledLag
 from spring_lag_tilt import HELD
 
 import greybox as gb
@@ -61,20 +62,11 @@ def test_a_minimum_at_a_kink_is_named():
         assert verdict(fit).grade != "good"
 
 
-class DelayedLag(gb.StateSpace):
+class DelayedLag(SampledLag):
     """A lag of a held input that arrives late."""
 
-    states, inputs, outputs = ("x",), ("u",), ("y",)
     delays = {"u": "T_delay"}
-    K = gb.Parameter(1.0, bounds=(0, 20))
-    T = gb.Parameter(0.5, bounds=(0.01, 3), unit="s")
     T_delay = gb.Parameter(0.05, bounds=(0, 0.5), unit="s")
-
-    def derivative(self, x, u, p):
-        return ((p.K * u.u - x.x) / p.T,)
-
-    def output(self, x, u, p):
-        return (x.x,)
 
 
 @pytest.mark.parametrize("seed", [1029, 1053])
