@@ -22,6 +22,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,
     ArrayPair,
+    Arrays,
     BoolArray,
     ComplexArray,
     Fields,
@@ -183,6 +184,11 @@ class CompiledProblem(Portable):
     def substeps(self) -> int:
         """Largest number of integration steps from sample to sample; zero without states."""
         return max(part.substeps for part in self.parts)
+
+    def has_stable_steps(self, z: Array, nodes: Arrays) -> bool:
+        """Return whether explicit steps of all records are stable at z (p,) and their nodes."""
+        records = self.rows_of(RecordPart, nodes)
+        return all(part.has_stable_steps(z, own) for part, own in records)
 
     @property
     def noise_sizes(self) -> set[str]:

@@ -108,6 +108,22 @@ class RecordPart(SegmentedPart):
 
     # --- facts
 
+    def has_stable_steps(self, z: Array, nodes: Array) -> bool:
+        """Return whether explicit steps are stable at z (p,) and nodes (s, n).
+
+        A number of steps that was chosen is, and so is one that cannot be doubled.
+        """
+        scheme = self.model.method.scheme
+        if scheme.substeps or self.substeps > MOST_SUBSTEPS // 2:
+            return True
+        p = self.model.locate(z[:, None])[0].ravel()[: len(self.system.parameters)]
+        every = len(nodes) // 100 + 1
+        inputs = self.at_nodes[1][:, ::every]
+        poles = self.model.initial_states.poles(nodes[::every].T, inputs, p)
+        # Half of the nodes decide: a switch of friction may be fast for moments.
+        fastest = np.median(np.abs(poles).max(axis=1, initial=0.0)) if poles.size else 0.0
+        return bool(fastest * self.data.steps.max() <= scheme.reach * self.substeps)
+
     @property
     def group(self) -> Any:
         """Equal for records that can be evaluated together."""

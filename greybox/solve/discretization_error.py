@@ -111,6 +111,10 @@ def refine_discretization(
     if not solver.nlp.substeps or not search.minima:
         return search, solver, error
 
+    # Beyond its limit of stability, an integrator has no error that could be estimated.
+    z = solver.nlp.scaling.to_solver(search.minima[0].estimate)
+    while search.nodes and not solver.nlp.has_stable_steps(z, search.nodes):
+        solver = solver.refined(_refined(solver.nlp, 2))
     # A fixed number of substeps is the user's choice: it is judged, but not changed.
     # One of the eleven hard problems, the swing, is biased without refinement.
     is_fine = solver.nlp.method.scheme.substeps is not None

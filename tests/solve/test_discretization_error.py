@@ -233,7 +233,8 @@ def test_states_of_coarse_steps_are_kept_where_their_error_does_not_matter(
     monkeypatch.setattr(f"{module}._refined", lambda nlp, _: nlp)
     solver, search = Solver({1.0: 10.0}), search_of([(1.0, 10.0)])
     method = SimpleNamespace(scheme=SimpleNamespace(substeps=None))
-    solver.nlp = SimpleNamespace(**vars(PLAIN), substeps=1, method=method)
+    facts = {"substeps": 1, "method": method, "has_stable_steps": lambda *_: True}
+    solver.nlp = SimpleNamespace(**vars(PLAIN), **facts)
     solver.refined = lambda _: solver
     refine_discretization(search, solver)
     assert solver.begun == [search.nodes if keeps else None]

@@ -3,6 +3,8 @@
 Found from the starts that `fit` draws.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hard_models import (
@@ -54,6 +56,38 @@ def test_hidden_states_do_not_explain_what_parameters_should():
     found = fit(chain(500), 3)
     assert found.agreeing >= 2
     near(found, CHAIN)
+
+
+class Ladder(gb.StateSpace):
+    """Six equal cells of resistance and capacity, with a load at the end."""
+
+    states, inputs, outputs = tuple(f"v{i}" for i in range(6)), ("u",), ("middle", "end")
+    C = gb.Parameter(0.01, bounds=(0.001, 0.1))
+    R = gb.Parameter(5.0, bounds=(0.5, 50))
+
+    def derivative(self, x, u, p):
+        v = u.u, x.v0, x.v1, x.v2, x.v3, x.v4, x.v5
+        flows = [*(a - b for a, b in pairwise(v)), x.v5 / p.R]
+        return [(a - b) / p.C for a, b in pairwise(flows)]
+
+    def output(self, x, u, p):
+        return x.v2, x.v5
+
+
+def test_runs_pass_the_values_at_which_their_first_steps_are_unstable():
+    # At the declared capacity five substeps are stable, at the true one eight.
+    truth = {"C": 0.006, "R": 8.0}
+    random = np.random.default_rng(0)
+    u = np.repeat(random.uniform(-1, 1, 15), 10)
+    drive = gb.Record(0.05 * np.arange(150), {"u": u}, hold={"u": np.inf})
+    motion = gb.simulate(Ladder(), truth, record=drive)
+    noisy = {name: motion[name] + 0.005 * random.standard_normal(150) for name in Ladder.outputs}
+    data = gb.Record(drive.time, {"u": u, **noisy}, hold={"u": np.inf})
+
+    far = [{"C": 0.03, "R": 20.0}, {"C": 0.1, "R": 40.0}, {"C": 0.01, "R": 5.0}]
+    found = fit(gb.Problem(Ladder(), data), far)
+    assert found.agreeing == 3
+    near(found, truth)
 
 
 def test_what_the_data_hardly_determine_does_not_use_up_all_iterations():

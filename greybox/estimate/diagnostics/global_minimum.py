@@ -67,7 +67,9 @@ def rival_minima(nlp: CompiledProblem, search: Multistart) -> Sentences:
     unit = likelihood_unit(nlp, best.cost)
     for rival in others[:1]:
         excess = rival.cost - best.cost
-        if excess < RIVAL * unit:
+        # Initial states that the data hardly show may differ with equal parameters.
+        is_another = not np.allclose(rival.estimate, best.estimate, rtol=1e-3)
+        if is_another and excess < RIVAL * unit:
             yield (
                 f"another minimum with a different response has {math.exp(-excess / unit):.2g} "
                 f"times the likelihood: {_values(nlp, rival.estimate)}."

@@ -86,6 +86,11 @@ class AllParts:
             for t in iterate.trajectories
         )
 
+    def has_stable_steps(self, iterate: Iterate) -> bool:
+        """Return whether explicit steps of all parts are stable at an iterate."""
+        nodes = self.groups.nodes_by_part(iterate.nodes)
+        return self.nlp.has_stable_steps(iterate.z, nodes)
+
     def signature(self, iterate: Iterate) -> Array:
         """Return numbers by which runs are distinguished, see `Part.signature`."""
         return np.concatenate(

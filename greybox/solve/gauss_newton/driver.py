@@ -103,6 +103,12 @@ class GaussNewton(LocalSolver):
         return self._solved(*self._begun(begin))
 
     @cached_property
+    def _finer(self) -> "GaussNewton":
+        """Return the solver with twice the steps, for runs that arrive where they are too long."""
+        finer = replace(self.nlp, parts=tuple(part.refined(2) for part in self.nlp.parts))
+        return GaussNewton(finer, settings=self.settings, limits=self.limits)
+
+    @cached_property
     def _excerpts(self) -> "GaussNewton | None":
         """Return the solver of the excerpts of a long record."""
         if max(part.samples for part in self.nlp.parts) <= 4 * EXCERPT:
@@ -147,9 +153,18 @@ class GaussNewton(LocalSolver):
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
     ) -> Outcome:
         nlp, began = self.nlp, time.perf_counter()
-        end = descend(self._parts, iterate, progress, iterations or self.settings.max_iter)
-        iterate = end.iterate
-        status = end.status
+        most = iterations or self.settings.max_iter
+        end = descend(self._parts, iterate, progress, most)
+        count = end.iterations
+        if not self._parts.has_stable_steps(end.iterate):
+            finer = self._finer
+            outcome = finer._solved(*finer._begun(finer._parts.at(end.iterate.z)), iterations)
+            count += outcome.iterations
+            # Where these steps are stable after all, the cost shall be that of other runs.
+            end = descend(self._parts, self._at(outcome.estimate, outcome.nodes), EXACT, most)
+            if end.status != CONVERGED:
+                return replace(outcome, iterations=count, seconds=time.perf_counter() - began)
+        iterate, status = end.iterate, end.status
 
         # Only where it matters: exact derivatives take as long as several iterations.
         # Workers lack the information of some parts, and results must be the same in every process.
@@ -164,7 +179,7 @@ class GaussNewton(LocalSolver):
         return Outcome(
             nlp.estimate_at(iterate.z),
             status,
-            end.iterations,
+            count,
             time.perf_counter() - began,
             status.startswith(CONVERGED) and math.isfinite(cost),
             cost,

@@ -30,7 +30,7 @@ from greybox.solve.gauss_newton.stability import (
     simulate_stable,
 )
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.runs import NOT_FINITE
+from greybox.solve.runs import NOT_FINITE, TOO_COARSE
 
 SINGULAR = "singular"  # the nodes of a record are not determined
 
@@ -74,7 +74,7 @@ def descend(
     # beyond the stability limit. Poles of a formula, such as x / (1 + x / M), may also lead a run
     # astray: it then ends at a kink, above the cost of a simulation from its start.
     end = _attempted(parts, iterate, progress, iterations, states_only=states_only)
-    if end.status == CONVERGED or parts.is_gain.any():
+    if end.status in (CONVERGED, TOO_COARSE) or parts.is_gain.any():
         return end
     begin = parts.simulated(iterate.z)
     has_failed = end.status in (NOT_FINITE, SINGULAR, STALLED)
@@ -101,8 +101,10 @@ def _iterated(
     linearizations = list[Any]()
     last_look = np.inf
     for count in range(iterations):
-        if interruption := reason_to_end():
-            return End(iterate, interruption, count)
+        # Runs would creep along the limit of stable steps, beyond which the minimum may lie.
+        is_stable = states_only or count % 10 or parts.has_stable_steps(iterate)
+        if reason := reason_to_end() if is_stable else TOO_COARSE:
+            return End(iterate, reason, count)
 
         # As long as continuity is a penalty, nodes keep an unstable predictor near the data.
         iterate = simulate_stable(parts, iterate) if progress.is_exact else iterate
