@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -184,6 +184,10 @@ class CompiledProblem(Portable):
     def substeps(self) -> int:
         """Largest number of integration steps from sample to sample; zero without states."""
         return max(part.substeps for part in self.parts)
+
+    def refined(self, factor: int) -> "CompiledProblem":
+        """Return the problem with `factor` times the steps per sample."""
+        return replace(self, parts=tuple(part.refined(factor) for part in self.parts))
 
     def has_stable_steps(self, z: Array, nodes: Arrays) -> bool:
         """Return whether explicit steps of all records are stable at z (p,) and their nodes."""

@@ -1,12 +1,10 @@
-"""Substeps of a sample and samples of a segment.
+"""Substeps of a sample.
 
 The rule for substeps is that of `greybox.modeling.step_size`. Here it is applied to the model along
 the measured data, at the declared parameters and at others drawn from the start boxes, where the
 search will go. Whether that many substeps are accurate enough is judged at the minimum
 (`greybox.solve.discretization_error`).
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,10 +20,8 @@ from greybox.modeling.step_size import stable_substeps
 DRAWS = 17
 
 
-def substeps_and_segment(
-    model: RecordModel, drawn: Array, data: SampledData, step: float
-) -> tuple[int, int]:
-    """Return the substeps per sample and samples per segment: of the method, or as needed.
+def needed_substeps(model: RecordModel, drawn: Array, data: SampledData, step: float) -> int:
+    """Return the substeps per sample: of the method, or as needed.
 
     The poles along the data need the upper quartile of the substeps over the draws, and no less
     than the declared parameters need. More than `MOST_SUBSTEPS` say that the model is stiff there.
@@ -39,8 +35,7 @@ def substeps_and_segment(
     step : float
         The longest from one sample to the next, s.
     """
-    method, system, initial_states = model.method, model.system, model.initial_states
-    integrator = method.scheme
+    system, initial_states, integrator = model.system, model.initial_states, model.method.scheme
 
     # At twenty samples, the shortest time constant of an igniting reactor is missed, and two of
     # three runs stall. The poles of 60 states take as long as those of 15 at 64 times as many
@@ -48,24 +43,15 @@ def substeps_and_segment(
     samples = int(np.clip(100 * (15 / max(len(system.states), 1)) ** 3, 3, 100))
     outputs, inputs = at_samples(data, max(data.segments // samples, 1), spread=True)
     counts: list[int] = []
-    growth_rates: list[float] = []
     # Gains of process noise are not drawn, and no initial state depends on them.
     with_gains = np.pad(drawn, ((0, 0), (0, len(model.parameters) - drawn.shape[1])))
     for declared, known in zip(drawn, model.initial(with_gains.T).full().T, strict=True):
         p = declared[: len(system.parameters)]
         poles = initial_states.poles(initial_states.at(outputs, inputs, p, known), inputs, p)
-        if poles.size:
-            counts.append(
-                stable_substeps(poles, step, reach=integrator.reach, wave=integrator.wave)
-            )
-            growth_rates.append(float(poles.real.max(axis=1).mean()))
+        counts.append(stable_substeps(poles, step, reach=integrator.reach, wave=integrator.wave))
 
-    growth = max(_upper_quartile(growth_rates) * step, 1e-12)
-    # An unstable mode may grow by exp(2), sevenfold, over a segment. On the unstable tilt plant
-    # segments of 5 to 20 samples converged from 14 of 14 random starts, 50 failed.
-    segment = method.segment or int(np.clip(2 / growth, 5, 10))
-    substeps = max(1, *counts[:1], _upper_quartile(counts))
-    return integrator.substeps or int(substeps), segment
+    # np.quantile imports masked arrays, which takes longer than all of this.
+    return integrator.substeps or max(counts[0], sorted(counts)[3 * DRAWS // 4])
 
 
 def drawn_parameters(problem: Problem) -> Array:
@@ -80,8 +66,3 @@ def drawn_parameters(problem: Problem) -> Array:
         drawn.append([*problem.local_values(outside).values()])
 
     return np.array(drawn, dtype=float).reshape(DRAWS, -1)
-
-
-def _upper_quartile(values: Sequence[float]) -> float:
-    # np.quantile imports masked arrays, which takes longer than all of this.
-    return sorted(values)[3 * (len(values) - 1) // 4] if values else 0.0

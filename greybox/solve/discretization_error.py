@@ -75,7 +75,7 @@ def discretization_error(
     p = len(nlp.free)
     order = nlp.method.scheme.order
     hessian, hessian_fine, change = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
-    fine = _refined(nlp, 2).parts
+    fine = nlp.refined(2).parts
     refined = [finer.trajectory(t.z, t.nodes) for finer, t in zip(fine, trajectories, strict=True)]
     # The linearizations below take most of the time.
     if all(map(_is_rounding, trajectories, refined)):
@@ -114,7 +114,7 @@ def refine_discretization(
     # Beyond its limit of stability, an integrator has no error that could be estimated.
     z = solver.nlp.scaling.to_solver(search.minima[0].estimate)
     while search.nodes and not solver.nlp.has_stable_steps(z, search.nodes):
-        solver = solver.refined(_refined(solver.nlp, 2))
+        solver = solver.refined(solver.nlp.refined(2))
     # A fixed number of substeps is the user's choice: it is judged, but not changed.
     # One of the eleven hard problems, the swing, is biased without refinement.
     is_fine = solver.nlp.method.scheme.substeps is not None
@@ -129,7 +129,7 @@ def refine_discretization(
         growth = _cheap_growth(nlp, error) if is_fine else error.growth
         if growth == 1:
             break
-        finer = solver.refined(_refined(nlp, growth))
+        finer = solver.refined(nlp.refined(growth))
         # Behind kinks, states that follow from too long steps lead to worse minima than the data.
         begin = search if is_fine else replace(search, nodes=None)
         followed = with_finer_steps(begin, finer)
@@ -156,11 +156,6 @@ def _cheap_growth(nlp: CompiledProblem, error: DiscretizationError) -> int:
     # Such a simulation takes some 10 ms. Records of fewer than 1000 samples that need it take up to
     # twice the time.
     return growth if growth * operations <= 5e6 else 1
-
-
-def _refined(nlp: CompiledProblem, growth: int) -> CompiledProblem:
-    """Return the problem with so many times the steps."""
-    return replace(nlp, parts=tuple(part.refined(growth) for part in nlp.parts))
 
 
 def without_aliases(search: Multistart, solver: LocalSolver) -> Multistart:

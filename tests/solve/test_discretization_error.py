@@ -230,10 +230,10 @@ def test_states_of_coarse_steps_are_kept_where_their_error_does_not_matter(
     errors = [DiscretizationError(np.array([size]), 4) for size in (shift, 0.0)]
     monkeypatch.setattr(f"{module}.discretization_error", lambda *_: errors.pop(0))
     monkeypatch.setattr(f"{module}._cheap_growth", lambda _, error: 2 if error.largest else 1)
-    monkeypatch.setattr(f"{module}._refined", lambda nlp, _: nlp)
     solver, search = Solver({1.0: 10.0}), search_of([(1.0, 10.0)])
     method = SimpleNamespace(scheme=SimpleNamespace(substeps=None))
     facts = {"substeps": 1, "method": method, "has_stable_steps": lambda *_: True}
+    facts["refined"] = lambda _: solver.nlp
     solver.nlp = SimpleNamespace(**vars(PLAIN), **facts)
     solver.refined = lambda _: solver
     refine_discretization(search, solver)

@@ -105,8 +105,7 @@ class GaussNewton(LocalSolver):
     @cached_property
     def _finer(self) -> "GaussNewton":
         """Return the solver with twice the steps, for runs that arrive where they are too long."""
-        finer = replace(self.nlp, parts=tuple(part.refined(2) for part in self.nlp.parts))
-        return GaussNewton(finer, settings=self.settings, limits=self.limits)
+        return GaussNewton(self.nlp.refined(2), settings=self.settings, limits=self.limits)
 
     @cached_property
     def _excerpts(self) -> "GaussNewton | None":
