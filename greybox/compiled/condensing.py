@@ -65,15 +65,25 @@ def condense(
         node_hessian += diagonal(node_damping)
 
     # The right-hand sides: the gradient of the residuals, and its derivatives with respect to the
-    # parameters.
-    stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
-    continuity = -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2)
+    # parameters. Under names of their own, they would stay in memory beside the solution.
     x, multiplier = solve_continuity(
-        node_hessian, b.transition, data.coupled, stationarity, continuity, variance
+        node_hessian,
+        b.transition,
+        data.coupled,
+        -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2),
+        -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2),
+        variance,
     )
 
     # The last segment of a stretch continues nowhere: its multiplier is zero.
-    change = segments.by_record(b.cross_hessian.mT @ x + b.parameter_sensitivity.mT @ multiplier)
+    change: Any = sum(
+        segments.by_record(
+            b.cross_hessian[batch].mT @ x[batch]
+            + b.parameter_sensitivity[batch].mT @ multiplier[batch],
+            batch,
+        )
+        for batch in segments.batches()
+    )
     hessian = b.parameter_hessian + change[:, :, 1:]
     gradient = b.parameter_gradient + change[:, :, 0]
 
@@ -189,6 +199,7 @@ def solve_continuity(
     A = np.where(linked, transition * size / size[:, None], 0.0)
     x = stationarity * size[:, None]
     multiplier = np.where(linked, continuity / size[:, None], 0.0)
+    del hessian, stationarity, continuity  # of a long record, a tenth of the memory
     variance = np.broadcast_to(variance, n) / size**2
 
     # Two neighboring segments of a long chain with exact continuity become one, as often as

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.vectorized import Columns, Remembering
+from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -39,10 +39,7 @@ class InitialStates:
         y = system.output(x, u, p)
         f = system.derivative(x, u, p)
         slopes = ca.vertcat(ca.vec(dense_jacobian(f, x)), ca.vec(dense_jacobian(y, x)))
-        # Poles are those of states that have just been judged.
-        self._model = Remembering(
-            Columns(ca.Function("first", [x, u, p], [f, y, slopes]), shared=(2,))
-        )
+        self._model = Columns(ca.Function("first", [x, u, p], [f, y, slopes]), shared=(2,))
         self._links = _links(y, x, ca.vertcat(u, p))
 
     def at(self, measured: Array, inputs: Array, p: Array, known: Array) -> Array:

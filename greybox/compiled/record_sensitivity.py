@@ -76,12 +76,11 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         root = by_states + by_parameters
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
-        triangle = triangle_of(np.vstack([triangle, root.swapaxes(0, 1).reshape(-1, p)]))
+        triangle = triangle_of(np.vstack([triangle, root.reshape(-1, p)]))
         directions = J[..., :n] @ initial_directions[batch]
         for result, columns in ((weighted, root), (by_initial, directions)):
-            by_output = columns.reshape(len(J), length, k, -1)
-            of_outputs = np.tensordot(weight, by_output, ((0,), (2,)))
-            result[:, :, batch] = of_outputs.transpose(0, 3, 1, 2)
+            by_output = weight.T @ columns.reshape(len(J), length, k, -1)
+            result[:, :, batch] = by_output.transpose(2, 3, 0, 1)
 
     by_covariance = np.zeros((p, p))
     if placed.filter is not None:
@@ -141,13 +140,15 @@ def _shocks(data: SampledData, directions: Array, by_initial: Array, weight: Arr
 
     From the `directions` (s, n, m) of the initial states and what follows from these, WᵀW dy (k, m,
     samples). States whose jumps no output shows are left out, and those after which the outputs
-    grow without end: then process noise has no spectrum.
+    grow without end: then process noise has no spectrum. If they grow by 12 decades, the data
+    determine where they begin, and no direction leads there.
     """
     longest = np.argmax([len(stretch) for stretch in data.stretches])
     begins = directions[data.begins_stretch][longest]
     scale = np.abs(begins).max(axis=1, initial=0.0)
     begins, scale = begins[scale > 0], scale[scale > 0, None]
-    moved = np.linalg.pinv(begins / scale) / scale.T
+    moved = np.linalg.pinv(begins / scale, rcond=1e-12) / scale.T
+    moved = moved[:, np.diag(begins @ moved) > 1 - 1e-6]
     noise = np.linalg.inv(weight.T @ weight)
     shocks = np.tensordot(noise, data.unpadded(by_initial)[longest], 1)
     shocks = np.einsum("kmt,mn->knt", shocks, moved)

@@ -244,6 +244,7 @@ class SegmentedPart(Part):
         last, self._linearized = self._linearized, None
         if last and last[0] is trajectory and np.array_equal(last[1], weight):
             return last[2]
+        del last  # for a long record, a sixth of the memory
         placed: Placed = trajectory.detail
         b = self.segments.linearize(trajectory.course, weight)
         if placed.filter is not None and np.array_equal(weight, self.residual_weight(trajectory)):

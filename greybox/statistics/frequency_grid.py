@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, ComplexPair, IntArray, frozen
+from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
@@ -78,28 +78,29 @@ class FrequencyGrid:
         """Return the mean over all frequencies of values (..., b) of the bands."""
         return values @ self.band_weight
 
-    def transform(self, weighted: Array, directions: Array, deviation: Array) -> ComplexArray:
-        """Return the transforms (k, r, f) of sensitivities times deviations (k,).
+    def transform(self, weighted: Array, directions: Array, deviation: Array) -> list[ComplexArray]:
+        """Return the transforms (r, f) of sensitivities times deviations (k,), for every output.
 
         The sensitivities (k, p, n) are turned into the columns of `directions` (p, r).
         """
-        shape = len(weighted), directions.shape[1], len(self.weight)
         # Of a spectrum, seven digits are plenty: those of long records fill the memory.
-        result: Any = np.empty(shape, np.complex64 if self.longest > LONG else complex)
-        # Row by row: they fill the memory of long records, and turned or padded rows would do so
-        # again.
-        for i, q in np.ndindex(shape[:2]):
-            row = (deviation[i] * directions[:, q] @ weighted[i]).astype(result.real.dtype)
-            np.fft.rfft(row, self.size, out=result[i, q])  # new memory takes as long again
-        return result
+        precision = np.float32 if self.longest > LONG else float
+        # Row by row: turned or padded rows would fill the memory again.
+        return [
+            np.array(
+                [
+                    np.fft.rfft((size * direction @ rows).astype(precision), self.size)
+                    for direction in directions.T
+                ]
+            )
+            for size, rows in zip(deviation, weighted, strict=True)
+        ]
 
-    def covariances(
-        self, factors: Iterable[ComplexPair], order: int = -1
-    ) -> tuple[Array, ComplexArray]:
+    def covariances(self, factors: Iterable[Any], order: int = -1) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
-        It is the sum of the products a bᴴ of its factors, (k, p, frequencies) each, and of their
-        adjoints. By default there are no autocovariances.
+        It is the sum of the products a bᴴ of its factors, (p, frequencies) for each of k outputs,
+        and of their adjoints. By default there are no autocovariances.
         """
         lags: Any = 0.0
         banded: Any = 0.0
@@ -117,14 +118,14 @@ class FrequencyGrid:
 
         return lags, banded
 
-    def score_covariance(self, transforms: Iterable[ComplexArray], density: NDArray) -> Array:
+    def score_covariance(self, transforms: Iterable[Any], density: NDArray) -> Array:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
         parts = []
         for transform in transforms:
             for start in range(0, len(self.weight), COLUMNS):
                 part = slice(start, start + COLUMNS)
                 spread = self.spread_out(density, part) * self.weight[part]
-                columns = np.ascontiguousarray(transform[..., part], dtype=complex)
+                columns = np.array([rows[:, part] for rows in transform], dtype=complex)
                 # As pairs of reals, whose product is the real part of the complex product.
                 parts.append(products(columns.view(float), filtered(spread, columns).view(float)))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ArrayPair
 
 HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 
@@ -14,28 +14,28 @@ def autocovariance(stretches: list[Array], lags: int) -> Array:
     return sum(rows, np.zeros(lags + 1)) / max(count, 1)
 
 
-def levinson(r: Array) -> list[tuple[Array, float]]:
+def levinson(r: Array) -> ArrayPair:
     """Return the autoregressions of order 0, 1, 2 ... from autocovariances r (lags + 1,).
 
-    Each is a pair of coefficients and variance: with coefficients 1, a_1 ... a_n, e + Σ a_k e(t -
-    k) is white with this variance. The recursion of Levinson and Durbin solves the Yule-Walker
-    equations, so that all are stable, up to the order at which the series is predictable. Source:
-    Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., appendix A3.2.
+    They are rows of coefficients (orders, lags + 1), filled up with zeros, and variances: with
+    coefficients 1, a_1 ... a_n, e + Σ a_k e(t - k) is white with this variance. The recursion of
+    Levinson and Durbin solves the Yule-Walker equations, so that all are stable, up to the order at
+    which the series is predictable. Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th
+    ed., appendix A3.2.
     """
-    a: Array = np.ones(1)
-    variance = float(r[0])
-    steps: list[tuple[Array, float]] = [(a, variance)]
+    rows, variances = [np.eye(1, len(r))[0]], [r[0]]
     for k in range(1, len(r)):
-        reflection = -float(a @ r[k:0:-1]) / variance
-        longer = np.append(a, 0.0)
-        a = longer + reflection * longer[::-1]
-        variance *= 1 - reflection**2
+        a = rows[-1].copy()
+        reflection = -(a[:k] @ r[k:0:-1]) / variances[-1]
+        a[: k + 1] += reflection * a[k::-1]
+        variance = variances[-1] * (1 - reflection**2)
         # Innovations of less relative variance are rounding.
         if not variance > 1e-12 * r[0]:
             break
-        steps.append((a, variance))
+        rows.append(a)
+        variances.append(variance)
 
-    return steps
+    return np.array(rows), np.array(variances)
 
 
 def autoregression(stretches: list[Array]) -> Array:
@@ -50,6 +50,6 @@ def autoregression(stretches: list[Array]) -> Array:
     r = autocovariance(stretches, order)
     if not r[0] > 0:
         return np.ones(1)
-    steps = levinson(r)
-    scores = [count * np.log(variance) + (len(a) - 1) * np.log(count) for a, variance in steps]
-    return steps[np.argmin(scores)][0]
+    rows, variances = levinson(r)
+    best = np.argmin(count * np.log(variances) + np.arange(len(variances)) * np.log(count))
+    return rows[best, : best + 1]

@@ -158,10 +158,8 @@ def colored_information(
     vars(spectra).pop("_only_transform", None)
     embedded = np.eye(k)[compared]
     times = spectra.grid.correlation_times(np.einsum("iib->ib", mixture.density).real) @ embedded
-    density = np.zeros((k, k, len(spectra.grid.omega)), dtype=complex)
-    density[np.ix_(compared, compared)] = mixture.density
-    deviation = np.ones(k)
-    deviation[compared] = spectra.deviation
+    density: Any = (embedded.T @ mixture.density.T @ embedded).T
+    deviation = np.maximum(spectra.deviation @ embedded, ~compared)
 
     return ColoredInformation(
         meat=meat,
@@ -185,11 +183,10 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, b
     """Return the average of the spectra, and whether it is corrected for what the fit took."""
     lags, banded = spectra.periodogram
     others, corrected = spectra.others(lags, banded), False
-    is_short = sum(e.shape[1] for e in spectra.residuals) <= LONGEST_CORRECTED
 
     # A third correction changes standard errors by less than 2 % (records of 100 samples,
     # correlation times of 10).
-    for _ in range(2 * is_short):
+    for _ in range(2 * spectra.is_short):
         taken, score = others.taken, others.score
         # What they took if these spectra hold: process noise has its own expectation, and an
         # average of both would be the spectrum of neither.
@@ -336,20 +333,28 @@ class ResidualSpectra:
     def _slow_level(self) -> Array:
         return self.grid.mean(np.log(self.slow))
 
-    def transforms(self) -> Iterator[ComplexArray]:
-        """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch.
+    def transforms(self) -> Iterator[Any]:
+        """Yield the transforms (p, frequencies) of every stretch's weighted sensitivities.
 
-        The transforms of many stretches are not stored: all have as many frequencies as the
-        longest stretch.
+        They are those of every output. Of records that are not corrected, the transforms of many
+        stretches are not stored: all have as many frequencies as the longest stretch.
         """
-        if len(self.weighted) == 1:
+        if self.is_short:
+            for _, transform, *_ in self._stretches:
+                yield transform[:, : self.directions.shape[1]]
+        elif len(self.weighted) == 1:
             yield self._only_transform
-            return
-        for J in self.weighted:
-            yield self.grid.transform(J, self.directions, self.deviation)
+        else:
+            for J in self.weighted:
+                yield self.grid.transform(J, self.directions, self.deviation)
 
     @cached_property
-    def _only_transform(self) -> ComplexArray:
+    def is_short(self) -> bool:
+        """Whether the record is short enough to be corrected for what the fit took."""
+        return sum(e.shape[1] for e in self.residuals) <= LONGEST_CORRECTED
+
+    @cached_property
+    def _only_transform(self) -> list[ComplexArray]:
         return self.grid.transform(self.weighted[0], self.directions, self.deviation)
 
     def others(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
@@ -501,26 +506,24 @@ class ResidualSpectra:
         n = self.counts[i]
         grid = self.grid
 
-        # The autoregression of first order is among the slow parts.
-        steps = [step for order, step in enumerate(levinson(r)) if order != 1]
-        filters, variances = zip(*steps, strict=True)
-        orders = np.array([*map(len, filters)])
+        coefficients, variances = levinson(r)
+        unknowns = 1 + np.arange(len(variances))
+        score = n * np.log(variances) + aicc_penalty(unknowns, n)
+        score[1:2] = np.inf  # the autoregression of first order is among the slow parts
         slow_scale = (grid.band_weight / self.slow) @ np.maximum(banded, ROUNDING)
         # All members are equally likely before the data: a family counts with its mean likelihood,
         # whatever its number of members.
         slow_score = n * (np.log(slow_scale) + self._slow_level)
         slow_score += 2 * math.log(len(slow_scale)) + aicc_penalty(1, n)
         scale = np.concatenate([variances, slow_scale])
-        score = np.concatenate([n * np.log(variances) + aicc_penalty(orders, n), slow_score])
-        within = np.concatenate([2 * orders / n, np.full(len(slow_scale), 2 / n)])
+        score = np.concatenate([score, slow_score])
+        within = np.concatenate([2 * unknowns / n, np.full(len(slow_scale), 2 / n)])
 
         # Less likely spectra, by one to 10 000, do not change the mean.
         likely = score < score.min() + 18.0
-        coefficients = np.zeros((len(steps), len(grid.delays)))
-        for row, a in zip(coefficients, filters, strict=True):
-            row[: len(a)] = a
-        responses = coefficients[likely[: len(steps)]] @ grid.delays
-        shapes = [1 / np.abs(responses) ** 2, self.slow[likely[len(steps) :]]]
+        regressions, slow = np.split(likely, [len(variances)])
+        responses = coefficients[regressions] @ grid.delays[: len(r)]
+        shapes = [1 / np.abs(responses) ** 2, self.slow[slow]]
         spectra = scale[likely, None] * np.concatenate(shapes)
         taken = grid.mean(spectra * self.power[i, i].real)
         return averaged(score[likely], spectra, taken, within[likely])
@@ -592,16 +595,16 @@ class ResidualSpectra:
             else np.fft.irfft(filtered(spectrum, transform), grid.size)[..., : A.shape[2]]
             for A, transform, *_ in self._stretches
         ]
-        stretches = [*zip(self._stretches, colored, strict=True)]
-        meat = sum(products(A[:, :p], C[:, :p]) for (A, *_), C in stretches)
+        covariances = [products(A, C) for (A, *_), C in zip(self._stretches, colored, strict=True)]
+        meat = sum(covariance[:p, :p] for covariance in covariances)
         factor = np.trace(meat) / max(float(np.trace(self._bread)), TINY)
         middle = meat + factor * (np.eye(p) - self._bread)
 
         pairs = []
-        for (A, _, first, taken, present), C in stretches:
+        stretches = zip(self._stretches, colored, covariances, strict=True)
+        for (_, _, first, taken, present), C, covariance in stretches:
             # The errors of a stretch's initial states are correlated with those of the parameters,
             # which other stretches determine, too.
-            covariance = products(A, C)
             covariance[:p, :p] = middle
             half = (C - covariance.T @ taken / 2) * present
             pairs.append((first, np.fft.rfft(half, grid.size)))

@@ -332,6 +332,31 @@ def test_process_noise_of_an_unstable_model_has_no_spectrum():
     assert sensitivity(part, trajectory, part.initial_weight()).shocks().shape[1] == 0
 
 
+class Growing(gb.StateSpace):
+    """One motion decays, another grows, and both states show both."""
+
+    states = outputs = ("a", "b")
+    inputs = ("u",)
+    mix = gb.Parameter(0.5, bounds=(0.01, 1))
+
+    def derivative(self, x, u, p):
+        grows, decays = x.a + p.mix * x.b, -2 * (p.mix * x.a - x.b)
+        return grows + p.mix * decays + u.u, p.mix * grows - decays
+
+    def output(self, x, u, p):
+        return (x.a, x.b)
+
+
+@pytest.mark.parametrize("mix", [0.1, 0.35, 0.6])
+def test_no_rounding_makes_a_motion_decay_that_grows_by_many_decades(mix):
+    signals = np.random.default_rng(0).normal(size=(3, 400))
+    record = gb.Record(0.1 * np.arange(400), dict(zip("uab", signals, strict=True)))
+    nlp = compile_problem(gb.Problem(Growing(), record, HELD))
+    part, z = nlp.parts[0], nlp.scaling.to_solver(np.array([mix]))
+    weight = part.initial_weight()
+    assert sensitivity(part, part.trajectory(z), weight).shocks().shape[1] == 0
+
+
 STATED = {"x": 0.05, "v": 0.11}
 INFORMED = {
     "stated noise": {"noise": STATED},

@@ -184,8 +184,8 @@ def _iterated(
         # 7 runs reaches the predictors of the tilt plant.
         z = best_gains(parts, iterate, progress.gap_variance) if becomes_exact else iterate.z
         iterate = iterate if z is iterate.z else parts.at(z, iterate.nodes)
-        # For a long record, they take a tenth of the memory.
-        del step, trial
+        # For a long record, they take an eighth of the memory.
+        del step, trial, closed
         linearizations = []
     return End(iterate, "iterations exceeded", iterations)
 

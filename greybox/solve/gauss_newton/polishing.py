@@ -52,19 +52,19 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         step = exact_step(parts, iterate, progress)
         progress = progress.with_penalties(step)
 
-        # Steps that no longer shrink are rounding.
+        # Of a standard error, the step changes none of the first nine digits, or of the parameters,
+        # which long records determine to many digits, none of the first twelve. What gaps between
+        # segments promise is then rounding.
         remaining = abs(step.decrease) + step.distance
-        if not remaining < shortest:
+        is_last = remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z))
+        # Steps that no longer shrink are rounding.
+        if not (is_last or remaining < shortest):
             break
         end = iterate
         shortest = remaining
         distance = 2 * step.distance
-        # Of a standard error, the step changes none of the first nine digits, or of the parameters,
-        # which long records determine to many digits, none of the first twelve.
-        if remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z)):
-            break
 
-        following = followed(parts, iterate, step)
+        following = None if is_last else followed(parts, iterate, step)
         del step  # for a long record, a tenth of the memory
         if following is None:
             break
