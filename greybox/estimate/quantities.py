@@ -97,14 +97,12 @@ def formulas(problem: AnyProblem) -> list[Formula]:
             formulas_by_name.setdefault(label, formula)
 
     used_names = {*problem.parameters, *formulas_by_name}
-    for position, part in enumerate(problem.parts):
+    for part in problem.parts:
         differs = bool(part.rename or part.tied) and len(problem.parts) > 1
         for name, function in part.model.derived.items():
             # Parts that name or tie parameters alike have the same derived quantity: it is one
             # line.
             label = f"{name} ({part.name})" if differs or name in used_names else name
-            if differs and label in formulas_by_name:  # two parts of one name
-                label = f"{name} (part {position})"
             formula = Formula(label, "derived", "", "", part, function)
             formulas_by_name.setdefault(label, formula)
 

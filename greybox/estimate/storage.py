@@ -90,7 +90,7 @@ def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> 
     >>> again.estimate == fit.estimate
     True
     """
-    return from_bytes(read_sealed(Path(path)), models, f"{path}")
+    return from_bytes(read_sealed(path), models, f"{path}")
 
 
 def to_bytes(fit: Fit) -> bytes:

@@ -85,6 +85,8 @@ class _OneOrSeveral(type):
         problem = super().__call__
         responses = _responses_by_pair(data)
         if not responses:
+            if "band" in options:
+                raise TypeError("band is for several responses: cut one by .between(low, high).")
             return problem(model, data, *args, **options)
 
         weight, band = options.pop("weight", 1.0), options.pop("band", {})

@@ -57,7 +57,8 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
     )
     model = _given(module_name, class_name, given) or included_model(module_name, class_name)
     if model is None:
-        raise UnknownModelError(f"{missing} among those that greybox includes or that were given")
+        names = ", ".join(class_of(model).__qualname__ for model in given) or "none"
+        raise UnknownModelError(f"{missing} among those of greybox or those given ({names})")
 
     if isinstance(model, Model):
         return model

@@ -125,6 +125,14 @@ def failure_warnings(search: Multistart, solver: LocalSolver) -> Sentences:
     # A run that was cut short says nothing about what blocks it.
     if run.status in CUT_SHORT:
         return
+    nlp = solver.nlp
+    limits = nlp.constraint(nlp.all_values(run.estimate)).full().ravel()
+    for limit, value in zip(nlp.limits, limits, strict=True):
+        if value < -1e-6:
+            yield (
+                f"{limit} is {value:.3g} in that run and must be at least 0: check its sign, or "
+                "whether any values within the bounds meet all constraints."
+            )
     nodes = search.ends[run.index] if search.ends else None
     try:
         profile = solver.profile(run.estimate, nodes)

@@ -3,8 +3,9 @@
 import math
 import re
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, compress
 
+import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
@@ -365,12 +366,28 @@ def _place(fitted: FittedRecord, pairs: Pairs) -> str:
 
 
 def resting_inputs(nlp: CompiledProblem) -> Sentences:
-    """Note where no input changes in any record; a static model has no free response."""
+    """Note inputs that never change in any record, and inputs that no equation uses."""
     records = nlp.parts_of(RecordPart)
-    names = ", ".join(dict.fromkeys(name for part in records for name in part.system.inputs))
-    is_free = all(part.data.constant_inputs and not part.is_static for part in records)
-    if names and is_free and len(records) == len(nlp.parts):
-        yield f"the inputs never change ({names}): only the free response is informative."
+    inputs = dict.fromkeys(name for part in records for name in part.system.inputs)
+    moving, used = set(), set()
+    for part in records:
+        x, u, p = part.system.symbols
+        formulas = ca.vertcat(part.system.derivative(x, u, p), part.system.output(x, u, p))
+        used.update(compress(part.system.inputs, ca.which_depends(formulas, u)))
+        moving.update(name for name in part.system.inputs if np.ptp(part.model.record[name]))
+
+    # A static model has no free response.
+    resting = [name for name in inputs if name not in moving]
+    is_free = len(records) == len(nlp.parts) and not any(part.is_static for part in records)
+    if resting and (moving or is_free):
+        yield f"the inputs never change ({', '.join(resting)}): " + (
+            "their effects look like those of constants."
+            if moving
+            else "only the free response is informative."
+        )
+    for name in inputs:
+        if name in moving and name not in used:
+            yield f"no equation and no measured output uses the input {name}: remove it or use it."
 
 
 def rounded_outputs(records: Sequence[FittedRecord]) -> Sentences:
