@@ -56,8 +56,9 @@ def minimum_at_kink(search: Multistart) -> Sentences:
     run = search.runs[search.minima[0].runs[0]]
     if run.status.startswith(AT_KINK):
         yield (
-            f"run {run.index} {run.status}: a state or an input switches there, and no side has a "
-            "gradient of zero. The standard errors hold on one side only: use the profiles."
+            f"run {run.index} {run.status}: gradients beside its end differ and none is zero, as "
+            "where a state or an input switches, or where the steps of the integration are too "
+            "long. The standard errors hold on one side only: use the profiles."
         )
 
 
