@@ -179,6 +179,8 @@ def as_options(text: str, options: argparse.Namespace) -> str:
     # The library's messages name arguments. Only names of this command's options are translated:
     # x=3 in a formula stays as it is.
     text = text.replace("fixed={", "fix={").replace("records=[...]", "held_out=...")
+    text = text.replace("gb.load(path, models=[...])", "--model my.py")
+    # An option of several values, such as --free, takes all words behind it.
     text = text.replace("a problem or", "a problem, before the options, or")
     names = "|".join(name for name in vars(options) if name.isidentifier())
 

@@ -37,7 +37,7 @@ from greybox.files.arrays import (
     frozen,
 )
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, listed, number, require_kind, text_table
+from greybox.files.text_table import Printed, listed, number, text_table
 from greybox.modeling.model import Model
 
 UNITS = {
@@ -493,7 +493,6 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     intervals).
     """
     require_level(level)
-    require_kind("loop", loop, FrequencyResponse, "the FrequencyResponse of a broken loop")
     loop = loop.by_frequency
     points, drawn = np.log(loop.omega), _drawn(loop)
     has_errors = len(drawn) > 1

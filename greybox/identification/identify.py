@@ -16,7 +16,7 @@ from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Interval, Labels, Named, Strings, Values, frozen
-from greybox.files.text_table import checked_items, one_line, require_kind
+from greybox.files.text_table import one_line, require_kind
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
 from greybox.identification.orders import select_orders
@@ -141,9 +141,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     >>> found.selection.explains
     True
     """
-    # A recording is a mapping, whose items are names.
-    logs = [log] if isinstance(log, Recording) else log
-    logs = checked_items("log", logs, str | Path | Recording, "a path, or what gb.read returns")
+    logs: Sequence[Any] = log if isinstance(log, list | tuple) else [log]
     recordings = [item if isinstance(item, Recording) else read(item) for item in logs]
     # Records made in memory have no checksum, and cannot be compared.
     checksums = {recording.checksum for recording in recordings if recording.checksum}

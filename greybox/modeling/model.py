@@ -111,8 +111,8 @@ KINDS: dict[Any, str] = {
 """Kinds of attributes of a model, and how a message asks for them."""
 
 NO_EFFECT = {
-    "algebraic": "write it into the formulas",
-    "parameters": "declare each by its name, a1 = gb.Parameter(2.0)",
+    "algebraic": "write it into the formulas.",
+    "parameters": "declare each by its name, a1 = gb.Parameter(2.0).",
 }
 """Attributes that a user may expect and that nothing reads, with what has their effect."""
 
@@ -122,15 +122,15 @@ def require_effect(cls: type, base: type) -> None:
     declared = {name: getattr(base, name) for name in dir(base) if not name.startswith("_")}
     data = [name for name, value in declared.items() if isinstance(value, DATA)]
     for name, value in vars(cls).items():
-        if name in NO_EFFECT:
-            raise TypeError(f"{cls.__name__}.{name} has no effect: {NO_EFFECT[name]}.")
-        for kind, cure in KINDS.items():
+        for kind, words in KINDS.items():
             if isinstance(declared.get(name), kind):
-                require_kind(f"{cls.__name__}.{name}", value, kind | property, cure)
+                require_kind(f"{cls.__name__}.{name}", value, kind | property, words)
         # Names such as input2 or limits_of_u are a user's own.
         is_unread = name not in declared and name.isalpha() and isinstance(value, DATA)
-        if is_unread and (near := nearest(name, data, likeness=0.85)):
-            raise TypeError(f"{cls.__name__}.{name} has no effect: did you mean {near!r}?")
+        near = nearest(name, data, likeness=0.85) if is_unread else None
+        if near or name in NO_EFFECT:
+            cure = NO_EFFECT.get(name, f"did you mean {near!r}?")
+            raise TypeError(f"{cls.__name__}.{name} has no effect: {cure}")
 
 
 class Model(ABC):
@@ -219,12 +219,8 @@ class Model(ABC):
         ValueError
             For a name that the model does not have.
         """
-        if not isinstance(values, Mapping | None):
-            raise TypeError(
-                f"the values of {self.label} are {values!r:.60}: give {{name: value}}, after the "
-                "model."
-            )
-
+        cure = "{name: value}, after the model"
+        require_kind(f"the argument of {self.label}", values, Mapping | None, cure)
         values = {**(values or {}), **more}
         require_known(values, self.parameters, "parameter", self.label)
         for name, value in values.items():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.experiment import measured_margins
 from greybox.data.record import Recording
 from greybox.experiment import broken_loop
 from greybox.experiment.sampled_loop import sampled_loop
@@ -183,8 +182,3 @@ def test_gains_that_did_not_fly_are_refused(recording):
     wrong = replace(recording, metadata={**recording.metadata, "parameters": parameters})
     with pytest.raises(ValueError, match="does not reproduce"):
         from_log(wrong, "pitch").check(wrong)
-
-
-def test_only_a_response_is_a_measured_loop():
-    with pytest.raises(TypeError, match=r"loop is 3: give the FrequencyResponse of a broken loop"):
-        measured_margins(3)

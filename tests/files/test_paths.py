@@ -10,10 +10,3 @@ import greybox as gb
 def test_what_is_no_path_is_refused_with_its_value(read, path):
     with pytest.raises(TypeError, match=r"path is .*: give the name of a file"):
         read(path)
-
-
-def test_columns_are_a_mapping(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("time,u\n0,1\n1,2\n")
-    with pytest.raises(TypeError, match=r"columns is \['u'\]: give \{name: 'column:unit'\}"):
-        gb.read(path, columns=["u"])

@@ -72,7 +72,7 @@ def test_what_no_structure_has_is_refused():
     with pytest.raises(TypeError, match="a structure is 'rate:DampedAngle': give models"):
         gb.identify(sitl_pitch.LOG, structures=["rate:DampedAngle"])
     record = gb.Record([0.0, 1.0], {"u": [0.0, 1.0]})
-    with pytest.raises(TypeError, match=r"log is .*: give a path, or what gb\.read returns"):
+    with pytest.raises(TypeError, match=r"path is <Record .*: give the name of a file"):
         gb.identify(record)
 
 

@@ -197,7 +197,7 @@ def test_values_are_given_to_a_problem_not_to_a_model():
         ):
             Lag(*args, **kwargs)
     with pytest.raises(
-        TypeError, match=r"the values of Lag are \[1\]: give \{name: value\}, after the model"
+        TypeError, match=r"the argument of Lag is \[1\]: give \{name: value\}, after the model"
     ):
         Lag().values([1])
     for value in ("1", None, np.nan, np.inf):

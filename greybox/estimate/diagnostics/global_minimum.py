@@ -140,7 +140,7 @@ def failure_warnings(search: Multistart, solver: LocalSolver) -> Sentences:
         is_known = nodes is not None or profile.converged
         if not (is_known and all(t.finite for t in profile.trajectories)):
             return
-        accuracy = assess(solver.nlp, run.estimate, profile.trajectories)
+        accuracy = assess(nlp, run.estimate, profile.trajectories)
     except np.linalg.LinAlgError:
         return
 

@@ -368,26 +368,22 @@ def _place(fitted: FittedRecord, pairs: Pairs) -> str:
 def resting_inputs(nlp: CompiledProblem) -> Sentences:
     """Note inputs that never change in any record, and inputs that no equation uses."""
     records = nlp.parts_of(RecordPart)
-    inputs = dict.fromkeys(name for part in records for name in part.system.inputs)
-    moving, used = set(), set()
+    inputs, moving, used = set[str](), set[str](), set[str]()
     for part in records:
-        x, u, p = part.system.symbols
-        formulas = ca.vertcat(part.system.derivative(x, u, p), part.system.output(x, u, p))
-        used.update(compress(part.system.inputs, ca.which_depends(formulas, u)))
-        moving.update(name for name in part.system.inputs if np.ptp(part.model.record[name]))
+        system, record = part.system, part.model.record
+        formulas = ca.vertcat(system.derivative(*system.symbols), system.output(*system.symbols))
+        inputs.update(system.inputs)
+        moving.update(name for name in system.inputs if np.ptp(record[name]))
+        used.update(compress(system.inputs, ca.which_depends(formulas, system.symbols[1])))
 
+    resting = ", ".join(sorted(inputs - moving))
+    if resting and moving:
+        yield f"the inputs never change ({resting}): their effects look like those of constants."
     # A static model has no free response.
-    resting = [name for name in inputs if name not in moving]
-    is_free = len(records) == len(nlp.parts) and not any(part.is_static for part in records)
-    if resting and (moving or is_free):
-        yield f"the inputs never change ({', '.join(resting)}): " + (
-            "their effects look like those of constants."
-            if moving
-            else "only the free response is informative."
-        )
-    for name in inputs:
-        if name in moving and name not in used:
-            yield f"no equation and no measured output uses the input {name}: remove it or use it."
+    elif resting and len(records) == len(nlp.parts) and not any(p.is_static for p in records):
+        yield f"the inputs never change ({resting}): only the free response is informative."
+    for name in sorted(moving - used):
+        yield f"no equation and no measured output uses the input {name}: remove it or use it."
 
 
 def rounded_outputs(records: Sequence[FittedRecord]) -> Sentences:

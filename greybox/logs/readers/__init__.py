@@ -31,7 +31,7 @@ from typing import NamedTuple
 from greybox.data.record import Recording
 from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import printable, require_kind
+from greybox.files.text_table import printable
 from greybox.logs.named_columns import in_si
 
 HEAD = 4096  # bytes by which a format is recognized
@@ -138,7 +138,6 @@ def read(
     if rate is not None and not rate > 0:
         raise ValueError(f"rate={rate} must be a number of Hz above 0.")
     path = require_file(path)
-    require_kind("columns", columns, Mapping | None, "{name: 'column:unit'}")
     names = (messages,) if isinstance(messages, str) else messages
     kind = _format(path)
     reader = import_module(f"greybox.logs.readers.{kind.module}")
