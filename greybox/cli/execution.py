@@ -12,7 +12,6 @@ from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_ans
 from greybox.cli.terminal import write
 from greybox.files.arrays import Fields
 from greybox.files.error_place import error_place
-from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
 
@@ -71,8 +70,6 @@ def _explain(error: Exception) -> tuple[str, int]:
     is_key_error = isinstance(error, KeyError) and error.args
     message = error.args[0] if is_key_error else error  # str() of a KeyError adds quotes
     sentence = " ".join(str(message).split()) or type(error).__name__
-    if isinstance(error, UnknownModelError):
-        sentence = f"{error.missing}: give its file, --model my.py."
     if isinstance(error, UsageError):
         return sentence, BAD_INPUT
 

@@ -71,9 +71,14 @@ class _Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # type: ignore
         """Refuse unknown options in the parser of the command, which can suggest similar ones."""
         options, unknown = super().parse_known_args(args, namespace)
+        several: Any = [a for a in self._get_positional_actions() if a.nargs in ("*", "+")]
+        if several and not any(word.startswith("-") for word in unknown):
+            # argparse takes the words of an argument from one place only, not a.h5 --json b.h5.
+            getattr(options, several[0].dest).extend(map(several[0].type, unknown))
+            return options, []
         if unknown:
             near = nearest(unknown[0].partition("=")[0], self._option_string_actions)
-            hint = f", did you mean {near}?" if near and unknown[0].startswith("-") else ""
+            hint = f", did you mean {near}?" if near else ""
             self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return options, unknown
 
@@ -83,6 +88,9 @@ class _Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"there is no {value!r}; there are {choices}")
 
     def error(self, message: str) -> NoReturn:
+        # An option of several values, such as --held-out, takes all words behind it.
+        if "are required" in message and "--" not in message:
+            message += ", before the options"
         see = " See" if message.endswith("?") else "; see"
         raise UsageError(f"{message.rstrip('.')}{see} {self.prog} --help.")
 

@@ -50,8 +50,8 @@ SHARED = """
     sampling rate of a table without a time
 --problem PROBLEM
     the fitted problem, if it has ties or constraints
---model FILE...
-    Python files with models of your own
+--model FILE
+    a Python file with models of your own (repeatable)
 """
 COMMON = "\n--json\n--quiet\n--debug"  # of every command
 
@@ -74,8 +74,9 @@ def declare(parser: argparse.ArgumentParser, text: str) -> None:
     ``--between START END`` two, ``--data FILE...`` at least one, ``names [NAME]...`` any number,
     ``--search {batched,multistart}`` one of these words, ``--force`` nothing. `KINDS` has the types
     by these words; words such as ``NAME=VALUE`` give values by name. Indented lines are the help:
-    its ``(default: 0.95)`` sets the default, and ``(required)`` makes the option required. An
-    option without help is one of `SHARED`.
+    its ``(default: 0.95)`` sets the default, ``(required)`` makes the option required, and
+    ``(repeatable)`` collects the values of its repetitions. An option without help is one of
+    `SHARED`.
     """
     shared = {block.split()[0]: block for block in _blocks(SHARED)}
     for block in _blocks(text):
@@ -85,6 +86,8 @@ def declare(parser: argparse.ArgumentParser, text: str) -> None:
         settings = _settings(words, about)
         if "(required)" in about:
             settings["required"] = True
+        if "(repeatable)" in about:
+            settings |= {"action": "append", "default": []}
         parser.add_argument(name, help=about, **settings)
 
 
@@ -107,7 +110,7 @@ def _settings(words: Labels, about: str) -> Fields:
         kind = KINDS.get(word, str)
         settings = {"metavar": word, "type": kind, "default": "" if kind is str else None}
         if words[0].endswith("..."):
-            settings |= {"nargs": "+", "default": []}
+            settings |= {"nargs": "+", "default": [], "action": "extend"}
             if is_optional:
                 settings |= {"nargs": "*", "default": None}
             elif re.match(r"\w+\[?=", word):
@@ -123,7 +126,8 @@ class _ByName(argparse.Action):
     """Stores words such as ``a5=0.16`` as values by name."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
-        setattr(namespace, self.dest, by_name(values, option_string, str(self.metavar)))
+        stated = by_name(values, option_string, str(self.metavar))
+        setattr(namespace, self.dest, getattr(namespace, self.dest) | stated)
 
 
 def by_name(words: Labels, flag: str, form: str) -> Fields:
@@ -175,6 +179,9 @@ def as_options(text: str, options: argparse.Namespace) -> str:
     # The library's messages name arguments. Only names of this command's options are translated:
     # x=3 in a formula stays as it is.
     text = text.replace("fixed={", "fix={").replace("records=[...]", "held_out=...")
+    text = text.replace("gb.load(path, models=[...])", "--model my.py")
+    # An option of several values, such as --free, takes all words behind it.
+    text = text.replace("a problem or", "a problem, before the options, or")
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
     # "open_loop=True" and "name=..." have no value on the command line.

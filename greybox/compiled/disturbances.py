@@ -26,15 +26,15 @@ UNSTABLE = 4.6
 
 
 class DisturbedRecord:
-    """A record along its best trajectory, with a name and its signals (·, samples) in order.
+    """A record along its best trajectory, with its signals (·, samples) in order.
 
     Where its residuals are means, their deviations were `spread` (k, 1) times as large before.
     """
 
     def __init__(
-        self, part: RecordPart, trajectory: Trajectory, name: str, spread: Array | float = 1.0
+        self, part: RecordPart, trajectory: Trajectory, spread: Array | float = 1.0
     ) -> None:
-        self.part, self.trajectory, self.spread, self.name = part, trajectory, spread, name
+        self.part, self.trajectory, self.spread = part, trajectory, spread
         placed = trajectory.detail
         segments, data = part.segments, placed.data
         m, k = len(part.system.inputs), len(part.outputs)

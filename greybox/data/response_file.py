@@ -69,7 +69,7 @@ def read_response(
     >>> abs(gb.read_response("lag.csv").response).round(3)
     array([0.707, 0.447])
     """
-    path = Path(path)
+    path = require_file(path)
     table, names = _table(path)
     table = numbered(table) if columns else table
     # The names of input and output choose a response of a matrix, and rename a single one.
@@ -113,7 +113,7 @@ def read_responses(
         As `read_response`; also if there is no response, or if names of columns can be read as two
         pairs: those of signals with ``_`` need a comment ``# pairs: body_rate/stick ...``.
     """
-    path = Path(path)
+    path = require_file(path)
     table, names = _table(path)
     prefixes = [name.removesuffix("_alpha") for name in names if name.endswith("_alpha")]
     stated = {pair.replace("/", "_"): pair for pair in table.facts.get(PAIRS, "").split()}
@@ -135,7 +135,6 @@ def read_responses(
 
 def _table(path: Path) -> tuple[DelimitedText, list[str]]:
     """Return the table in a file, and the names of its columns without their units."""
-    require_file(path)
     table = with_units_in_header(read_delimited(path, path.read_bytes()))
     return table, [heading(cell).name for cell in table.header]
 

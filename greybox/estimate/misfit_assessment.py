@@ -40,7 +40,6 @@ from greybox.files.arrays import (
     sum_of_squares,
     unit_length,
 )
-from greybox.files.text_table import numbered_where_alike
 from greybox.modeling.added_terms import Formula
 from greybox.solve.local_solver import LocalSolver
 from greybox.statistics.autoregressive_test import (
@@ -174,15 +173,12 @@ def assessed_misfit(
     values, bounded = nlp.all_values(x), np.flatnonzero(np.isin(nlp.free, at_bound))
     # Directions in which the fit can move.
     free = open_directions(active_constraints(nlp, x)[0], bounded)
-    # Flights of one model are often all named like it.
-    names = numbered_where_alike([part.name for part in nlp.parts])
     responses = [
-        regression_of_response(part, name, values, nlp.names, free)
-        for part, name in nlp.rows_of(ResponsePart, names)
+        regression_of_response(part, values, nlp.names, free) for part in nlp.parts_of(ResponsePart)
     ]
     manoeuvres = [
-        regression_of_manoeuvre(part, name, trajectory, values, nlp.names, free)
-        for part, name, trajectory in nlp.rows_of(TransientPart, names, trajectories)
+        regression_of_manoeuvre(part, trajectory, values, nlp.names, free)
+        for part, trajectory in nlp.rows_of(TransientPart, trajectories)
     ]
     # Means show what white residuals hide, but repeat less often than inputs of another period.
     is_quick = is_quick and all(
@@ -190,7 +186,7 @@ def assessed_misfit(
         for part, trajectory in nlp.rows_of(RecordPart, trajectories)
         for stretch in part.data.stretches
     )
-    disturbed = _disturbed(nlp, trajectories, names, is_quick)
+    disturbed = _disturbed(nlp, trajectories, is_quick)
     # Records are linearized by the solver's variables, responses by the parameters.
     by_x = free.T * nlp.scaling.slope(x)
     held = [*compress(nlp.free, is_held(free))]
@@ -278,7 +274,7 @@ def _with_autoregressive_errors(
             trajectory = part.trajectory(z, here.trajectory.nodes, simulated=True)
             step = part.condense(part.linearize(trajectory, weight), trajectory).node_step
             trajectory = part.trajectory(z, trajectory.nodes + step, simulated=True)
-            record = DisturbedRecord(part, trajectory, here.name)
+            record = DisturbedRecord(part, trajectory)
             # The weights of a fit would change with its errors.
             record.weight = weight
             constants = constants_of_record(record)
@@ -306,10 +302,10 @@ def _with_autoregressive_errors(
 
 
 def _disturbed(
-    nlp: CompiledProblem, trajectories: Sequence[Trajectory], names: Labels, is_quick: bool
+    nlp: CompiledProblem, trajectories: Sequence[Trajectory], is_quick: bool
 ) -> list[DisturbedRecord]:
-    """Return the records, shortened if they are long, by the names of all parts."""
-    rows = nlp.rows_of(RecordPart, trajectories, names)
+    """Return the records, shortened if they are long."""
+    rows = nlp.rows_of(RecordPart, trajectories)
     records = [row for row in rows if row[0].model.has_time]
 
     # Of all records together, at least 500 samples of each: a fit would wait for the test of more.

@@ -239,9 +239,7 @@ def _lines(measured: BoolArray) -> Array:
 
 
 @np.errstate(all="ignore")  # by larger steps, a simulation may diverge
-def shortened(
-    part: RecordPart, trajectory: Trajectory, name: str, numbers: Sequence[int]
-) -> DisturbedRecord:
+def shortened(part: RecordPart, trajectory: Trajectory, numbers: Sequence[int]) -> DisturbedRecord:
     """Return a record, a longer one with the first of these numbers of samples.
 
     Of a motion that is much slower than the samples, means of some residuals suffice, which show
@@ -264,7 +262,7 @@ def shortened(
     held = np.array([between.held for between in part.model.between])
     for samples in numbers:
         if part.samples <= samples:
-            return DisturbedRecord(part, trajectory, name)
+            return DisturbedRecord(part, trajectory)
         coarse = part.with_data(residuals.averaged(-(-part.samples // samples), held))
         simulated = coarse.simulated_outputs(along(coarse))
         missed = np.std(simulated - chosen(coarse, outputs), axis=1)
@@ -281,9 +279,9 @@ def shortened(
                 piece[:, -1] = np.nan
             coarse = coarse.with_outputs(pieces)
             spread = np.nanstd(residuals.measured, axis=1) / np.nanstd(means, axis=1)
-            return DisturbedRecord(coarse, along(coarse), name, spread[:, None])
+            return DisturbedRecord(coarse, along(coarse), spread[:, None])
     excerpt = part.excerpt(numbers[-1])
-    return DisturbedRecord(excerpt, along(excerpt), name)
+    return DisturbedRecord(excerpt, along(excerpt))
 
 
 def is_held(free: Array) -> BoolArray:
@@ -292,7 +290,7 @@ def is_held(free: Array) -> BoolArray:
 
 
 def regression_of_response(
-    part: ResponsePart, part_name: str, values: Array, names: Labels, free: Array
+    part: ResponsePart, values: Array, names: Labels, free: Array
 ) -> Regression:
     """Return the regression of a response at all `values`; the fit moves along `free` (p, d)."""
     response, criterion, data = part.response(values), part.error_model, part.data
@@ -316,7 +314,7 @@ def regression_of_response(
         return real_and_imaginary(turned / size[order, None])
 
     states, sine = part.problem.model.state_names, part.problem.amplitude
-    orders = [("own", part_name, 1.0)]
+    orders = [("own", part.name, 1.0)]
     orders += [
         ("trim" if signal in states else "schedule", signal, value)
         for signal, value in part.problem.at.items()
@@ -352,7 +350,6 @@ def regression_of_response(
 
 def regression_of_manoeuvre(
     part: TransientPart,
-    part_name: str,
     trajectory: Trajectory,
     values: Array,
     names: Labels,
@@ -393,7 +390,7 @@ def regression_of_manoeuvre(
         names,
         free,
         terms=terms,
-        orders=[("own", part_name, 1.0)],
+        orders=[("own", part.name, 1.0)],
     )
     # The drift of an output leaves what a straight line would.
     lines = np.eye(outputs)[:, None] / (1j * part.data.omega[:, None])

@@ -493,7 +493,7 @@ def _of_parameters(record: DisturbedRecord, held: Labels) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
     ones = np.ones(part.samples)
     # Among several records, one may need different values.
-    changes = [("own", ones, record.name), *(("change", row, "") for row in _along(part.samples))]
+    changes = [("own", ones, part.name), *(("change", row, "") for row in _along(part.samples))]
     # A signal that the model does not use, such as an airspeed, may order the flights, or act.
     motion = np.vstack([record.states, record.inputs, ones]).T
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):

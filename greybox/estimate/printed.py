@@ -254,7 +254,7 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
     for output in dict.fromkeys(output for part in records for output in part.outputs):
         parts = [part for part in records if output in part.outputs]
         percents = [part.fit_percent(output) for part in parts]
-        least = parts[percents.index(min(percents))].data.name
+        least = parts[percents.index(min(percents))].name
         texts.append(
             f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to "
             f"{max(percents):.1f} % (least in {least!r})"
@@ -264,7 +264,7 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
 
 
 def _output_text(part: FittedRecord, output: str) -> str:
-    place = f" ({part.name})" if part.name else ""
+    place = f" ({part.name})"
     size = rms(part.residual(output))
     if math.isnan(size):
         return f"{output}{place}: never measured"
@@ -283,7 +283,7 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
         # A response that contains a zero has no relative residual: it has no line.
         if all_finite(error):
             worst = np.argmax(error)
-            place = f" ({part.name})" if part.name and len(responses) > 1 else ""
+            place = f" ({part.name})" if len(responses) > 1 else ""
             line = (
                 f"residual {percent(rms(error))} % rms, largest {percent(error[worst])} % at "
                 f"{part.data.omega[worst]:.4g} rad/s{place}"
@@ -300,7 +300,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
     """Say how well every output of every manoeuvre is reproduced, and the noise of one sample."""
     texts = []
     for part in spectra:
-        place = f" ({part.name})" if part.name and len(spectra) > 1 else ""
+        place = f" ({part.name})" if len(spectra) > 1 else ""
         by_equation = part.criterion == EquationError().name
         for k, output in enumerate(part.outputs):
             noise = number(part.noise[k, k] ** 0.5)
@@ -333,7 +333,8 @@ def data_names(parts: Iterable[Any], models: Iterable[str]) -> list[str]:
     """
     return list(
         dict.fromkeys(
-            part.data.name or (part.data.checksum[:8] if part.name in models else part.name)
+            part.data.name
+            or (part.data.checksum[:8] if part.name.startswith(tuple(models)) else part.name)
             for part in parts
         )
     )

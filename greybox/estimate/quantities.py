@@ -90,22 +90,17 @@ def formulas(problem: AnyProblem) -> list[Formula]:
     for part in problem.parts:
         for name in part.tied:
             declared = part.model.parameters[name]
-            label = part.outside(name)
-            unit = declared.unit
-            about = declared.about
-            formula = Formula(label, "tied", unit, about, part, itemgetter(name))
+            label, value = part.outside(name), itemgetter(name)
+            formula = Formula(label, "tied", declared.unit, declared.about, part, value)
             formulas_by_name.setdefault(label, formula)
 
     used_names = {*problem.parameters, *formulas_by_name}
-    for position, part in enumerate(problem.parts):
+    for part in problem.parts:
         differs = bool(part.rename or part.tied) and len(problem.parts) > 1
         for name, function in part.model.derived.items():
             # Parts that name or tie parameters alike have the same derived quantity: it is one
             # line.
             label = f"{name} ({part.name})" if differs or name in used_names else name
-            if differs and label in formulas_by_name:  # two parts of one name
-                label = f"{name} (part {position})"
-            formula = Formula(label, "derived", "", "", part, function)
-            formulas_by_name.setdefault(label, formula)
+            formulas_by_name.setdefault(label, Formula(label, "derived", "", "", part, function))
 
     return list(formulas_by_name.values())

@@ -9,7 +9,7 @@ checked for consistency (SECURITY.md).
 """
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -22,7 +22,7 @@ from greybox.estimate.result import Fit, require_fit
 from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.safe_files import HDF5
 from greybox.files.sealed_files import read_sealed, write_sealed
-from greybox.files.text_table import printable
+from greybox.files.text_table import checked_items, printable
 from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
@@ -90,7 +90,7 @@ def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> 
     >>> again.estimate == fit.estimate
     True
     """
-    return from_bytes(read_sealed(Path(path)), models, f"{path}")
+    return from_bytes(read_sealed(path), models, f"{path}")
 
 
 def to_bytes(fit: Fit) -> bytes:
@@ -106,16 +106,18 @@ def from_bytes(data: bytes, models: Any, place: str = "the stored fit") -> Fit:
     ValueError
         If it is damaged, or was written by another version.
     """
-    is_one = isinstance(models, str) or not isinstance(models, Iterable)
-    entries: Iterable[Any] = [models] if is_one else models
-    given = tuple(model for entry in entries for model in _models(entry))
+    cure = "model classes, models, modules, or paths of Python files"
+    given: list[Model | type[Model]] = []
+    for entry in checked_items("models", models, Model | type | ModuleType | str | Path, cure):
+        source = module_from_file(entry) if isinstance(entry, str | Path) else entry
+        given += models_of(source) if isinstance(source, ModuleType) else [source]
     try:
         layout, checksum, values = json.loads(data)
         # An older layout is refused, not converted: fits are cheap to repeat.
         if layout == LAYOUT:
             fit = read(values, Fit)
             _require_consistent(fit, checksum)
-            return replace(fit, given=given)
+            return replace(fit, given=tuple(given))
         cure = "install a newer greybox" if layout > LAYOUT else "fit again"
     except DAMAGES as error:
         raise ValueError(
@@ -123,20 +125,6 @@ def from_bytes(data: bytes, models: Any, place: str = "the stored fit") -> Fit:
         ) from None
 
     raise ValueError(f"{place} has layout {layout} and this version reads {LAYOUT}: {cure}.")
-
-
-def _models(entry: ModelSource) -> Sequence[Model | type[Model]]:
-    """Return the models in one entry of the argument `models`."""
-    if isinstance(entry, str | Path):
-        return models_of(module_from_file(Path(entry)))
-    if isinstance(entry, ModuleType):
-        return models_of(entry)
-    if isinstance(entry, Model) or (isinstance(entry, type) and issubclass(entry, Model)):
-        return [entry]
-
-    raise TypeError(
-        f"models has {entry!r:.60}: give model classes, models, modules, or paths of Python files."
-    )
 
 
 def _require_consistent(fit: Fit, checksum: str) -> None:

@@ -4,6 +4,7 @@ Begin with `plan_sines`.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import field
 from typing import NamedTuple
 
@@ -201,7 +202,12 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    _require_valid(band, wanted, {"band[0]": band[0], "amplitude": amplitude, **wanted, **limits})
+    require_band(band)
+    if not (wanted and isinstance(wanted, Mapping)):
+        raise ValueError(f"wanted is {wanted!r:.60}: give {{parameter: standard error}}.")
+    for name, value in {"band[0]": band[0], "amplitude": amplitude, **wanted, **limits}.items():
+        if not value > 0:
+            raise ValueError(f"the value of {name}, {value:g}, must be a positive number.")
     input, output = pick_signals(model, input, output)
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)
@@ -248,19 +254,6 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         rate=rate,
         settings={"lead_in": lead_in, "pause": pause},
     )
-
-
-def _require_valid(
-    band: Interval,
-    wanted: Values,
-    positive: Values,
-) -> None:
-    require_band(band)
-    if not wanted:
-        raise ValueError("wanted is empty: give a standard error for at least one parameter.")
-    for name, value in positive.items():
-        if not value > 0:
-            raise ValueError(f"the value of {name}, {value:g}, must be a positive number.")
 
 
 def _gains(

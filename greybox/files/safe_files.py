@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from greybox.files.text_table import require_kind
+
 HDF5 = (".h5", ".hdf5")  # suffixes
 
 
@@ -48,15 +50,19 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def require_file(path: Path) -> None:
-    """Raise OSError unless a path is a file that can be read several times.
+def require_file(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a file that can be read several times.
 
     Raises
     ------
+    TypeError
+        For anything but a path.
     OSError
         For a path that does not exist (`FileNotFoundError`), a folder, and a pipe, which would
         block.
     """
+    require_kind("path", path, str | os.PathLike, "the name of a file")
+    path = Path(path)
     # A study copies what it reads, see `cli/batch_command.py`.
     sys.audit("greybox.read", str(path))
     if not path.exists():
@@ -65,3 +71,4 @@ def require_file(path: Path) -> None:
         raise IsADirectoryError(f"{path} is a folder: give a file in it.")
     if not path.is_file():
         raise OSError(f"{path} is a pipe or a device: copy its contents to a file, and give that.")
+    return path

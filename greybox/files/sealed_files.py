@@ -44,7 +44,7 @@ def write_sealed(path: Path, text: bytes) -> None:
         file.write(body)
 
 
-def read_sealed(path: Path) -> bytes:
+def read_sealed(path: str | Path) -> bytes:
     """Return the text of a sealed file.
 
     Raises
@@ -54,8 +54,7 @@ def read_sealed(path: Path) -> bytes:
     ValueError
         If it is another file, or was changed after it was sealed.
     """
-    require_file(path)
-    raw = path.read_bytes()
+    raw = require_file(path).read_bytes()
     title = TITLE.encode()
     if not raw.startswith(title):
         raise ValueError(

@@ -107,9 +107,11 @@ def listed(names: Labels) -> str:
 
 
 def numbered_where_alike(names: Labels) -> list[str]:
-    """Return the names, with their place as a number if two of them are alike."""
-    alike = len(set(names)) < len(names)
-    return [f"{name} {k}" if alike else name for k, name in enumerate(names, 1)]
+    """Return the names, with numbers in those that several have: y/u 1, y/u 2."""
+    return [
+        f"{name} {names[:k].count(name)}" if names.count(name) > 1 else name
+        for k, name in enumerate(names, 1)
+    ]
 
 
 def as_names(names: str | Iterable[str]) -> Strings:

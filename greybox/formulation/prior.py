@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, FloatPair, NamedStrings, Strings, by_name, frozen
-from greybox.files.text_table import listed
+from greybox.files.text_table import listed, require_kind
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import require_known
@@ -72,12 +72,9 @@ def normal_priors(
     free = [name for name, parameter in declared.items() if not parameter.fixed]
     if isinstance(prior, HeldEstimate):
         knowledge = shared_parameters(prior, {name: outside[name] for name in free}, "prior")
-    elif isinstance(prior, Mapping):
-        knowledge = prior
     else:
-        raise TypeError(
-            f"prior is {prior!r:.60}: give {{name: (mean, standard deviation)}} or a Fit."
-        )
+        require_kind("prior", prior, Mapping, "{name: (mean, standard deviation)} or a Fit")
+        knowledge = prior
 
     require_known(knowledge, free, "free parameter", "prior: the problem")
 

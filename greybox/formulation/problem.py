@@ -1,7 +1,7 @@
 """A problem: a model, data and a criterion, with fixed, tied and renamed parameters."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
@@ -85,6 +85,8 @@ class _OneOrSeveral(type):
         problem = super().__call__
         responses = _responses_by_pair(data)
         if not responses:
+            if "band" in options:
+                raise TypeError("band is for several responses: cut one by .between(low, high).")
             return problem(model, data, *args, **options)
 
         weight, band = options.pop("weight", 1.0), options.pop("band", {})
@@ -368,8 +370,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
         A mistake then shows here, not inside CasADi.
         """
-        if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
-            raise TypeError(f"constraints is {self.constraints!r:.60}: give a list of functions.")
+        require_kind("constraints", self.constraints, list | tuple, "a list of functions")
         label = self.model.label
         functions: dict[str, ParameterFormula] = {
             f"tied[{name!r}]": itemgetter(name) for name in self.tied
@@ -575,12 +576,8 @@ def _wrong_data(given: Any) -> str:
 
 def _call(function: ParameterFormula, p: Names, what: str) -> Any:
     """Evaluate a user's function of the parameters, naming it when it fails."""
-    if not callable(function):
-        raise TypeError(
-            f"{what} is {function!r:.60}: give a function such as lambda p: 2 * "
-            f"p.{next(iter(p), 'a')}."
-        )
-
+    cure = f"a function such as lambda p: 2 * p.{next(iter(p), 'a')}"
+    require_kind(what, function, Callable, cure)
     return called(what, function, p)
 
 

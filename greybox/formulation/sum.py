@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import by_name, frozen
-from greybox.files.text_table import counted, one_line, preformatted
+from greybox.files.text_table import counted, numbered_where_alike, one_line, preformatted
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters
@@ -73,9 +73,9 @@ class Sum(Addable, Generic[Part]):
         _require_data_once(self)
         # Stored for further sums: `a + b + c` must number biases once, over all records.
         vars(self)["_as_added"] = self.parts
-        vars(self)["parts"] = with_numbered_biases(_with_costs_that_add(self.parts))
+        vars(self)["parts"] = numbered_parts(_with_costs_that_add(self.parts))
         if not self.name:
-            names = list(dict.fromkeys(part.name for part in self.parts))
+            names = list(dict.fromkeys(part.name for part in self.as_added))
             if len(names) > 8:  # more names do not fit into a line
                 names = [*names[:2], "...", f"{names[-1]} ({len(names)} in all)"]
             vars(self)["name"] = " + ".join(names)
@@ -150,14 +150,14 @@ def _require_data_once(problem: Sum[Any]) -> None:
         data = part.data
         stretches = data.stretches if isinstance(data, FrequencyResponse) else [data.stretch]
         for stretch in filter(None, stretches):
-            used = next((record for record in records if _holds(record.data, stretch)), None)
-            if used is not None:
-                raise ValueError(
-                    f"{part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s of "
-                    f"the record {used.name!r}, which would count the same data twice: leave one "
-                    "of them out, or fit the record between other times, "
-                    "record.between(start, end)."
-                )
+            for record in records:
+                if _holds(record.data, stretch):
+                    raise ValueError(
+                        f"{part.name!r} was estimated from {stretch.start:g} to {stretch.end:g} s "
+                        f"of the record {record.name!r}, which would count the same data twice: "
+                        "leave one of them out, or fit the record between other times, "
+                        "record.between(start, end)."
+                    )
 
 
 def _holds(record: Record, stretch: Stretch) -> bool:
@@ -217,10 +217,11 @@ def _record_numbers(data: Sequence[Any]) -> list[int]:
     ]
 
 
-def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
+def numbered_parts(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with biases numbered by the record, where several records have one.
 
-    Parts of one record share its biases. A bias is not numbered, so that records can share it, if a
+    Equal names of parts are numbered, too: flights of one model are often all named like it. Parts
+    of one record share its biases. A bias is not numbered, so that records can share it, if a
     part renames it (also to its own name) or fixes it at an earlier fit, which has that name.
     """
     records = _record_numbers([part.data for part in parts])
@@ -229,13 +230,13 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
 
     numbered: dict[tuple[str, int], str] = {}
     result = []
-    for part, record in zip(parts, records, strict=True):
+    part_names = numbered_where_alike([part.name for part in parts])
+    for part, record, part_name in zip(parts, records, part_names, strict=True):
         renamed = {}
         for name in part.declared:
-            is_named = name in {*part.model.parameters, *part.rename}
             # Held estimates come last: with 30 parts, looking for them takes a tenth of compiling.
             if (
-                is_named
+                name in {*part.model.parameters, *part.rename}
                 or not name.endswith("_bias")
                 or isinstance(part.fixed_values.get(name), HeldEstimate)
             ):
@@ -249,6 +250,7 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
                     numbered[name, record] = new
                     names_in_use.add(new)
                 renamed[name] = numbered[name, record]
-        result.append(part.with_(rename={**part.rename, **renamed}) if renamed else part)
+        changes = {"name": part_name, "rename": {**part.rename, **renamed}}
+        result.append(part.with_(**changes) if renamed or part_name != part.name else part)
 
     return tuple(result)

@@ -84,7 +84,7 @@ def _description(facts: Mapping[str, Child]) -> Element:
 def _data_table(fit: Fit) -> Element:
     rows = [
         [
-            Cell(part.name or part.data.name or "–"),
+            Cell(part.name),
             Cell(part.label),
             Cell(part.signal_path),
             Cell(counted(len(part.data), *part.nouns[:2]), float(len(part.data))),

@@ -141,7 +141,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     >>> found.selection.explains
     True
     """
-    logs = [log] if isinstance(log, str | Path | Recording) else list(log)
+    logs: Sequence[Any] = log if isinstance(log, list | tuple) else [log]
     recordings = [item if isinstance(item, Recording) else read(item) for item in logs]
     # Records made in memory have no checksum, and cannot be compared.
     checksums = {recording.checksum for recording in recordings if recording.checksum}

@@ -18,7 +18,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
 )
-from greybox.files.text_table import alternatives
+from greybox.files.text_table import alternatives, nearest, require_kind
 from greybox.modeling.parameter import Parameter, Parameters
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
@@ -100,6 +100,39 @@ def declared_parameters(cls: type) -> dict[str, Parameter]:
     return parameters
 
 
+DATA = str | tuple | list | Mapping
+
+KINDS: dict[Any, str] = {
+    Callable: "a function",
+    str: "a name",
+    tuple | list: "a tuple of names",
+    Mapping: "a dictionary",
+}
+"""Kinds of attributes of a model, and how a message asks for them."""
+
+NO_EFFECT = {
+    "algebraic": "write it into the formulas.",
+    "parameters": "declare each by its name, a1 = gb.Parameter(2.0).",
+}
+"""Attributes that a user may expect and that nothing reads, with what has their effect."""
+
+
+def require_effect(cls: type, base: type) -> None:
+    """Raise TypeError for attributes of another kind than in `base`, or with almost such a name."""
+    declared = {name: getattr(base, name) for name in dir(base) if not name.startswith("_")}
+    data = [name for name, value in declared.items() if isinstance(value, DATA)]
+    for name, value in vars(cls).items():
+        for kind, words in KINDS.items():
+            if isinstance(declared.get(name), kind):
+                require_kind(f"{cls.__name__}.{name}", value, kind | property, words)
+        # Names such as input2 or limits_of_u are a user's own.
+        is_unread = name not in declared and name.isalpha() and isinstance(value, DATA)
+        near = nearest(name, data, likeness=0.85) if is_unread else None
+        if near or name in NO_EFFECT:
+            cure = NO_EFFECT.get(name, f"did you mean {near!r}?")
+            raise TypeError(f"{cls.__name__}.{name} has no effect: {cure}")
+
+
 class Model(ABC):
     """What `TransferFunction` and `StateSpace` share: declared parameters and derived quantities.
 
@@ -125,11 +158,10 @@ class Model(ABC):
         """Collect the parameters of the class body and of the classes above it."""
         super().__init_subclass__(**kwargs)
         parameters = declared_parameters(cls)
-        bases = (base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE))
+        bases = [base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE)]
         for base in (Names, *bases):
             require_usable(parameters, cls.__name__, base)
-        if "algebraic" in vars(cls):
-            raise TypeError(f"{cls.__name__}.algebraic has no effect: write it into the formulas.")
+        require_effect(cls, bases[0])
         cls.parameters = MappingProxyType(parameters)
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
@@ -187,12 +219,8 @@ class Model(ABC):
         ValueError
             For a name that the model does not have.
         """
-        if not isinstance(values, Mapping | None):
-            raise TypeError(
-                f"the values of {self.label} are {values!r:.60}: give {{name: value}}, after the "
-                "model."
-            )
-
+        cure = "{name: value}, after the model"
+        require_kind(f"the argument of {self.label}", values, Mapping | None, cure)
         values = {**(values or {}), **more}
         require_known(values, self.parameters, "parameter", self.label)
         for name, value in values.items():

@@ -10,7 +10,7 @@ from greybox.files.safe_files import require_file
 from greybox.modeling.model import Model
 
 
-def module_from_file(path: Path) -> ModuleType:
+def module_from_file(path: str | Path) -> ModuleType:
     """Import a user's own file under its own name, as Python does from the working directory.
 
     Raises
@@ -20,7 +20,7 @@ def module_from_file(path: Path) -> ModuleType:
     ValueError
         If it has the name of another module.
     """
-    require_file(path)
+    path = require_file(path)
     # The file may import its neighbors.
     folder = str(path.resolve().parent)
     if folder not in sys.path:

@@ -15,20 +15,6 @@ from greybox.modeling.model_file import models_of
 from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, SeriesConnection
 
 
-class UnknownModelError(LookupError):
-    """The model of a stored result, which is neither included nor given.
-
-    Attributes
-    ----------
-    missing : str
-        The message without the cure, which differs on the command line.
-    """
-
-    def __init__(self, missing: str) -> None:
-        super().__init__(f"{missing}: give its class or file, gb.load(path, models=[...]).")
-        self.missing = missing
-
-
 def reference(model: Model) -> Fields:
     """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``."""
     positional, named = model.arguments
@@ -47,7 +33,7 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
 
     Raises
     ------
-    UnknownModelError, LookupError
+    LookupError
         If it is neither, or does not take the stored arguments.
     """
     module_name, _, class_name = stored["class"].partition(":")
@@ -55,9 +41,16 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
         f"the model {printable(class_name)} of the module {module_name!r} is needed and was not "
         "found"
     )
-    model = _given(module_name, class_name, given) or included_model(module_name, class_name)
+    named = [model for model in given if class_of(model).__qualname__ == class_name]
+    # The same file has the module ``__main__`` when it is run.
+    named.sort(key=lambda model: class_of(model).__module__ != module_name)
+    model = named[0] if named else included_model(module_name, class_name)
     if model is None:
-        raise UnknownModelError(f"{missing} among those that greybox includes or that were given")
+        names = ", ".join(class_of(model).__qualname__ for model in given) or "none"
+        raise LookupError(
+            f"{missing} among those of greybox or those given ({names}): give its class or file, "
+            "gb.load(path, models=[...])."
+        )
 
     if isinstance(model, Model):
         return model
@@ -70,13 +63,6 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
         raise LookupError(
             f"{missing} as it was: {error}; give the model itself, gb.load(path, models=[...])"
         ) from None
-
-
-def _given(module_name: str, class_name: str, given: Sequence[AnyModel]) -> AnyModel | None:
-    """Return the given model of this class, if possible of the same module."""
-    named = [model for model in given if class_of(model).__qualname__ == class_name]
-    # The same file has the module ``__main__`` when it is run.
-    return min(named, key=lambda model: class_of(model).__module__ != module_name, default=None)
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:

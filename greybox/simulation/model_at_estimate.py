@@ -135,10 +135,10 @@ def model_at(
     """
     is_fit = isinstance(model, Estimate)
     if is_fit and values is not None:
-        cure = "leave the other out"
-        if isinstance(values, Record):
-            cure = "give the record by name, record=r"
-        raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
+        raise TypeError(
+            f"the model is a Fit, which has an estimate of its own, so {values!r:.80} is no "
+            "argument: leave it out, or give a record by name, record=r."
+        )
     if not is_fit and not isinstance(model, Model):
         raise TypeError(f"model is {model!r:.80}: give an instance such as LinearTilt(), or a Fit.")
     fit = model if is_fit else values

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.checked_array import require_band
+from greybox.data.checked_array import finite_numbers, require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, SPACING, response_of_hold
 from greybox.data.record import Record
@@ -96,6 +96,10 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     """
     instruments = conditioned.values() if isinstance(conditioned, Mapping) else conditioned
     signals = [input, output, instrument or input, *conditioned, *instruments]
+    if signals.count(output) > 1:
+        raise ValueError(
+            f"{output} is the output: name another signal as input, instrument or conditioned."
+        )
     stretches = uniform_stretches(records, signals)
     lines = lines_of(stretches)
     lowest = LOWEST * lines.spacing
@@ -108,8 +112,10 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         sampled = near and (lambda w: near(w) * response_of_hold(w, seconds))
         estimated = tiled_points(lines, *ends, max(points, 2), sampled)
     else:
-        grid = np.array(omega, dtype=float, ndmin=1)
-        too_low = grid[~(grid >= lowest * (1 - 1e-9))]
+        grid = finite_numbers("omega", omega)
+        if not grid.size:
+            raise ValueError("omega has no frequencies: give at least one, or leave it out.")
+        too_low = grid[grid < lowest * (1 - 1e-9)]
         if too_low.size:
             raise ValueError(
                 f"omega = {too_low[0]:g} rad/s has fewer than {LOWEST} periods in the longest "

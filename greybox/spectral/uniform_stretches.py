@@ -8,6 +8,7 @@ import numpy as np
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps
 from greybox.files.arrays import Array, Labels
+from greybox.files.text_table import checked_items
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
@@ -42,7 +43,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> li
         For a signal that a record does not hold.
     """
     stretches = []
-    for record in [records] if isinstance(records, Record) else records:
+    for record in checked_items("records", records, Record, "a Record or several of them"):
         require_time(record, "a frequency response")
         for piece in record.pieces:
             values = np.array([piece[name] for name in signals])

@@ -140,7 +140,7 @@ def _locate(kind: str, text: str) -> tuple[ModuleType, str]:
     # Not simply at the first colon: on Windows a drive letter has one too.
     match = re.fullmatch(r"(.+\.py)(?::(\w+))?", text)
     if match:
-        return module_from_file(Path(match[1])), match[2] or ""
+        return module_from_file(match[1]), match[2] or ""
     place, _, name = text.partition(":")
     return shipped_module(kind, place), name
 

@@ -52,8 +52,7 @@ def read_data(
     ValueError, FileNotFoundError
         If the file does not exist, has no or several such records, or its columns do not exist.
     """
-    path = Path(path)
-    require_file(path)
+    path = require_file(path)
     if prepare:
         return prepared(read(path, columns=columns or None, rate=rate), **prepare)
     names = _header(path)

@@ -57,6 +57,13 @@ def test_values_by_name():
         parsed("--fix a=1 a=2")
 
 
+def test_an_option_that_is_repeated_adds_its_values():
+    options = parsed("--fix a=1 --free b c --model my.py --fix d=2 --free e --model other.py")
+    assert options.fix == {"a": 1.0, "d": 2.0}
+    assert options.free == ["b", "c", "e"]
+    assert [path.name for path in options.model] == ["my.py", "other.py"]
+
+
 def test_options_are_declared_as_the_help_shows_them():
     text = """
 place PLACE

@@ -25,7 +25,7 @@ def test_models_of_ones_own_are_given_by_their_file(capsys, own, tmp_path, comma
     run(capsys, "fit", name, "--out", "fit.h5", "--quiet", *QUICK)
     run(capsys, "fit", name, "--fix", "T=0.19", "--out", "fixed.h5", "--quiet", *QUICK)
     assert "was not found" in (sentence := refused(capsys, *command))
-    assert sentence.endswith("or that were given: give its file, --model my.py.\n")
+    assert sentence.endswith("or those given (none): give its class or file, --model my.py.\n")
     status, out, _ = run(capsys, *command, "--model", name, "--json")
     assert status == 0
     assert json.loads(out)

@@ -99,3 +99,16 @@ def test_a_saved_failure_keeps_its_best_effort(tmp_path):
     loaded = gb.load(tmp_path / "failed.h5")
     assert loaded.best_effort == fit.best_effort
     assert str(loaded) == str(fit)
+
+
+def test_constraints_that_no_values_meet_are_named_with_their_value():
+    omega = np.geomspace(0.1, 10, 12)
+    response = gb.frequency_response(Lag(), {"a": 3.0, "k": 20.0}, omega)
+    limits = [lambda p: p.a, lambda p: p.k - 11]  # k has the upper bound 10
+    fixed = {"mass": 1.0}
+    for data in (response, gb.Record(TIME, {"u": U, "x": U + NOISE})):
+        fit = gb.fit(gb.Problem(Lag(), data, fixed=fixed, constraints=limits), starts=2)
+        assert not fit.converged
+        (said,) = (text for text in fit.warnings if text.startswith("constraints["))
+        assert said.startswith("constraints[1] of 'Lag' is -")
+        assert "must be at least 0" in said

@@ -110,6 +110,29 @@ def test_where_no_start_is_finite_the_sentence_names_what_when_and_the_cure(prob
     assert said in str(found)
 
 
+class Friction(gb.StateSpace):
+    """Dry friction behind a fast lag: no implicit step ends where the sign changes."""
+
+    states, inputs, outputs = ("v", "f"), ("u",), ("v",)
+    c = gb.Parameter(0.2, bounds=(0.1, 2))
+    T = gb.Parameter(0.01, bounds=(0.005, 0.1))
+
+    def derivative(self, x, u, p):
+        return (x.f - p.c * gb.sign(x.v) - 0.5 * x.v, (u.u - x.f) / p.T)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def test_implicit_steps_that_fail_at_a_jump_name_it():
+    problem = gb.Problem(Friction(), record("v"))
+    method = gb.MultipleShooting(integrator=gb.Radau())
+    (said,) = fit(problem, starts=1, method=method).warnings
+    assert "v and f are no longer finite" in said
+    assert "if a formula jumps, such as gb.sign(v), smooth it" in said
+    assert "Radau" not in said
+
+
 def test_a_table_names_the_row():
     rows = gb.Record(
         np.arange(30.0), {"u": np.repeat([0.1, 0.2, 3.0], 10), "y": np.ones(30)}, has_time=False

@@ -178,6 +178,42 @@ def test_rest_in_one_of_several_records_is_no_matter():
     assert [text for text in both.notes if "the inputs never change (u)" in text]
 
 
+class TwoInputs(Slide):
+    """A slide that declares another input."""
+
+    inputs = ("u", "w")
+    d = gb.Parameter(0.1, bounds=(-5, 5))
+
+    def derivative(self, x, u, p):
+        speed, change = super().derivative(x, u, p)
+        return speed, change + p.d * u.w
+
+
+class Unused(TwoInputs):
+    """No equation has the other input."""
+
+    derivative = Slide.derivative
+
+
+@pytest.mark.parametrize(
+    ("model", "w", "words"),
+    [
+        (TwoInputs(), np.ones(300), "the inputs never change (w): their effects look like those"),
+        (Unused(), np.sin(np.arange(300)), "uses the input w"),
+        (Unused(), np.zeros(300), "the inputs never change (w)"),
+        (TwoInputs(), np.sin(np.arange(300)), ""),
+    ],
+)
+def test_inputs_that_rest_beside_others_or_have_no_effect_are_noted(model, w, words):
+    u = np.sign(np.sin(np.arange(300) / 20))
+    x = gb.simulate(Slide(), {"tau": 0.4, "K": 3.0}, gb.Record(0.01 * np.arange(300), {"u": u}))
+    noise = 0.002 * np.random.default_rng(2).normal(size=300)
+    record = gb.Record(0.01 * np.arange(300), {"u": u, "w": w, "x": x["x"] + noise})
+    notes = " ".join(fit(model, record).notes)
+    assert words in notes
+    assert bool(words) == ("input" in notes)
+
+
 def test_a_record_in_which_nothing_happens_is_refused():
     still = slid(0.0, 0.0)
     with pytest.raises(

@@ -31,7 +31,7 @@ def test_residuals_of_the_previous_period_are_held_against_those_of_the_next(per
     nlp = compile_problem(gb.Problem(Lag(), record))
     (part,) = nlp.parts
     trajectory = part.trajectory(nlp.scaling.to_solver(np.array([0.5])))
-    flight = DisturbedRecord(part, trajectory, "flight")
+    flight = DisturbedRecord(part, trajectory)
     [([term], _)] = repeated_residuals([flight])
     (values,) = part.data.unpadded(term.values[None])
     (residuals,) = part.data.unpadded(flight.residuals)

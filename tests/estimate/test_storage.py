@@ -476,7 +476,11 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
     for given in ({module.Mine}, [model], [module], [str(file)], module.Mine, str(file)):
         again = gb.load(tmp_path / "a.h5", models=given)
         assert_array_equal(again.response([1.0, 2.0]).response, expected)
-    with pytest.raises(TypeError, match="models has 5: give model classes"):
+    with pytest.raises(
+        LookupError, match=r"Mine .* not found among .* those given \(Tilt, Rotor\)"
+    ):
+        gb.load(tmp_path / "a.h5", models=[Tilt, Rotor]).response([1.0])
+    with pytest.raises(TypeError, match="models is 5: give model classes"):
         gb.load(tmp_path / "a.h5", models=[5])
 
 

@@ -158,7 +158,8 @@ def test_expected_errors_are_those_of_a_fit_that_ends_there():
     [
         ({"band": (5, 2)}, "the lower one first"),
         ({"band": (0, 2)}, "the value of band\\[0\\], 0, must be a positive number"),
-        ({"wanted": {}}, "wanted is empty"),
+        ({"wanted": {}}, r"wanted is \{\}: give \{parameter: standard error\}"),
+        ({"wanted": ["K"]}, r"wanted is \['K'\]: give \{parameter: standard error\}"),
         ({"wanted": {"Q": 1.0}}, "no free parameter 'Q'"),
         ({"noise": 0.0}, "must be a positive standard deviation"),
         ({"limits": {"y": 0.0}}, "must be a positive number"),

@@ -74,6 +74,24 @@ def test_weights_and_bands_go_to_their_pairs():
         gb.Problem(Roll(), rows, weight={"p/pedal": 2.0})
 
 
+def test_a_band_of_a_single_response_is_refused_with_what_cuts_it():
+    with pytest.raises(TypeError, match=r"band is for several responses: .*\.between\(low, high\)"):
+        gb.Problem(Roll(), matrix()[0][0], band=(1.0, 10.0))
+
+
+def test_responses_of_one_name_are_numbered_once_however_they_are_added():
+    (first, other), _ = matrix()
+    again = gb.FrequencyResponse(1.1 * OMEGA, first.response, input="lat", output="v")
+    names = ["v/lat 1", "v/ped", "v/lat 2"]
+    together = gb.Problem(Roll(), [first, other, again])
+    one_by_one = sum(gb.Problem(Roll(), response) for response in (first, other, again))
+    for problem in (together, one_by_one):
+        assert [part.name for part in problem.parts] == names
+    assert [part.name for part in (one_by_one + together).parts][-1] == "v/lat 4"
+    fit = gb.fit(together, starts=1, progress=False)
+    assert all(f"({name})" in str(fit) for name in names)
+
+
 def test_an_frd_of_python_control_is_a_matrix():
     control = pytest.importorskip("control")
     values = np.array([[r.response for r in row] for row in matrix()])

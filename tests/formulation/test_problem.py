@@ -376,17 +376,17 @@ class FarAway(LagLagDelay):
         (
             {},
             {"tied": {"T1": lambda p: p.T2}},
-            "'T1' is tied in 'made' and free or tied differently in another part",
+            "'T1' is tied in 'made 2' and free or tied differently in another part",
         ),
         (
             {"tied": {"T1": lambda p: 2 * p.T2}},
             {"tied": {"T1": lambda p: p.T2}},
-            "'T1' is tied in 'made'",
+            "'T1' is tied in 'made 2'",
         ),
         (
             {"tied": {"T1": lambda p: p.T2}},
             {"tied": {"T1": lambda p: 0.01 / p.T2}},
-            "'T1' is tied in 'made'",
+            "'T1' is tied in 'made 2'",
         ),
     ],
     ids=[

@@ -5,7 +5,7 @@ import pytest
 from spring_lag_tilt import HELD, SPRING, Spring, assert_true, fit_finely as fit, spring
 
 import greybox as gb
-from greybox.formulation.sum import with_numbered_biases
+from greybox.formulation.sum import numbered_parts
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 
@@ -18,7 +18,7 @@ def biased(seed, offset, **options):
 
 
 def renames(*problems):
-    return [dict(part.rename) for part in with_numbered_biases(problems)]
+    return [dict(part.rename) for part in numbered_parts(problems)]
 
 
 def test_numbers_are_given_only_where_records_share_a_name():

@@ -71,6 +71,9 @@ def test_what_no_structure_has_is_refused():
         gb.identify(sitl_pitch.LOG, structures=[DampedAngle()], fixed={"K_psi": 1.0})
     with pytest.raises(TypeError, match="a structure is 'rate:DampedAngle': give models"):
         gb.identify(sitl_pitch.LOG, structures=["rate:DampedAngle"])
+    record = gb.Record([0.0, 1.0], {"u": [0.0, 1.0]})
+    with pytest.raises(TypeError, match=r"path is <Record .*: give the name of a file"):
+        gb.identify(record)
 
 
 def test_the_chain_says_what_it_chose(flown):

@@ -150,9 +150,32 @@ def test_a_value_in_the_place_of_a_declared_parameter_is_refused(value):
         type("Slow", (Lag,), {"tau": value})
 
 
-def test_algebraic_states_are_refused():
-    with pytest.raises(TypeError, match=r"Own\.algebraic has no effect"):
-        type("Own", (gb.StateSpace,), {"algebraic": ("z",)})
+@pytest.mark.parametrize(
+    ("base", "name", "value", "words"),
+    [
+        (gb.StateSpace, "algebraic", ("z",), "has no effect"),
+        (gb.StateSpace, "parameters", {"a": 1.0}, r"has no effect.*a1 = gb\.Parameter"),
+        (gb.StateSpace, "state", ("x",), "has no effect: did you mean 'states'"),
+        (gb.StateSpace, "input", "u", "has no effect: did you mean 'inputs'"),
+        (gb.StateSpace, "delay", {"u": "T"}, "has no effect: did you mean 'delays'"),
+        (gb.StateSpace, "unit", {"y": "m"}, "has no effect: did you mean 'units'"),
+        (gb.TransferFunction, "outputs", ("y",), "has no effect: did you mean 'output'"),
+        (gb.TransferFunction, "Derived", {"a": len}, "has no effect: did you mean 'derived'"),
+        (gb.StateSpace, "output", None, "is None: give a function"),
+        (gb.StateSpace, "states", "x", "is 'x': give a tuple of names"),
+        (gb.StateSpace, "delays", ("u",), r"is \('u',\): give a dictionary"),
+        (gb.TransferFunction, "output", ("y",), r"is \('y',\): give a name"),
+        (gb.TransferFunction, "response", None, "is None: give a function"),
+    ],
+)
+def test_attributes_that_cannot_have_the_effect_of_their_name_are_refused(base, name, value, words):
+    with pytest.raises(TypeError, match=rf"Own\.{name} {words}"):
+        type("Own", (base,), {name: value})
+
+
+def test_other_attributes_are_a_users_own():
+    own = {"delay": 0.02, "input2": "w", "state_names_in_log": ("x",), "united": True, "notes": ""}
+    assert type("Own", (gb.TransferFunction,), own).delay == 0.02
 
 
 def test_signals_are_picked_by_name_or_because_they_are_the_only_ones():
@@ -174,7 +197,7 @@ def test_values_are_given_to_a_problem_not_to_a_model():
         ):
             Lag(*args, **kwargs)
     with pytest.raises(
-        TypeError, match=r"the values of Lag are \[1\]: give \{name: value\}, after the model"
+        TypeError, match=r"the argument of Lag is \[1\]: give \{name: value\}, after the model"
     ):
         Lag().values([1])
     for value in ("1", None, np.nan, np.inf):

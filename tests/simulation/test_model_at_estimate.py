@@ -50,12 +50,10 @@ def test_a_fit_gives_its_covariance_and_noise():
     )
     assert_allclose(model.noise(model.part.outputs), model.part.noise)
     assert_allclose(model_at(Spring(), fit).q, model.q)
-    with pytest.raises(
-        TypeError, match="the model is a Fit, which has an estimate of its own: leave the other out"
-    ):
-        model_at(fit, {"stiffness": 1.0})
-    with pytest.raises(TypeError, match=r"give the record by name, record=r"):
-        model_at(fit, driven(8.0))
+    omega = np.array([1.0, 2.0])
+    for other in ({"stiffness": 1.0}, driven(8.0), gb.FrequencyResponse(omega, 1 / omega)):
+        with pytest.raises(TypeError, match=r"is a Fit.*leave it out, or give a record by name"):
+            model_at(fit, other)
 
 
 def test_a_model_with_a_parameter_that_the_fit_does_not_have_is_refused():

@@ -446,7 +446,7 @@ def test_things_that_are_not_what_they_should_be():
     with pytest.raises(TypeError, match="give one Record; for several, call it for each"):
         gb.predict(Spring(), {}, [driven(), driven()])
     fit = gb.fit(gb.Problem(Spring(), driven(noise=0.01)), starts=1, progress=False, profiles=False)
-    with pytest.raises(TypeError, match="give the record by name, record=r"):
+    with pytest.raises(TypeError, match="or give a record by name, record=r"):
         gb.predict(fit, driven())
     for part in ("0", 1, 0.0, True):
         with pytest.raises(

@@ -235,7 +235,14 @@ def test_drift_and_trim_do_not_matter():
     ("call", "words"),
     [
         (lambda r: spectral_response(r, omega=[0.01]), "fewer than 6 periods"),
-        (lambda r: spectral_response(r, omega=[np.nan]), "fewer than 6 periods"),
+        (lambda r: spectral_response(r, omega=[np.nan]), "omega is nan at index 0"),
+        (lambda r: spectral_response(r, omega=[]), "omega has no frequencies: give at least one"),
+        (lambda r: spectral_response(r, omega="3"), "omega must be a one-dimensional array"),
+        (lambda r: spectral_response("a.csv"), "records is 'a.csv': give a Record or several"),
+        (lambda r: spectral_response([r, 3]), "records is 3: give a Record or several"),
+        (lambda r: spectral_response(r, "theta"), "theta is the output: name another signal"),
+        (lambda r: spectral_response(r, instrument="theta"), "theta is the output"),
+        (lambda r: spectral_response(r, conditioned=("theta",)), "theta is the output"),
         (lambda r: spectral_response(r, band=(1e-3, 1e-2)), "not the band from 0.001"),
         (lambda r: spectral_response(r, band=(5.0, 1.0)), "band=5 1 must be two frequencies"),
         (lambda r: spectral_response(r, band="1 5"), "band '1 5' must be a pair of numbers"),
@@ -250,7 +257,7 @@ def test_mistakes_are_sentences(call, words):
     rng = np.random.default_rng(0)
     u = rng.standard_normal(30 * RATE)
     flown = record(u=u, theta=u, still=np.ones(u.size), missing=np.full(u.size, np.nan))
-    with pytest.raises((ValueError, KeyError), match=words):
+    with pytest.raises((ValueError, KeyError, TypeError), match=words):
         call(flown)
 
 

@@ -90,15 +90,13 @@ class Transcription(ABC):
         return self
 
     @property
-    def cure_if_stiff(self) -> str:
-        """What else helps where explicit steps are too long, for the end of a sentence."""
+    def other_cure(self) -> str:
+        """What else helps where steps are too long or fail, for the end of a sentence."""
+        if self.scheme.implicit:
+            return "; if a formula jumps, such as gb.sign(v), smooth it, gb.tanh(v / width)"
         return (
-            ""
-            if self.scheme.implicit
-            else (
-                "; if the model is stiff, with time constants far below a sample, use "
-                f"method={type(self).__name__}(integrator=Radau())"
-            )
+            "; if the model is stiff, with time constants far below a sample, use "
+            f"method={type(self).__name__}(integrator=Radau())"
         )
 
     def described(self, segment_length: int, substeps: int) -> str:

@@ -55,7 +55,7 @@ def discretization_warnings(
     yield (
         f"the integration is too coarse: twice the steps per sample ({2 * count} instead of "
         f"{count}) would change {name} or its standard error {size}; "
-        f"use {nlp.method.finer(error.growth * count)}{nlp.method.cure_if_stiff}."
+        f"use {nlp.method.finer(error.growth * count)}{nlp.method.other_cure}."
     )
 
 

@@ -56,8 +56,9 @@ def minimum_at_kink(search: Multistart) -> Sentences:
     run = search.runs[search.minima[0].runs[0]]
     if run.status.startswith(AT_KINK):
         yield (
-            f"run {run.index} {run.status}: a state or an input switches there, and no side has a "
-            "gradient of zero. The standard errors hold on one side only: use the profiles."
+            f"run {run.index} {run.status}: gradients beside its end differ and none is zero, as "
+            "where a state or an input switches, or where the steps of the integration are too "
+            "long. The standard errors hold on one side only: use the profiles."
         )
 
 
@@ -127,13 +128,21 @@ def failure_warnings(search: Multistart, solver: LocalSolver) -> Sentences:
     # A run that was cut short says nothing about what blocks it.
     if run.status in CUT_SHORT:
         return
+    nlp = solver.nlp
+    limits = nlp.constraint(nlp.all_values(run.estimate)).full().ravel()
+    for limit, value in zip(nlp.limits, limits, strict=True):
+        if value < -1e-6:
+            yield (
+                f"{limit} is {value:.3g} in that run and must be at least 0: check its sign, or "
+                "whether any values within the bounds meet all constraints."
+            )
     nodes = search.ends[run.index] if search.ends else None
     try:
         profile = solver.profile(run.estimate, nodes)
         is_known = nodes is not None or profile.converged
         if not (is_known and all(t.finite for t in profile.trajectories)):
             return
-        accuracy = assess(solver.nlp, run.estimate, profile.trajectories)
+        accuracy = assess(nlp, run.estimate, profile.trajectories)
     except np.linalg.LinAlgError:
         return
 

@@ -11,6 +11,7 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array, all_finite, as_arrays
+from greybox.files.text_table import some
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import NOT_FINITE, Run, Runs
 
@@ -131,10 +132,10 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in point)
         return Trouble(names[first], f"{names[first]} is not finite {place}, where {values}", cure)
 
-    cure += f", or use method=MultipleShooting(segment=2){method.cure_if_stiff}"
+    cure += f", or use method=MultipleShooting(segment=2){method.other_cure}"
     diverged = [system.states[k] for k in np.flatnonzero(lost[len(names) :, at])]
     verb = "is" if len(diverged) == 1 else "are"
-    joined = " and ".join(diverged)
+    joined = some(diverged)
     when = times[0, min(at + 1, times.size - 1)]
     why = f"{joined} {verb} no longer finite at {when:.6g} s"
     return Trouble(f"{joined}, simulated", why, cure)

@@ -137,7 +137,7 @@ def read(
     """
     if rate is not None and not rate > 0:
         raise ValueError(f"rate={rate} must be a number of Hz above 0.")
-    path = Path(path)
+    path = require_file(path)
     names = (messages,) if isinstance(messages, str) else messages
     kind = _format(path)
     reader = import_module(f"greybox.logs.readers.{kind.module}")
@@ -160,7 +160,6 @@ def read(
 
 
 def _format(path: Path) -> Format:
-    require_file(path)
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD)
