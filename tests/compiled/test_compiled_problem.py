@@ -260,7 +260,7 @@ def test_constraints_of_parts_of_one_name_all_count():
 
 def test_a_constraint_that_parts_of_one_name_share_counts_once():
     both = part(0, lambda p: p.K - 2 * p.T) + part(1, lambda p: p.K - 2 * p.T)
-    assert compile_problem(both).limits == ("constraints[0] of 'flight'",)
+    assert compile_problem(both).limits == ("constraints[0] of 'flight 1'",)
 
 
 def test_a_constraint_that_parts_of_two_names_share_counts_once():
