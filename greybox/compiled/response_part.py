@@ -239,8 +239,8 @@ class ResponsePart(Part):
             # The residuals lack errors along the directions that this part determines. With many
             # parts, each has a small share in most directions, and its residuals keep these errors:
             # only those count on which it has more than a tenth of the information that it has on
-            # its best one. With half of it, 20 of 90 white responses of a helicopter that are judged
-            # alone count as correlated, with a tenth 17, with all directions 36.
+            # its best one. With half of it, 20 of 90 white responses of a helicopter that are
+            # judged alone count as correlated, with a tenth 17, with all directions 36.
             _, sizes, turns = np.linalg.svd(directions, full_matrices=False)
             own = root @ turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
             neighbors = self.neighbors(values, own, correction)
