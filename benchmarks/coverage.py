@@ -330,7 +330,7 @@ class Cell:
         found = np.concatenate([x, value.ravel()])
         center = found - gradient @ accuracy.bias
         rough = any(
-            part.neighbors is not None and part.neighbors.errors.independent < UNLIKELY
+            part.neighbors is not None and part.neighbors.independent < UNLIKELY
             for part in accuracy.parts
         )
         return Answer(found, error, center, half, accuracy.covariance, accuracy.dof, rough)

@@ -162,22 +162,10 @@ class ColoredErrors:
     slow_errors: Callable[[], Array] = lambda: NO_NODES
 
 
-@frozen
-class CorrelatedPoints:
-    """The effect of errors that are correlated along frequency on the accuracy of an estimate.
-
-    Attributes
-    ----------
-    meat : (r, r) array
-        Middle matrix of the sandwich, for the given directions.
-    dof : float
-        Degrees of freedom of the variances that follow.
-    errors : NeighborCorrelation
-    """
-
-    meat: Array
-    dof: float
-    errors: NeighborCorrelation
+# What the residuals of a response show of the correlation of its errors along frequency, and a
+# function of such a correlation: the middle matrix (r, r) of the sandwich, for the given
+# directions, and the degrees of freedom of the variances that follow.
+CorrelatedPoints = tuple[NeighborCorrelation, Callable[[NeighborCorrelation], tuple[Array, float]]]
 
 
 @frozen
@@ -211,8 +199,8 @@ class Information:
         weight of the part. `spread` takes them as white. Directions of unit variance keep their
         digits where parameters are hardly determined.
     correlated : function of a correction, a root (p, r) of B⁻¹ and degrees of freedom, or None
-        The errors of a frequency response if neighboring points are correlated; None where nothing
-        is known about that. `spread` takes them as independent.
+        The errors of a frequency response if neighboring points may be correlated; None where
+        nothing is known about that. `spread` takes them as independent.
     errors : (n,) array, rad/s, and (2 n,) array, or None
         The residuals of a frequency response in the rows of the Jacobian, and their frequencies;
         None where errors are independent.

@@ -1,7 +1,6 @@
 """A frequency response with its model: cost, exact derivatives, and real residuals."""
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -237,34 +236,39 @@ class ResponsePart(Part):
             if data.has_independent_errors:
                 return None
             directions = jacobian[:, : len(root)] @ root
-            neighbors = self.neighbors(values, root @ _own_directions(directions), correction)
-            if neighbors is None:
-                return None
-            order = np.argsort(data.omega, kind="stable")
-            bread, meat = criterion.spread(response, data, correction)
-            # Neighbors in frequency are neighbors in correlation: the order matters here alone.
-            halves = np.split(np.sqrt(independent * meat)[:, None] * directions, 2)
-            middle, remaining_dof = averaged_meat(
-                complex_array(*halves)[order], neighbors, criterion.score_correlation, dof
-            )
-            meat = middle + common_meat(bread, directions)
+            # The residuals lack errors along the directions that this part determines. With many
+            # parts, each has a small share in most directions, and its residuals keep these errors:
+            # only those count on which it has more than a tenth of the information that it has on
+            # its best one. With half of it, 20 of 90 white responses of a helicopter that are
+            # judged alone count as correlated, with a tenth 17, with all directions 36.
+            _, sizes, turns = np.linalg.svd(directions, full_matrices=False)
+            own = root @ turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
+            neighbors = self.neighbors(values, own, correction)
 
-            return CorrelatedPoints(meat, remaining_dof, neighbors)
+            def averaged(errors: NeighborCorrelation) -> tuple[Array, float]:
+                order = np.argsort(data.omega, kind="stable")
+                bread, meat = criterion.spread(response, data, correction)
+                # Neighbors in frequency are neighbors in correlation: the order matters here alone.
+                halves = np.split(np.sqrt(independent * meat)[:, None] * directions, 2)
+                middle, remaining_dof = averaged_meat(
+                    complex_array(*halves)[order], errors, criterion.score_correlation, dof
+                )
+                return self.weight**2 * (middle + common_meat(bread, directions)), remaining_dof
 
-        @cache
+            return neighbors and (neighbors, averaged)
+
         def offset(correction: float) -> Array:
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
 
         residuals = (data.response - response)[:, None]
         errors = criterion.jacobian(response, residuals, data)[:, 0]
-        reach = column_lengths(jacobian)
         return Information(
             self,
             jacobian,
             len(jacobian),
             spread,
-            reach,
+            column_lengths(jacobian),
             correlated=correlated,
             errors=None if data.has_independent_errors else (data.omega, errors),
             offset=offset,
@@ -273,7 +277,7 @@ class ResponsePart(Part):
     def neighbors(
         self, values: Array, root: Array, correction: float
     ) -> NeighborCorrelation | None:
-        """Return the correlation of neighboring errors at all values (k,); None if independent.
+        """Return the correlation of neighboring errors at all values (k,); None if not known.
 
         The fit has removed errors along the columns of `root` (p, r), directions of the first
         values. `correction` scales the noise for the number of estimated parameters.
@@ -294,19 +298,6 @@ class ResponsePart(Part):
         inflation = (
             criterion.noise_ratio(response, data) * correction**2 if criterion.known_noise else None
         )
-        errors = turned * (data.response - response)[order]
-
-        return neighbor_correlation(errors, real_and_imaginary(design), inflation)
-
-
-def _own_directions(jacobian: Array) -> Array:
-    """Return the directions (r, k) that a part determines, by its Jacobian (2n, r).
-
-    The residuals lack errors along them. With many parts, each has a small share in most
-    directions, and its residuals keep these errors.
-    """
-    _, sizes, turns = np.linalg.svd(jacobian, full_matrices=False)
-    # A part determines a direction on which it has more than this share of the information that it
-    # has on its best one. A single part has all information on every direction. With 0.5, 20 of 90
-    # white responses of a helicopter count as correlated, with 0.1 17, with all directions 36.
-    return turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
+        return neighbor_correlation(
+            turned * (data.response - response)[order], real_and_imaginary(design), inflation
+        )

@@ -34,6 +34,7 @@ from greybox.files.arrays import (
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 from greybox.statistics.column_space import open_directions, triangle_of
+from greybox.statistics.neighbor_correlation import NeighborCorrelation, judged_together
 from greybox.statistics.shared_errors import shared_covariance
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
@@ -160,9 +161,11 @@ class PartAccuracy:
     colored : ColoredErrors or None
         Effect of correlation in time on a record or a spectrum; None for responses, and where
         errors are taken as white.
-    neighbors : CorrelatedPoints or None
-        Effect of correlation along frequency on a response; None for others, and where it is not
-        known.
+    neighbors : NeighborCorrelation or None
+        Correlation along frequency of the errors of a response; None for others, and where errors
+        count as independent.
+    points : CorrelatedPoints or None
+        What the residuals of a response, judged alone, show of that correlation.
     """
 
     share: _Share
@@ -172,7 +175,8 @@ class PartAccuracy:
     numbers: float
     bread: Array
     colored: ColoredErrors | None = None
-    neighbors: CorrelatedPoints | None = None
+    neighbors: NeighborCorrelation | None = None
+    points: CorrelatedPoints | None = None
 
 
 def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = ()) -> Accuracy:
@@ -219,7 +223,6 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
         [part.initial for part in parts],
     )
 
-    numbers = sum(part.numbers for part in parts) - seen.shape[1]
     known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
     blind = np.eye(k, p) @ np.hstack([invisible, np.eye(p)[:, bounded]])
     suspect = collinear_groups(jacobian, active, nlp.free, at_bound, invisible)
@@ -229,7 +232,9 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
         trajectories=trajectories,
         blind=blind,
         size=np.concatenate([size, np.ones(k - p)]),
-        dof=math.inf if known_noise else float(max(numbers, 0)),
+        dof=math.inf
+        if known_noise
+        else float(max(sum(part.numbers for part in parts) - seen.shape[1], 0)),
         at_bound=at_bound,
         active=holding,
         informations=tuple(parts),
@@ -257,7 +262,7 @@ def _with_covariance(
     stacked = _stacked(shares, p)
     first = _root_of_inverse(stacked, basis)
     pairs = zip(accuracy.informations, shares, strict=True)
-    parts = tuple(_corrected(part, share, first) for part, share in pairs)
+    parts = tuple(_with_neighbors([_corrected(part, share, first) for part, share in pairs]))
     root = _root_of_inverse(_stacked([part.share for part in parts], p), basis)
     inverse = root @ root.T
 
@@ -285,9 +290,8 @@ def _with_covariance(
     covariance = np.sum([term for term, _ in terms], axis=0)
     accuracy = replace(accuracy, shares=tuple(terms))
 
-    # A manoeuvre of one line, which its end terms take up, tells nothing.
-    telling = [part for part in parts if np.trace(part.bread) > 1e-9]
-    dof = sum(min(part.numbers, part.dof) for part in telling)
+    # A manoeuvre of one line, which its end terms take up, has no information.
+    dof = sum(min(part.numbers, part.dof) for part in parts if np.trace(part.bread) > 1e-9)
     if known_noise:
         # Variances that were given have no uncertainty; the estimated correlation has, of every
         # part by itself.
@@ -297,9 +301,8 @@ def _with_covariance(
         # Tests of terms need errors that are taken as independent: a term that is missing looks
         # like a correlation.
         change = sum(part.independent - part.meat for part in parts) - shared
-        numbers = sum(part.numbers for part in parts)
         alone = (covariance + turned @ change @ turned.T)[:p, :p]
-        independent = alone, math.inf if known_noise else numbers
+        independent = alone, math.inf if known_noise else sum(part.numbers for part in parts)
 
     # The bias is the least-squares response to what noise adds to the residuals on average.
     bias = np.eye(k, p) @ inverse @ sum(part.share.pull for part in parts)
@@ -333,8 +336,12 @@ def prior_shares(accuracy: Accuracy) -> Values:
     if accuracy.white is None:
         return dict.fromkeys(nlp.free, math.nan)
 
-    roots = [_share(part, p).root[:, :p] @ accuracy.white for part in accuracy.informations]
-    information = np.array([np.sum(root**2, axis=0) for root in roots])
+    information = np.array(
+        [
+            column_lengths(_share(part, p).root[:, :p] @ accuracy.white) ** 2
+            for part in accuracy.informations
+        ]
+    )
     share = information[is_prior].sum(0) / np.maximum(information.sum(0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
     return by_name(nlp.free, share.tolist())
@@ -389,11 +396,9 @@ def informations(
     held = nlp.problem.held_estimates
     uncertain = tuple(k for k, name in constants if name in held)
     slope = nlp.scaling.slope(x)
-    pairs = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
-
     return [
         part.information(nlp.names, values, uncertain, trajectory, slope)
-        for part, trajectory in pairs
+        for part, trajectory in zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
     ]
 
 
@@ -437,12 +442,20 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
 
     dof = math.inf if problem.criterion.known_noise else numbers
     share = _share(part, p, paid)
-    meat = independent = root.T @ share.meat @ root
-    neighbors = part.correlated and part.correlated(share.correction, root, dof)
-    if neighbors:
-        meat = problem.weight**2 * neighbors.meat
-        dof = neighbors.dof
-    return PartAccuracy(share, meat, dof, independent, numbers, bread, neighbors=neighbors)
+    meat = root.T @ share.meat @ root
+    points = part.correlated and part.correlated(share.correction, root, dof)
+    return PartAccuracy(share, meat, dof, meat, numbers, bread, points=points)
+
+
+def _with_neighbors(parts: Sequence[PartAccuracy]) -> Iterator[PartAccuracy]:
+    """Yield the parts with the correlation along frequency that all responses together show."""
+    judged = iter(judged_together([part.points[0] for part in parts if part.points]))
+    for part in parts:
+        if part.points and (errors := next(judged)):
+            meat, dof = part.points[1](errors)
+            yield replace(part, meat=meat, dof=dof, neighbors=errors)
+        else:
+            yield part
 
 
 def _stacked(shares: Iterable[_Share], p: int) -> Array:
@@ -471,7 +484,7 @@ def _by_process_noise(
     # A bound may hold some.
     for k in np.flatnonzero(np.isin(nlp.free, [*nlp.noise_sizes]) & root.any(axis=1)):
         # Twice these are the information on its logarithm.
-        numbers = float(x[k] ** 2 / (root[k] @ root[k])) / 2
+        numbers = x[k] ** 2 / (root[k] @ root[k]) / 2
         larger = x.copy()
         larger[k] *= 1.01
         z = nlp.scaling.to_solver(larger)

@@ -263,10 +263,10 @@ def response_draws(accuracy: Accuracy, seed: int) -> Draws:
     """
     nlp, free = accuracy.nlp, len(accuracy.x)
     values = nlp.all_values(accuracy.x)
-    parts = [
+    parts = tuple(
         _drawn_part(part, values, errors)
         for part, errors in nlp.rows_of(ResponsePart, accuracy.parts)
-    ]
+    )
     about = "normal errors of the fitted size"
     if any(errors.neighbors for errors in accuracy.parts):
         about += " with their correlation along frequency"
@@ -276,7 +276,7 @@ def response_draws(accuracy: Accuracy, seed: int) -> Draws:
     # Cholesky needs a definite matrix, and constants without errors make this one singular.
     eigenvalues, vectors = np.linalg.eigh(covariance[free:, free:])
     root = (vectors * real_root(eigenvalues))[:, eigenvalues > 0]
-    return Draws(seed, tuple(parts), nlp.constant_values, root, about)
+    return Draws(seed, parts, nlp.constant_values, root, about)
 
 
 def _drawn_part(part: ResponsePart, values: Array, errors: PartAccuracy) -> DrawnResponse:
@@ -308,7 +308,7 @@ def _drawn_part(part: ResponsePart, values: Array, errors: PartAccuracy) -> Draw
         math.sqrt(variance),
         dof=part.data.dof if has_variances else None,
         common=part.data.common_errors,
-        neighbors=errors.neighbors and errors.neighbors.errors,
+        neighbors=errors.neighbors,
     )
 
 

@@ -1,5 +1,8 @@
 """The correlation of neighboring errors: against dense matrices, and whether intervals hold the truth."""
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,6 +15,7 @@ from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,
     averaged_meat,
     error_kinds,
+    judged_together,
     neighbor_correlation,
     student_of_average,
 )
@@ -164,7 +168,7 @@ def test_intervals_hold_the_truth_and_those_of_independent_errors_are_left_alone
         estimate = inverse @ X.T @ y
         left = y - X @ estimate
         s2 = left @ left / (2 * n - 4)
-        known = neighbor_correlation(left[:n] + 1j * left[n:], X)
+        [known] = judged_together([neighbor_correlation(left[:n] + 1j * left[n:], X)])
         covariance, dof = s2 * inverse, 2 * n - 4
         bare.append(np.abs(estimate) < t.ppf(0.975, dof) * np.sqrt(np.diag(covariance)))
         untouched += known is None
@@ -184,7 +188,8 @@ def test_too_few_numbers_an_exact_fit_and_alternating_errors_count_as_independen
     assert neighbor_correlation(e, np.zeros((24, 1))) is not None
     assert neighbor_correlation(1e-9 * e, np.zeros((24, 1))) is None
     assert neighbor_correlation(e[:3], stacked(design(3))) is None
-    assert neighbor_correlation(np.abs(e) * (-1) ** np.arange(12), np.zeros((24, 1))) is None
+    alternating = neighbor_correlation(np.abs(e) * (-1) ** np.arange(12), np.zeros((24, 1)))
+    assert judged_together([alternating]) == [None]
 
 
 def test_the_meat_does_not_depend_on_units_and_without_scores_there_is_none():
@@ -227,12 +232,40 @@ def test_one_variance_or_none_is_its_own_average():
     assert (variance, dof) == pytest.approx((4.0, 7.0), rel=1e-6)
 
 
-def test_an_average_of_normal_distributions_has_their_mean_variance_and_is_normal():
+def test_an_average_of_normal_distributions_has_their_standard_error_and_is_normal():
     weight, variance = np.array([0.5, 0.3, 0.2]), np.array([1.0, 2.0, 9.0])
     found, dof = student_of_average(weight, variance, np.inf)
-    draws = np.random.default_rng(0).choice(np.sqrt(variance), 200_000, p=weight)
-    assert found == pytest.approx(np.mean(draws**2), rel=0.02)
+    random = np.random.default_rng(0)
+    errors = random.choice(np.sqrt(variance), 200_000, p=weight) * random.standard_normal(200_000)
+    assert np.mean(np.abs(errors) < np.sqrt(found)) == pytest.approx(0.6827, abs=0.005)
     assert dof == np.inf
+
+
+def with_probability(independent):
+    """Return a distribution with this probability of independent errors."""
+    weight = np.array([independent, 0.75 * (1 - independent), 0.25 * (1 - independent)])
+    return NeighborCorrelation(np.ones((3, 4)), weight, np.ones(3), np.ones((3, 4)))
+
+
+@pytest.mark.parametrize("alone", [[0.4], [0.3, 0.8, 0.8, 0.7], [0.45] * 9, [1e-9] + [0.7] * 8])
+def test_responses_are_judged_by_the_share_that_all_of_them_show(alone):
+    """By the sum over all sets of responses with correlated errors, of which k have Beta(k + 1, n - k + 1)."""
+    n = len(alone)
+    total, independent = 0.0, np.zeros(n)
+    for flags in itertools.product((False, True), repeat=n):
+        k = sum(flags)
+        share = 1 / (n + 1) / math.comb(n, k)
+        p = share * np.prod([1 - q if flag else q for q, flag in zip(alone, flags, strict=True)])
+        total, independent = total + p, independent + p * ~np.array(flags)
+    for judged, wanted in zip(
+        judged_together([with_probability(q) for q in alone]), independent / total, strict=True
+    ):
+        if wanted > 0.6:
+            assert judged is None
+        else:
+            assert judged.independent == pytest.approx(wanted, rel=1e-3)
+            assert judged.weight.sum() == pytest.approx(1)
+            assert judged.weight[1] == pytest.approx(3 * judged.weight[2])
 
 
 def test_two_points_that_are_alike_are_enough_and_what_is_not_finite_tells_nothing():

@@ -70,10 +70,10 @@ def warnings(
     # parameters or standard errors doubtful, then single points.
     nlp, x = accuracy.nlp, accuracy.x
     misfit = answer.misfit
-    # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
-    noisy = not misfit or misfit.is_noisy
     explained = answer.is_explained
     exact = misfit and misfit.is_exact
+    # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
+    noisy = not exact and not (misfit and misfit.is_large)
     # Residuals of a wrong model are not errors, nor is rounding: their correlation does not matter.
     errors = explained and not exact
     return (

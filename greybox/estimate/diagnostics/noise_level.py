@@ -203,35 +203,38 @@ def correlated_frequencies(accuracy: Accuracy) -> Sentences:
     nlp = accuracy.nlp
     values = nlp.all_values(accuracy.x)
     unlikely = UNLIKELY / len(nlp.parts)
-    rows = nlp.rows_of(ResponsePart, accuracy.trajectories, accuracy.parts)
-    for part, trajectory, known in rows:
-        if part.data.has_independent_errors:
+    for part, trajectory, known in nlp.rows_of(ResponsePart, accuracy.trajectories, accuracy.parts):
+        is_stated = part.data.has_independent_errors
+        errors = known.neighbors
+        if is_stated:
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
-            if errors is not None and errors.independent < unlikely:
-                yield (
-                    f"neighboring residuals of {part.name!r} are alike "
-                    f"({errors.mean:.2f} from one point to the next), although its errors are "
-                    "stated to be independent: the model misses something, or slow changes of the "
-                    "vehicle or the air lasted for several tests. Without this statement, "
-                    "intervals allow for it."
-                )
-        elif known.neighbors is not None:
-            errors = known.neighbors.errors
-            # Variances that include more than the scatter, such as errors of a log, need no words.
-            is_estimated = part.criterion.known_noise and part.data.dof is not None
-            has_more = is_estimated and part.noise_ratio(trajectory) < LEAST_RATIO
-            if errors.independent < unlikely and not has_more:
-                # For 12 points with a correlation of 0.8, intervals of 95 % contain the truth in 86
-                # to 93 % of fits, for 24 points in 91 to 98 %.
-                yield (
-                    f"the residuals of {part.name!r} are correlated along frequency "
-                    f"({errors.mean:.2f} from one point to the next; independent errors have a "
-                    "probability of "
-                    f"{percent(errors.independent)} %). Either the points are closer than the "
-                    "frequency resolution, or the model misses something; the standard errors "
-                    f"account for what {len(part.data)} points show of the first, but not for the "
-                    "second."
-                )
+        if not errors or errors.independent >= unlikely:
+            continue
+        if is_stated:
+            yield (
+                f"neighboring residuals of {part.name!r} are alike "
+                f"({errors.mean:.2f} from one point to the next), although its errors are "
+                "stated to be independent: the model misses something, or slow changes of the "
+                "vehicle or the air lasted for several tests. Without this statement, "
+                "intervals allow for it."
+            )
+        # Variances that include more than the scatter, such as errors of a log, need no words.
+        elif (
+            not part.criterion.known_noise
+            or part.data.dof is None
+            or part.noise_ratio(trajectory) >= LEAST_RATIO
+        ):
+            # For 12 points with a correlation of 0.8, intervals of 95 % contain the truth in 86 to
+            # 93 % of fits, for 24 points in 91 to 98 %.
+            yield (
+                f"the residuals of {part.name!r} are correlated along frequency "
+                f"({errors.mean:.2f} from one point to the next; independent errors have a "
+                "probability of "
+                f"{percent(errors.independent)} %). Either the points are closer than the "
+                "frequency resolution, or the model misses something; the standard errors "
+                f"account for what {len(part.data)} points show of the first, but not for the "
+                "second."
+            )
 
 
 def narrow_modes(answer: Fit) -> Findings:
