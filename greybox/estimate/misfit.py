@@ -164,6 +164,11 @@ class Misfit(Printed):
         return not self.explains and self.left > LARGE * self.noise
 
     @property
+    def is_noisy(self) -> bool:
+        """Whether noise may be most of what is left."""
+        return not (self.is_exact or self.is_large)
+
+    @property
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
         if self.is_exact or self.elsewhere:

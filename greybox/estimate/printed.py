@@ -326,14 +326,16 @@ def _is_of_later_record(name: str, records: int) -> bool:
     return records > MANY and number_of_record is not None and int(number_of_record[1]) > 3
 
 
-def data_names(parts: Iterable[Any], models: Iterable[str]) -> tuple[str, ...]:
+def data_names(parts: Iterable[Any], models: Iterable[str]) -> list[str]:
     """Return the names of the data of parts; without one, those of the problems, or checksums.
 
     A problem without a name is named by its model, and two models may be fitted to the same data.
     """
-    return unique(
-        part.data.name or (part.data.checksum[:8] if part.name in models else part.name)
-        for part in parts
+    return list(
+        dict.fromkeys(
+            part.data.name or (part.data.checksum[:8] if part.name in models else part.name)
+            for part in parts
+        )
     )
 
 

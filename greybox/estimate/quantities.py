@@ -91,7 +91,9 @@ def formulas(problem: AnyProblem) -> list[Formula]:
         for name in part.tied:
             declared = part.model.parameters[name]
             label = part.outside(name)
-            formula = Formula(label, "tied", declared.unit, declared.about, part, itemgetter(name))
+            unit = declared.unit
+            about = declared.about
+            formula = Formula(label, "tied", unit, about, part, itemgetter(name))
             formulas_by_name.setdefault(label, formula)
 
     used_names = {*problem.parameters, *formulas_by_name}

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps
-from greybox.files.arrays import Array, Labels, array_of, unique
+from greybox.files.arrays import Array, Labels
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
@@ -45,7 +45,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> li
     for record in [records] if isinstance(records, Record) else records:
         require_time(record, "a frequency response")
         for piece in record.pieces:
-            values = array_of(piece, signals)
+            values = np.array([piece[name] for name in signals])
             present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
             for run in runs_between_gaps(present, 1):
                 if run.size > 1:
@@ -57,7 +57,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> li
 
     if not stretches:
         raise ValueError(
-            f"{', '.join(unique(signals))} are never all present in two samples in a row: "
+            f"{', '.join(dict.fromkeys(signals))} are never all present in two samples in a row: "
             "gb.prepare(record, ..., rate=...) puts signals of different rates on one time base."
         )
     # A ratio of two constants would consist of rounding errors.

@@ -71,7 +71,7 @@ def warnings(
     nlp, x = accuracy.nlp, accuracy.x
     misfit = answer.misfit
     # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
-    noisy = not (misfit and (misfit.is_exact or misfit.is_large))
+    noisy = not misfit or misfit.is_noisy
     explained = answer.is_explained
     exact = misfit and misfit.is_exact
     # Residuals of a wrong model are not errors, nor is rounding: their correlation does not matter.

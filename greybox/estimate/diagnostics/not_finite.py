@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,12 +10,12 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, all_finite, as_arrays, frozen
+from greybox.files.arrays import Array, all_finite, as_arrays
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import NOT_FINITE, Run, Runs
 
 
-@frozen
+@dataclass(frozen=True)
 class Trouble:
     """A value that is not finite.
 

@@ -18,7 +18,7 @@ from greybox.estimate.diagnostics.repeated import Findings, once
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.missing_terms import dynamic_equations
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Strings, unique
+from greybox.files.arrays import Array, Strings
 from greybox.files.grouping import grouped
 from greybox.files.text_table import Sentences, listed, some
 from greybox.modeling.colored_disturbance import ColoredDisturbance
@@ -367,7 +367,7 @@ def _place(fitted: FittedRecord, pairs: Pairs) -> str:
 def resting_inputs(nlp: CompiledProblem) -> Sentences:
     """Note where no input changes in any record; a static model has no free response."""
     records = nlp.parts_of(RecordPart)
-    names = ", ".join(unique(name for part in records for name in part.system.inputs))
+    names = ", ".join(dict.fromkeys(name for part in records for name in part.system.inputs))
     is_free = all(part.data.constant_inputs and not part.is_static for part in records)
     if names and is_free and len(records) == len(nlp.parts):
         yield f"the inputs never change ({names}): only the free response is informative."
