@@ -7,6 +7,7 @@ from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes
 from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.structural_identifiability import structural_identifiability
+from greybox.files.arrays import non_empty
 from greybox.files.safe_files import HDF5
 from greybox.study.catalog import find_model
 
@@ -42,8 +43,7 @@ DATA = (
 
 def run(options: argparse.Namespace) -> Answer:
     """Judge the structure, or read the fit and judge its data."""
-    stated = attributes(options, "outputs", "free", "at", "fix")
-    settings = {name: value for name, value in stated.items() if value}
+    settings = non_empty(attributes(options, "outputs", "free", "at", "fix"))
     if Path(options.subject).suffix.lower() not in HDF5:
         fixed = settings.pop("fix", {})
         structure = structural_identifiability(find_model(options.subject), fixed=fixed, **settings)

@@ -4,7 +4,7 @@ import argparse
 from types import ModuleType
 
 from greybox.cli.output import Answer, attributes
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, unique
 from greybox.files.text_table import text_table
 from greybox.modeling.model import Model, equation
 from greybox.modeling.parameter import parameter_table
@@ -63,7 +63,7 @@ def _show(name: str) -> Answer:
         "about": doc,
         "models": [{"name": model.label, **_parameters(model)} for model in models],
     }
-    return answer, "\n\n".join([name, doc, *dict.fromkeys(map(_model_text, models))])
+    return answer, "\n\n".join([name, doc, *unique(map(_model_text, models))])
 
 
 def _parameters(model: Model) -> Fields:

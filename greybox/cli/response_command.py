@@ -11,7 +11,7 @@ from greybox.cli.read_log import read_log
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, non_empty
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
@@ -104,7 +104,7 @@ def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
             {**attributes(response, "input", "output", "omega"), **response.columns}
             for response in measured.responses
         ],
-        "units": {name: unit for name, unit in measured.record.units.items() if unit},
+        "units": non_empty(measured.record.units),
     }
     return measured, answer, measured.responses
 

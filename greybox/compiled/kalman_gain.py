@@ -14,7 +14,7 @@ import numpy as np
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
-from greybox.files.arrays import Array, ArrayPair, IntArray, all_finite, frozen
+from greybox.files.arrays import Array, ArrayPair, IntArray, all_finite, frozen, places_of
 from greybox.modeling.one_thread import cached_property
 
 
@@ -164,17 +164,16 @@ def kalman_gain(part: Part) -> KalmanGain | None:
     if not part.gains:
         return None
     part = cast(RecordPart, part)  # no other part has gains
-    places = np.array(
-        [part.model.parameters.index(f"K_{state}_{output}") for state, output in part.gains],
-        dtype=int,
-    )
+    states, outputs = zip(*part.gains, strict=True)
+    gains = (f"K_{state}_{output}" for state, output in part.gains)
+    places = places_of(gains, part.model.parameters)
     noise = part.noise_model
     unknowns = places if noise is None else np.concatenate([noise.intensities, noise.deviations])
 
     return KalmanGain(
         part,
-        states=np.array([part.system.states.index(state) for state, _ in part.gains], dtype=int),
-        outputs=np.array([part.outputs.index(output) for _, output in part.gains], dtype=int),
+        states=places_of(states, part.system.states),
+        outputs=places_of(outputs, part.outputs),
         places=places,
         unknowns=unknowns,
     )

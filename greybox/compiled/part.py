@@ -30,6 +30,7 @@ from greybox.files.arrays import (
     Strings,
     all_finite,
     frozen,
+    without,
 )
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
@@ -238,7 +239,7 @@ class Portable:
 
     def __getstate__(self) -> Fields:
         """Return what travels."""
-        return {name: value for name, value in vars(self).items() if name not in self.local}
+        return without(vars(self), self.local)
 
 
 class Part(Portable, ABC):

@@ -23,7 +23,9 @@ from greybox.files.arrays import (
     as_arrays,
     diagonal,
     frozen,
+    nans,
     of_diagonal,
+    places_of,
 )
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -64,7 +66,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
         if np.abs(change).max(initial=0.0) <= 1e-12 * np.abs(H).max(initial=0.0):
             return H * row * column
 
-    return np.full(F.shape, np.nan)
+    return nans(F.shape)
 
 
 @np.errstate(invalid="ignore")
@@ -197,7 +199,7 @@ def noise_model(
     return NoiseModel(
         linear=ca.Function("linear", [q], [F, half, C, *slopes], {"cse": True}),
         step=step,
-        driven=np.array([sample.system.states.index(name) for name in model.driven], dtype=int),
+        driven=places_of(model.driven, sample.system.states),
         intensities=np.array([names.index(f"w_{name}") for name in model.driven], dtype=int),
         deviations=np.array([names.index(f"v_{name}") for name in outputs], dtype=int),
         columns=columns,

@@ -16,7 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import JITTER, Record
-from greybox.files.arrays import Array, ArrayPair, Arrays, BoolArray, IntArray, Strings, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    Arrays,
+    BoolArray,
+    IntArray,
+    Strings,
+    array_of,
+    frozen,
+)
 from greybox.files.text_table import listed
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.noise_ratio import noise_ratio
@@ -328,10 +337,7 @@ def gapless(
     ValueError
         If an input is delayed and a stretch is not uniformly sampled.
     """
-    u, y = (
-        np.array([record[name] for name in names]).reshape(len(names), len(record))
-        for names in (inputs, outputs)
-    )
+    u, y = (array_of(record, names).reshape(len(names), len(record)) for names in (inputs, outputs))
     y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
     complete_inputs = np.all(np.isfinite(u), axis=0)
     # Rows without a time have no neighbors: a row that lacks an input is no gap.

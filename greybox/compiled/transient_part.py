@@ -45,9 +45,11 @@ from greybox.files.arrays import (
     Named,
     Strings,
     all_finite,
+    array_of,
     as_arrays,
     column_lengths,
     frozen,
+    nans,
     positive_or_one,
     real_and_imaginary,
 )
@@ -190,7 +192,7 @@ class TransientPart(Part):
         # White noise with a deviation of one in every sample gives each component of an integral
         # this deviation.
         self._unit = math.sqrt(self.data.step * self.data.duration / 2)
-        self.measured = np.array([self.data.outputs[name] for name in self.outputs])
+        self.measured = array_of(self.data.outputs, self.outputs)
         self._covariance = residual_covariance_of(
             problem.criterion, self.outputs, self._real(self.measured)
         )
@@ -355,7 +357,7 @@ class TransientPart(Part):
         """Return the point z, with the best end term; not finite where the model is not."""
         at = self.along(self.locate(z)[0].full().ravel())
         count = len(self.outputs)
-        products = np.full((count, count), np.nan) if at is None else at.products
+        products = nans((count, count)) if at is None else at.products
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, products, simulated=True, detail=at)
 
     @property

@@ -17,6 +17,7 @@ from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
 from greybox.files.arrays import (
+    AnyArray,
     Array,
     BoolArray,
     ComplexArray,
@@ -25,6 +26,7 @@ from greybox.files.arrays import (
     NamedStrings,
     all_finite,
     frozen,
+    nans,
 )
 from greybox.files.text_table import Printed, counted, printable, write_out
 
@@ -211,7 +213,7 @@ class FrequencyResponse(Printed):
         logarithm of the magnitude if it is small.
         """
         if self.variance is None:
-            return np.full(len(self), np.nan)
+            return nans(len(self))
         # The variance is that of both components together.
         return np.sqrt(self.variance / 2) / np.maximum(np.abs(self.response), 1e-300)
 
@@ -342,8 +344,7 @@ class FrequencyResponse(Printed):
     @property
     def decibels(self) -> Array:
         """Magnitude, (n,), dB; minus infinity where the response is zero."""
-        with np.errstate(divide="ignore"):
-            return 20 * np.log10(np.abs(self.response))
+        return decibels_of(self.response)
 
     @property
     def degrees(self) -> Array:
@@ -381,3 +382,9 @@ class FrequencyResponse(Printed):
             f"{counted(len(self), 'frequency', 'frequencies')} from {self.omega.min():g} to "
             f"{self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
         )
+
+
+def decibels_of(response: AnyArray) -> Array:
+    """Return the magnitudes (n,) of a response, dB; minus infinity where it is zero."""
+    with np.errstate(divide="ignore"):
+        return 20 * np.log10(np.abs(response))

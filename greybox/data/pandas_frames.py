@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import AnyArray, Array, Named, NamedArrays, Strings
+from greybox.files.arrays import AnyArray, Array, Named, NamedArrays, Strings, non_empty
 from greybox.files.delimited_text import heading
 from greybox.files.optional_package import required
 
@@ -24,7 +24,7 @@ def frame_of(
     """Return a data frame with an index of this name; `attributes` go to its `attrs`."""
     pd = required("pandas", "pandas", "to_pandas()")
     frame = pd.DataFrame(dict(columns), index=pd.Index(index, name=index_name))
-    frame.attrs.update({name: value for name, value in attributes.items() if value})
+    frame.attrs.update(non_empty(attributes))
     return frame
 
 

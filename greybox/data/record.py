@@ -31,6 +31,7 @@ from greybox.files.arrays import (
     Values,
     frozen,
     selected,
+    unique,
 )
 from greybox.files.text_table import (
     Printed,
@@ -415,7 +416,7 @@ class Recording(Mapping[str, Record]):
             return record, name
         holders = [key for key, record in self.records.items() if signal in record.signals]
         if not holders:
-            fields = [*dict.fromkeys(name for record in self.values() for name in record.signals)]
+            fields = unique(name for record in self.values() for name in record.signals)
             similar = nearest(signal, fields) or some(fields, 12)
             raise KeyError(
                 f"there is no signal {signal!r}, but {similar}: write MESSAGE.SIGNAL, or name the "

@@ -12,7 +12,7 @@ from greybox.data.response_columns import (
     written_columns,
 )
 from greybox.data.units import with_units_in_header
-from greybox.files.arrays import Fields, NamedStrings, by_name
+from greybox.files.arrays import Fields, NamedStrings, by_name, unique, without
 from greybox.files.delimited_text import (
     DelimitedText,
     heading,
@@ -120,7 +120,7 @@ def read_responses(
     pairs = [stated.get(prefix, prefix.replace("_", "/")).split("/") for prefix in prefixes]
     if {*PAIR} <= {*table.header}:
         o, i = map(table.header.index, PAIR)
-        pairs = [*dict.fromkeys((*row[o : o + 1], *row[i : i + 1]) for _, row in table.rows())]
+        pairs = unique((*row[o : o + 1], *row[i : i + 1]) for _, row in table.rows())
     if not pairs or any(len(pair) != 2 for pair in pairs):
         raise ValueError(
             f"{path} has no columns OUTPUT_INPUT_alpha, or signals with '_' in their names: state "
@@ -150,7 +150,7 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     stretches = (f"{s.checksum} {s.start!r} {s.end!r}" for s in response.stretches)
     facts = {
         **{key: text for key in NAMES[:2] if (text := getattr(response, key))},
-        **{key: text for key, text in response.about.items() if key not in NAMES},
+        **without(response.about, NAMES),
         **{f"{UNIT}{name}": unit for name, unit in response.units.items() if unit},
         **{f"{STRETCH}{k}": text for k, text in enumerate(stretches, start=1)},
     }

@@ -1,5 +1,6 @@
 """Fourier integrals of inputs and outputs over one manoeuvre, not divided by one another."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import field
 from typing import ClassVar
@@ -80,12 +81,12 @@ class TransientSpectrum:
             )
         omega = finite_array("omega", self.omega)
         # Off this grid constants leak into the integrals, and errors are correlated.
-        lines = omega * self.duration / (2 * np.pi)
+        lines = omega * self.duration / math.tau
         whole = np.round(lines)
         is_whole = np.abs(lines - whole) <= 1e-6 * np.maximum(lines, 1)  # up to rounding
         if not (omega.size and is_whole.all() and np.all(np.diff(whole, prepend=0) >= 1)):
             raise ValueError(
-                f"omega must be increasing multiples of {2 * np.pi / self.duration:.6g} rad/s, 2π "
+                f"omega must be increasing multiples of {math.tau / self.duration:.6g} rad/s, 2π "
                 "over the duration: use gb.spectral.transient_spectrum(record, ...)."
             )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.files.arrays import Array, NamedStrings, Strings
+from greybox.files.arrays import Array, NamedStrings, Strings, array_of
 from greybox.files.text_table import counted
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.time_criteria import Inputs
@@ -49,7 +49,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
     # same, or their bands would contain an error that no parameter of the fit has.
     free = {q.name: q for q in fit.quantities if q.kind == "free"}
     is_known = np.array([name in free and free[name].at_bound for name in estimated], dtype=bool)
-    values = np.array([fit.estimate[name] for name in estimated])
+    values = array_of(fit.estimate, estimated)
     covariance = np.where(is_known | is_known[:, None], 0.0, fit.covariance_of(estimated))
 
     # With process noise the gains are not parameters: they follow from the variances of the noise.

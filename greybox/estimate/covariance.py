@@ -27,6 +27,7 @@ from greybox.files.arrays import (
     by_name,
     column_lengths,
     frozen,
+    nans,
     positive_or_one,
     real_root,
     unit_length,
@@ -114,9 +115,9 @@ class Accuracy:
         k = len(nlp.names)
         return cls(
             nlp,
-            np.full(len(nlp.free), np.nan),
+            nans(len(nlp.free)),
             [None] * len(nlp.parts),
-            covariance=np.full((k, k), np.nan),
+            covariance=nans((k, k)),
             blind=np.zeros((k, 0)),
             size=np.ones(k),
             dof=0.0,

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from types import MappingProxyType
 
@@ -33,7 +33,7 @@ from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import with_profiles_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Named, by_name
+from greybox.files.arrays import Named, by_name, frozen
 from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted, require_kind
 from greybox.files.version import __version__
@@ -162,7 +162,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class SolverChoice:
     """The arguments `method`, `search` and `solver_options` of `fit`.
 
@@ -399,7 +399,6 @@ def assemble(
 
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(search, solver))
-    together = determined_together(answer) if accuracy.combinations else ()
     return replace(
         answer,
         warnings=warnings(search, accuracy, answer, error),
@@ -409,6 +408,6 @@ def assemble(
             *(better_weights(accuracy) if answer.is_explained else ()),
             *resting_inputs(nlp),
             *(() if misfit and misfit.is_exact else rounded_outputs(answer.records)),
-            *together,
+            *(determined_together(answer) if accuracy.combinations else ()),
         ),
     )

@@ -15,7 +15,16 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.discretization import pade_error
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import response_and_slope
-from greybox.files.arrays import Array, Fields, NamedArrays, Values, all_finite, by_name, selected
+from greybox.files.arrays import (
+    Array,
+    Fields,
+    NamedArrays,
+    Values,
+    all_finite,
+    by_name,
+    nans,
+    selected,
+)
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import response_of_test
 from greybox.modeling.model import Model, equation
@@ -134,9 +143,9 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         findings=(),
     )
     count = len(part.outputs)
-    noise = np.full((count, count), np.nan)
+    noise = nans((count, count))
     gain = gain_slope = None
-    nodes = np.full((part.data.segments, part.states), np.nan)
+    nodes = nans((part.data.segments, part.states))
 
     if trajectory is not None:
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
@@ -185,7 +194,7 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
 def _simulated(part: RecordPart, trajectory: Trajectory | None) -> NamedArrays:
     """Return the outputs at the times of the record; NaN where none was compared."""
     record = part.model.record
-    signals = {name: np.full(len(record), np.nan) for name in part.outputs}
+    signals = {name: nans(len(record)) for name in part.outputs}
     if trajectory is None:
         return signals
     outputs = part.data.unpadded(part.simulated_outputs(trajectory))
@@ -199,9 +208,9 @@ def _simulated(part: RecordPart, trajectory: Trajectory | None) -> NamedArrays:
 
 def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> FittedSpectrum:
     count = len(part.outputs)
-    noise = np.full((count, count), np.nan)
+    noise = nans((count, count))
     fitted = np.full((count, len(part.data)), np.nan, complex)
-    ends = np.full(len(part.states), np.nan)
+    ends = nans(len(part.states))
     nuisances = len(part.states)
 
     if trajectory is not None:

@@ -18,6 +18,7 @@ from greybox.files.arrays import (
     Strings,
     by_name,
     frozen,
+    nans,
     real_root,
     sum_of_squares,
     unit_length,
@@ -192,8 +193,8 @@ def identifiability(
     diagonal = np.diag(matrix)
     is_seen = diagonal > BLIND**2 * diagonal.max(initial=0.0)
 
-    error = np.full(len(names), np.nan)
-    insensitivity = np.full(len(names), np.nan)
+    error = nans(len(names))
+    insensitivity = nans(len(names))
     with np.errstate(all="ignore"):
         alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
         error[places] = errors / np.abs(inside.at)

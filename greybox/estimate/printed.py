@@ -6,6 +6,7 @@ The numbers of a fit as plain values, for JSON.
 import math
 import re
 from collections.abc import Iterable, Sequence
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Fields, StringPair, all_finite
+from greybox.files.arrays import Fields, StringPair, all_finite, unique
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import counted, number, percent, some, text_table, with_error
+from greybox.files.text_table import counted, number, percent, some, text_table, titled, with_error
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import SCREENED, Runs
@@ -33,35 +34,34 @@ Table = tuple[list[str], list[list[str]], tuple[int, ...]]
 
 def text(fit: Any) -> str:
     """Return a `Fit` as text: the verdict, the table, what limits it, and how close it is."""
-    table = ["  " + line for line in text_table(*parameter_table(fit)).splitlines()]
+    table = text_table(*parameter_table(fit))
     causes = fit.misfit.likely if fit.misfit else ()
-    remarks = [f"  {cause.remedy}" for cause in causes]
-    remarks += [f"  warning: {line}" for line in fit.warnings]
-    remarks += [f"  note: {line}" for line in fit.notes]
+    remarks = [cause.remedy for cause in causes]
+    remarks += [f"warning: {line}" for line in fit.warnings]
+    remarks += [f"note: {line}" for line in fit.notes]
     if not fit.converged:
-        effort = ["", "  best effort, no estimate:", "", *table] if fit.best_effort else []
-        return "\n".join([title(fit), "", f"  FAILED: {fit.status}.", *remarks, *effort])
+        effort = ["", "best effort, no estimate:", "", table] if fit.best_effort else []
+        return titled(title(fit), [f"FAILED: {fit.status}.", *remarks, *effort])
 
     judged = verdict(fit)
     sections = (
-        [title(fit)],
-        ["  " + line for line in (judged.level, *judged.sentences)],
-        [*table, *(["", f"  {error_statement(fit)}"] if fit.directions else [])],
+        [judged.level, *judged.sentences],
+        [table, *(["", error_statement(fit)] if fit.directions else [])],
         _profile_lines(fit),
         remarks,
         [_labeled(closeness(fit))],
     )
-
-    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+    paragraphs = ("\n".join(lines) for lines in sections if lines)
+    return titled(title(fit), ["\n\n".join(paragraphs)])
 
 
 def details(fit: Any) -> str:
     """Return what the text of a `Fit` leaves out: starts, cost, delay, correlations, time."""
-    return _labeled(facts(fit))
+    return indent(_labeled(facts(fit)), "  ")
 
 
 def _labeled(pairs: Sequence[StringPair]) -> str:
-    return "\n".join(f"  {label:<10} {fact}" for label, fact in pairs)
+    return "\n".join(f"{label:<10} {fact}" for label, fact in pairs)
 
 
 def title(fit: Any) -> str:
@@ -156,7 +156,7 @@ def data_text(fit: Any) -> str:
     """Return how many points, lines, samples and rows the data have, and how many were compared."""
     texts = []
     parts = [part for part in fit.parts if not part.is_prior]
-    for nouns in dict.fromkeys(part.nouns for part in parts):
+    for nouns in unique(part.nouns for part in parts):
         alike = [part for part in parts if part.nouns == nouns]
         count, compared = sum(len(p.data) for p in alike), sum(p.compared for p in alike)
         share = "" if compared == count else f"{compared} of "
@@ -167,7 +167,7 @@ def data_text(fit: Any) -> str:
 
 def error_statement(fit: Any) -> str:
     """Say what ± means, and for which errors of the data."""
-    conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
+    conditions = "; ".join(unique(part.condition for part in fit.parts))
     # With every parameter at a bound, there is no interval to compare.
     if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
         width = t_quantile(0.95, fit.independent[1]) / t_quantile(0.95, fit.dof)
@@ -213,9 +213,9 @@ def _profile_lines(fit: Any) -> list[str]:
     profiles = fit.profiles.profiles
     width = max(len(profile.name) for profile in profiles)
     return [
-        f"  {100 * fit.profiles.level:g} % intervals by profile likelihood, where the standard "
+        f"{100 * fit.profiles.level:g} % intervals by profile likelihood, where the standard "
         "error is missing or misleads:",
-        *(f"    {profile.name:<{width}}  {profile}" for profile in profiles),
+        *(f"  {profile.name:<{width}}  {profile}" for profile in profiles),
     ]
 
 
@@ -251,7 +251,7 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
     if len(records) <= MANY:
         return [_output_text(part, output) for part in records for output in part.outputs]
     texts = []
-    for output in dict.fromkeys(output for part in records for output in part.outputs):
+    for output in unique(output for part in records for output in part.outputs):
         parts = [part for part in records if output in part.outputs]
         percents = [part.fit_percent(output) for part in parts]
         least = parts[percents.index(min(percents))].name
@@ -349,7 +349,7 @@ def summary(result: Any, level: float = 0.95) -> Fields:
     named = ("criterion", "rule", "delay", "seed", "agreeing", "cost", "costs", "status")
     named += ("estimate", "best_effort", "standard_error", "derived", "dof")
     named += ("warnings", "notes", "checksum", "seconds", "versions")
-    models = list(dict.fromkeys(part.label for part in result.parts))
+    models = unique(part.label for part in result.parts)
     answer = {
         "problem": result.name,
         "model": models,

@@ -25,7 +25,7 @@ from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
-from greybox.files.arrays import Array, Interval, Labels, Strings, all_finite, frozen
+from greybox.files.arrays import Array, Interval, Labels, Strings, all_finite, array_of, frozen
 from greybox.files.progress import bar
 from greybox.files.text_table import as_names, listed, number
 from greybox.formulation.starts import Sobol
@@ -346,7 +346,7 @@ def slope_of(quantity: ca.Function, z: Array) -> Array:
 
 
 def _estimate(nlp: CompiledProblem, fit: Fit) -> Array:
-    return np.array([fit.estimate[name] for name in nlp.free])
+    return array_of(fit.estimate, nlp.free)
 
 
 def _refusals(nlp: CompiledProblem, x: Array, fit: Fit) -> Iterator[str]:
@@ -417,7 +417,7 @@ class _Search:
     bounds: Interval
     size: float
     first: float
-    starts: Sequence[Point] = ()
+    starts: Sequence[Point]
 
     def root(self, point: Point) -> float:
         """Return r, negative below the estimate."""

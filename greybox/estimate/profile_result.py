@@ -5,7 +5,7 @@ from typing import Literal
 
 from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, alternatives, number, one_line
+from greybox.files.text_table import Printed, alternatives, number, one_line, titled
 
 End = Literal["crossed", "bound", "flat", "failed"]
 
@@ -128,16 +128,10 @@ class Profiles(Printed):
 
     def __str__(self) -> str:
         width = max((len(profile.name) for profile in self.profiles), default=0)
-        lines = [f"  {p.name:<{width}}  {number(p.estimate):>10}   {p}" for p in self.profiles]
-        warnings = [f"  warning: {text}" for text in self.warnings]
-        return "\n".join(
-            [
-                f"{self.name}: {100 * self.level:g} % intervals by profile likelihood",
-                "",
-                *lines,
-                *warnings,
-            ]
-        )
+        lines = [f"{p.name:<{width}}  {number(p.estimate):>10}   {p}" for p in self.profiles]
+        lines += [f"warning: {text}" for text in self.warnings]
+        title = f"{self.name}: {100 * self.level:g} % intervals by profile likelihood"
+        return titled(title, lines)
 
     def intervals_in_words(self) -> Fields:
         """Return interval and text of every profile for JSON; None for an open side."""

@@ -44,6 +44,8 @@ from greybox.files.arrays import (
     Values,
     by_name,
     frozen,
+    places_of,
+    unique,
 )
 from greybox.files.text_table import Printed, counted, one_line, require_kind, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -296,7 +298,7 @@ class Fit(Printed):
         return self._of_parts("delay")
 
     def _of_parts(self, field: str) -> str:
-        return "; ".join(dict.fromkeys(getattr(part, field) for part in self.parts))
+        return "; ".join(unique(getattr(part, field) for part in self.parts))
 
     @property
     def estimate(self) -> dict[str, float]:
@@ -401,7 +403,7 @@ class Fit(Printed):
     def covariance_of(self, names: Labels) -> Array:
         """Return the covariance matrix of the named parameters."""
         require_known(names, self.names, "parameter", f"the fit {self.name!r}")
-        rows = [self.names.index(name) for name in names]
+        rows = places_of(names, self.names)
         return self.covariance[np.ix_(rows, rows)]
 
     def at_estimate(

@@ -28,6 +28,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
     all_finite,
+    array_of,
     by_name,
     column_lengths,
     frozen,
@@ -252,7 +253,7 @@ def _of_responses(
 
     stated = Problem(model, responses, SquaredRelativeError("model"), at=at, **options)
     nlp = compile_problem(stated)
-    x = np.array([values[name] for name in nlp.free])
+    x = array_of(values, nlp.free)
     # A response of zero at all frequencies would count every parameter as lost.
     _, seen = nlp.responses(nlp.all_values(x)[:, None], nlp.data)
     if not (all_finite(seen) and np.any(seen)):
@@ -283,7 +284,7 @@ def _of_record(
         signals = {name: np.where(gaps, np.nan, values) for name, values in signals.items()}
         record = Record(time, signals, name="random inputs", has_time=not model.is_static)
         nlp = compile_problem(Problem(model, record, criterion, **options))
-        x = np.array([values[name] for name in nlp.free])
+        x = array_of(values, nlp.free)
         [part] = nlp.parts_of(RecordPart)
         nodes = size * random.normal(size=(part.data.segments, part.states))
         with np.errstate(all="ignore"):

@@ -7,7 +7,16 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings, Values, by_name
+from greybox.files.arrays import (
+    Fields,
+    Labels,
+    Named,
+    NamedStrings,
+    Strings,
+    Values,
+    by_name,
+    unique,
+)
 from greybox.files.text_table import require_kind
 from greybox.modeling.model import (
     Names,
@@ -267,4 +276,4 @@ def sensors_of(controllers: Sequence[Controller]) -> Strings:
     """Return what controllers read from the plant: inputs that no controller provides."""
     provided = outside_names(controllers, "outputs")
     names = outside_names(controllers, "inputs")
-    return tuple(dict.fromkeys(name for name in names if name not in provided))
+    return unique(name for name in names if name not in provided)

@@ -10,7 +10,7 @@ from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controllers
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Array, Labels, Values
+from greybox.files.arrays import Array, Labels, Values, places_of
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import lower_and_upper
 
@@ -71,4 +71,4 @@ def _plants(fit: Fit, names: Labels) -> Array:
     limits = lower_and_upper(fit.by_name[name] for name in fit.names)
     beside = np.clip(known.at + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
     plants = np.vstack([known.at, drawn_values(fit, DRAWS, names), beside])
-    return plants[:, [fit.names.index(name) for name in names]]
+    return plants[:, places_of(names, fit.names)]

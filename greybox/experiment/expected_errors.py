@@ -4,7 +4,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, propagate
-from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen
+from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen, unique
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -86,6 +86,6 @@ def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     # Below this share of the largest variance, in units that the data notice, is rounding.
     information = np.linalg.pinv(covariance / scale, rcond=1e-13, hermitian=True) / scale
     errors = propagate(accuracy, np.eye(count, len(nlp.names)))
-    undetermined = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
+    undetermined = unique(name for c in accuracy.combinations for name in c.names)
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
     return ExpectedErrors(at, by_name(nlp.free, errors.tolist()), information, undetermined, units)

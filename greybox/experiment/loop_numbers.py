@@ -20,6 +20,7 @@ from greybox.files.arrays import (
     FloatPair,
     IntArray,
     frozen,
+    nans,
 )
 
 POINTS = 400  # in four decades below the Nyquist frequency
@@ -79,7 +80,7 @@ class Crossings:
 
     def smallest(self, values: Array) -> Located:
         """Return the smallest of the values (k,) of each plant; infinity for none."""
-        answer = Located(np.full(self.plants, math.inf), np.full(self.plants, math.nan))
+        answer = Located(np.full(self.plants, math.inf), nans(self.plants))
         # If several values are assigned to one plant, the last one remains.
         falling = np.argsort(values, kind="stable")[::-1]
         falling = falling[np.isfinite(values[falling])]
@@ -337,7 +338,7 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
         "rise time": rise,
         "settling time": settling,
     }
-    nowhere = np.full(len(steps), math.nan)
+    nowhere = nans(len(steps))
     return {n: Located(np.where(loop.is_stable, v, math.inf), nowhere) for n, v in numbers.items()}
 
 

@@ -35,6 +35,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
     frozen,
+    nans,
 )
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, listed, number, text_table
@@ -185,7 +186,7 @@ class Margins(Printed):
         """
         gain = self.require_loop().broken_at(self.signal, omega)
         if len(gain) == 1:
-            return np.full(len(omega), math.nan)
+            return nans(len(omega))
         return np.quantile(np.abs(gain[DRAWN] / gain[0] - 1), self.level, axis=0)
 
     def to_dict(self) -> Fields:

@@ -30,6 +30,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
     frozen,
+    nans,
 )
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, listed, number, text_table
@@ -304,7 +305,7 @@ def _judged(
         places = [first[name].first[1] for name in ("phase margin", "crossover")]
         return meets, first["disturbance rejection bandwidth"].first[0], places
 
-    confidence, bandwidth = np.zeros(len(laws)), np.full(len(laws), math.nan)
+    confidence, bandwidth = np.zeros(len(laws)), nans(len(laws))
     poor: list[float] = []
     for k, law in enumerate(laws):
         control = linear_controller(law, loops.sensors, loops.inputs)

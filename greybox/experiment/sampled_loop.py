@@ -33,6 +33,8 @@ from greybox.files.arrays import (
     Values,
     as_arrays,
     frozen,
+    places_of,
+    unique,
 )
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model, require_known
@@ -143,7 +145,7 @@ class SampledLoop:
         control = self.controller.response(np.exp(1j * omega * self.period))
         k = len(self.sensors)
         feedback, commanded = control[..., :k], control[..., k:]
-        rows = [self.controller.commands.index(name) for name in self.inputs]
+        rows = places_of(self.inputs, self.controller.commands)
 
         # u = feedback y + command and y = plant u + error; one of command and error is added
         error = np.zeros((k, 1))
@@ -159,7 +161,7 @@ class SampledLoop:
         inner = inner / around if len(rows) == 1 else np.linalg.solve(around, inner)
         measured = open_loop + plant @ inner
         every = np.concatenate([measured, feedback @ measured + command], axis=2)
-        return every[..., [names.index(name) for name in signals], 0].astype(complex)
+        return every[..., places_of(signals, names), 0].astype(complex)
 
     def broken_at(
         self, signal: str, omega: ArrayLike, plant: ComplexArray | None = None
@@ -190,7 +192,7 @@ class SampledLoop:
         sensors = self.sensors
         require_known([command], commands, "command", "the loop")
         added = len(sensors) + commands.index(command)
-        rows = [commands.index(name) for name in self.inputs]
+        rows = places_of(self.inputs, commands)
         plants, n = self.A.shape[:2]
         m = len(self.inputs)
         length = int(self.whole.max()) + 1  # past controls that have not yet reached some plant
@@ -261,10 +263,8 @@ def sampled_loop(
     if not clock:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
     commands = {*system.inputs, *outside_names(controllers, "setpoints", "outputs")}
-    sensors = tuple(
-        dict.fromkeys(
-            (*sensors_of(controllers), *system.outputs, *(n for n in measured if n not in commands))
-        )
+    sensors = unique(
+        (*sensors_of(controllers), *system.outputs, *(n for n in measured if n not in commands))
     )
     A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
     period = 1 / clock
@@ -355,7 +355,7 @@ def measured_signal(
             return values[names.index(name)]
         if stem in names and not ca.depends_on(value := values[names.index(stem)], u):
             return ca.jacobian(value, x) @ system.derivative(x, u, p)
-    known = tuple(dict.fromkeys((*system.outputs, *system.states)))
+    known = unique((*system.outputs, *system.states))
     raise ValueError(
         f"{label} has no {name!r} to measure; it has {', '.join(known)} and their time "
         f"derivatives, such as '{known[0]}{DOT}': name one of them for {name!r} in the signals "
@@ -369,7 +369,7 @@ def linear_controller(
 ) -> LinearController:
     """Linearize the chain of controllers about their initial states and signals of zero."""
     outside = outside_names(controllers, "setpoints", "outputs")
-    commands = tuple(dict.fromkeys((*outside, *inputs)))
+    commands = unique((*outside, *inputs))
     y = ca.SX.sym("y", len(sensors))
     e = ca.SX.sym("e", len(commands))
     added = entries_by_name(commands, e)

@@ -28,6 +28,7 @@ from greybox.files.arrays import (
     StringPair,
     Strings,
     Values,
+    array_of,
     by_name,
     frozen,
     positive_or_one,
@@ -286,7 +287,7 @@ def _sensitivities(
     exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
     nlp = compile_problem(Problem(model, exact, fixed=fixed))
     values = model.values(values)
-    x = np.array([values[name] for name in nlp.names])
+    x = array_of(values, nlp.names)
     [part] = nlp.parts_of(ResponsePart)
     return nlp, part.sensitivity(x)[:, : len(nlp.free)]
 

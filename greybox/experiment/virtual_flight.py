@@ -26,7 +26,7 @@ from greybox.experiment.controller import (
 )
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import in_periods, measured_signal
-from greybox.files.arrays import Array, Labels, Strings, Values, frozen
+from greybox.files.arrays import Array, Labels, Strings, Values, frozen, unique
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -146,7 +146,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         controllers,
         clock,
         excited=tuple(commands),
-        measured=tuple(dict.fromkeys((*system.outputs, *sensors_of(controllers), *noise))),
+        measured=unique((*system.outputs, *sensors_of(controllers), *noise)),
         forced=tuple(process_noise),
         initial=_checked("initial", initial, (*system.states, *system.inputs)),
     )

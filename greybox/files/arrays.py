@@ -29,6 +29,7 @@ Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 Labels = Sequence[str]  # the same, in a list or a tuple
 
 Kind = TypeVar("Kind")
+Item = TypeVar("Item")
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
@@ -51,9 +52,39 @@ def selected(values: Mapping[str, Any], names: Container[str]) -> dict[str, Any]
     return {name: value for name, value in values.items() if name in names}
 
 
+def without(values: Mapping[str, Any], names: Container[str]) -> dict[str, Any]:
+    """Return the values whose names are not among these, in their own order."""
+    return {name: value for name, value in values.items() if name not in names}
+
+
+def array_of(values: Any, names: Iterable[Any]) -> AnyArray:
+    """Return the values of these names, numbers or arrays of equal lengths, in one array."""
+    return np.array([values[name] for name in names])
+
+
+def places_of(names: Iterable[str], among: Strings) -> IntArray:
+    """Return the places of some names among others."""
+    return np.array([among.index(name) for name in names], dtype=int)
+
+
+def non_empty(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that are not empty: no zero, empty text or table, and not None."""
+    return {name: value for name, value in values.items() if value}
+
+
+def unique(items: Iterable[Item]) -> tuple[Item, ...]:
+    """Return every item once, in the order in which they come first."""
+    return tuple(dict.fromkeys(items))
+
+
 def all_finite(*arrays: Any) -> bool:
     """Return whether every number of these arrays is finite."""
     return all(np.all(np.isfinite(values)) for values in arrays)
+
+
+def nans(shape: int | Sequence[int]) -> Array:
+    """Return an array without any value yet, as `np.zeros` returns one of zeros."""
+    return np.full(shape, np.nan)
 
 
 def positive_or_one(sizes: Array) -> Array:

@@ -1,9 +1,8 @@
 """Items in groups that are alike."""
 
 from collections.abc import Callable, Hashable, Iterable
-from typing import TypeVar
 
-Item = TypeVar("Item")
+from greybox.files.arrays import Item
 
 
 def grouped(items: Iterable[Item], key: Callable[[Item], Hashable]) -> list[list[Item]]:

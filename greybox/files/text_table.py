@@ -9,9 +9,10 @@ import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
+from textwrap import indent
 from typing import Any
 
-from greybox.files.arrays import Labels, StringPair, Strings
+from greybox.files.arrays import Labels, StringPair, Strings, unique
 
 Sentences = Iterator[str]
 
@@ -67,6 +68,11 @@ def text_table(header: Labels, rows: Sequence[Labels], left: Sequence[int] = (0,
 
     rule = "  ".join("-" * w for w in widths)
     return "\n".join([line(cells[0]), rule, *map(line, cells[1:])])
+
+
+def titled(title: str, lines: Iterable[str]) -> str:
+    """Return a title, a blank line, and indented lines."""
+    return f"{title}\n\n" + indent("\n".join(lines), "  ")
 
 
 def number(value: float | None, digits: int = 5) -> str:
@@ -154,7 +160,7 @@ def checked_items(what: str, items: Any, kinds: Any, cure: str) -> tuple[Any, ..
 def alternatives(name: object, names: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the known names, and the closest one."""
     # An output of a model may be a state, too.
-    names = [*dict.fromkeys(names)]
+    names = unique(names)
     near = nearest(str(name), names)
     return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
 

@@ -7,7 +7,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import are_of_one_kind, known_unit, misspelled, to_si
-from greybox.files.arrays import by_name
+from greybox.files.arrays import by_name, unique
 from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (
@@ -28,7 +28,7 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
     """
     signals = (*model.input_names, *model.output_names)
     require_known(model.units, (*signals, *model.state_names), "signal", model.label)
-    for name in dict.fromkeys(signals):
+    for name in unique(signals):
         if name in data.signals:
             place = f"the {data.noun} {data.name!r}" if data.name else f"the {data.noun}"
             _require_same_unit(model, name, data.units.get(name, ""), name, place, CONVERT)

@@ -175,7 +175,7 @@ def as_starts(starts: AnyStarts, seed: int | None = None) -> Starts:
     if isinstance(starts, float) and starts.is_integer():  # 1e3 in a study file
         starts = int(starts)
     if isinstance(starts, int | np.integer) and not isinstance(starts, bool):
-        drawn = Sobol(int(starts), 0 if seed is None else seed)
+        drawn = Sobol(int(starts), seed or 0)
         declared = Listed()
         return Chained((declared, Sobol(starts - 1, drawn.seed))) if starts > 1 else declared
     if seed is not None:

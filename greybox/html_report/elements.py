@@ -14,7 +14,7 @@ import re
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
@@ -23,7 +23,7 @@ import numpy as np
 from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Labels, by_name
+from greybox.files.arrays import Labels, by_name, frozen
 from greybox.files.text_table import is_number, number, percent, printable, with_error
 from greybox.plotting.figure import Figure, Series
 
@@ -147,7 +147,7 @@ def _number(value: float, span: float) -> float | None:
     return float(f"{value:.{DIGITS + digits}g}")
 
 
-@dataclass(frozen=True)
+@frozen
 class Cell:
     """Text of a cell, the number by which it is sorted, and the class that marks it."""
 

@@ -20,7 +20,7 @@ from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.profile_result import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Named, frozen
+from greybox.files.arrays import Named, frozen, unique
 from greybox.files.grouping import grouped
 from greybox.files.text_table import counted, number
 from greybox.html_report.elements import (
@@ -46,7 +46,7 @@ from greybox.plotting.time_history import history_figure
 
 def data_summary(fit: Fit) -> str:
     """Say in one sentence which model was fitted to which data."""
-    models = ", ".join(dict.fromkeys(part.label for part in fit.parts))
+    models = ", ".join(unique(part.label for part in fit.parts))
     free = counted(len(fit.free), "free parameter")
     return f"{models} with {free}, fitted to {printed.data_text(fit)} by {fit.rule}."
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment, Segments
-from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair
+from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair, unique
 from greybox.files.text_table import some
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
@@ -60,7 +60,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     tests = found_tests(recording, Settings(**settings))
     usable = [test for test in tests if test.usable]
     if not usable:
-        why = "; ".join(dict.fromkeys(text for test in tests for text in test.findings))
+        why = "; ".join(unique(text for test in tests for text in test.findings))
         raise ValueError(
             "no usable test was found in "
             f"{recording.source or 'the log'}{f' ({why})' if why else ''}: give "

@@ -15,7 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Interval, Labels, Named, Strings, Values, frozen
+from greybox.files.arrays import Interval, Labels, Named, Strings, Values, frozen, non_empty
 from greybox.files.text_table import one_line, require_kind
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
@@ -160,8 +160,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     responses = [m.response for m in measurements if m.response is not None]
     filters = _filters(measurements[0], through)
     series = [filter_model(known) for known in chain.from_iterable(filters.values())]
-    given = {"fixed": fixed, "free": free, "bounds": bounds, "start": start}
-    of_parameters = {name: values for name, values in given.items() if values}
+    of_parameters = non_empty({"fixed": fixed, "free": free, "bounds": bounds, "start": start})
     for structure in structures:
         require_kind("a structure", structure, Structure | Model, "models, as DampedAngle()")
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]

@@ -18,7 +18,16 @@ from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, Segments, segment_table
 from greybox.data.units import known_unit
-from greybox.files.arrays import Interval, Labels, NamedStrings, StringPair, Strings, frozen
+from greybox.files.arrays import (
+    Interval,
+    Labels,
+    NamedStrings,
+    StringPair,
+    Strings,
+    frozen,
+    non_empty,
+    unique,
+)
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -388,7 +397,7 @@ def _chosen(segments: Segments, settings: Settings) -> list[Segment]:
     if settings.tests:
         chosen = [segments[k - 1] for k in _numbers(settings.tests, len(segments))]
     if settings.axis:
-        axes = list(dict.fromkeys(segment.axis for segment in chosen))
+        axes = unique(segment.axis for segment in chosen)
         chosen = [segment for segment in chosen if segment.axis == settings.axis]
         if not chosen:
             raise ValueError(
@@ -416,7 +425,7 @@ def _numbers(text: str, count: int) -> list[int]:
 
 
 def _require_one_axis(used: Segments) -> None:
-    axes = list(dict.fromkeys(segment.axis for segment in used))
+    axes = unique(segment.axis for segment in used)
     if len(axes) > 1:
         raise ValueError(
             f"the tests are of several axes ({', '.join(axes)}): choose one, such as "
@@ -584,7 +593,7 @@ def _about(
         else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
         **response.about,
     }
-    return {key: text for key, text in about.items() if text}
+    return non_empty(about)
 
 
 def _kind(signals: NamedStrings, used: Segments, settings: Settings) -> str:

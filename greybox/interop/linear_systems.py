@@ -1,13 +1,12 @@
 """A model and its values as polynomials in s, as matrices, and as an ODE with numbers in it."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values, as_arrays, by_name
+from greybox.files.arrays import Array, Values, as_arrays, by_name, frozen
 from greybox.modeling.linearization import linearize
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -15,7 +14,7 @@ from greybox.modeling.rational import rational
 from greybox.modeling.realization import Dynamics, dynamics
 
 
-@dataclass(frozen=True)
+@frozen
 class GivenModel:
     """What is converted: a model with the values of its parameters.
 

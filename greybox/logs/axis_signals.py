@@ -1,11 +1,9 @@
 """The signals of one axis of a vehicle, as a flight controller logs them."""
 
-from dataclasses import dataclass
-
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Strings, frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class AxisSignals:
     """The signals of one axis, the best first; `terms` are terms of its controllers."""
 

@@ -19,13 +19,12 @@ SDLOG_PROFILE at https://docs.px4.io/main/en/advanced_config/parameter_reference
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording, median_step
-from greybox.files.arrays import Array, ComplexArray, FloatPair, Values
+from greybox.files.arrays import Array, ComplexArray, FloatPair, Values, frozen
 from greybox.logs.ardupilot.filters import CONTROLLERS
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"
@@ -42,7 +41,7 @@ PHASES, PASSES = 20, 240
 DRIFTING = math.sqrt(1 / 2)
 
 
-@dataclass(frozen=True)
+@frozen
 class Thinning:
     """A log of every `stride`-th pass.
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, ArrayPair, Labels, Strings, frozen
+from greybox.files.arrays import Array, ArrayPair, Labels, Strings, frozen, nans, unique
 from greybox.files.text_table import as_names, counted, require_kind
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
@@ -22,7 +22,7 @@ PASS = 0.35
 STOP = 0.5
 
 
-@dataclass(frozen=True)
+@frozen
 class Derived:
     """A signal computed from others on the common time base: ``compute(*inputs) -> (n,)``."""
 
@@ -172,9 +172,7 @@ def prepare(
         filters={
             n: f for n, item in derived.items() if (f := _known_filters(recording, item.inputs))
         },
-        findings=tuple(
-            dict.fromkeys(text for source in sources.values() for text in source.findings)
-        ),
+        findings=unique(text for source in sources.values() for text in source.findings),
     )
 
 
@@ -279,7 +277,7 @@ def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
     """Return the signal on `grid`, NaN in its gaps and outside."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
 
-    result = np.full(grid.size, np.nan)
+    result = nans(grid.size)
     for run in runs_between_gaps(source.time, GAP * source.step):
         time, values = source.time[run], source.values[run]
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)

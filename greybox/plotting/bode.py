@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Fields, Labels, StringPair
+from greybox.files.arrays import Array, ArrayPair, Fields, Labels, StringPair
 from greybox.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import (
@@ -83,7 +83,7 @@ def bode_figure(
     curves: tuple[list[Series], list[Series]] = ([], [])  # of magnitude and of phase
     for drawn, degrees in zip(responses, phases(responses), strict=True):
         omega = drawn.response.omega
-        values = np.array([_decibel(drawn.response.response), degrees])
+        values = np.array([drawn.response.decibels, degrees])
         for k, ends in enumerate(error_bars(drawn.response, values)):
             # Bands first: they are drawn below all curves and points.
             if drawn.band is not None:
@@ -130,7 +130,7 @@ def _error_panels(
             curves = [drawn for drawn in (*same_data, *responses) if drawn.fit is fit]
             if len(fitted) > 1 and curves:
                 data = replace(data, color=curves[0].color)
-            values = np.array([_decibel(error), np.degrees(np.angle(error))])
+            values = np.array([decibels_of(error), np.degrees(np.angle(error))])
             for k, ends in enumerate(error_bars(part.data, values)):
                 series = data.series(part.data.omega, values[k], **ends)
                 # Where colors are alike, hollow points tell a second fit from the first.
@@ -158,11 +158,6 @@ def _caption(
     return " ".join(sentences)
 
 
-def _decibel(response: Array | ComplexArray) -> Array:
-    with np.errstate(divide="ignore"):
-        return 20 * np.log10(np.abs(response))
-
-
 def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     """Return the band of magnitude (k = 0) or phase around a `curve` (n,), by default zero."""
     around = drawn.band
@@ -183,7 +178,7 @@ def error_bars(data: FrequencyResponse, values: Array) -> list[Fields]:
         return [{}, {}]
     relative = data.relative_error
     # A bar that reaches zero would be infinite in dB: 20 dB to either side at most.
-    down, up = (_decibel(1 + np.clip(sign * relative, -0.9, 9.0)) for sign in (-1, 1))
+    down, up = (decibels_of(1 + np.clip(sign * relative, -0.9, 9.0)) for sign in (-1, 1))
     turn = np.degrees(np.minimum(relative, np.pi))
     return [
         {"low": values[0] + down, "high": values[0] + up},

@@ -1,5 +1,6 @@
 """A figure as a value, which matplotlib (`matplotlib_figure`) and the page of a report draw."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -170,8 +171,8 @@ def in_hertz(figure: Figure) -> Figure:
     is_axis = figure.label.endswith(", rad/s")
 
     def converted(series: Series) -> Series:
-        x = series.x / (2 * np.pi) if is_axis else series.x
-        labels = [number(float(omega) / (2 * np.pi), 3) for omega in series.labels]
+        x = series.x / math.tau if is_axis else series.x
+        labels = [number(float(omega) / math.tau, 3) for omega in series.labels]
         return replace(series, x=x, labels=labels)
 
     panels = [replace(panel, series=[*map(converted, panel.series)]) for panel in figure.panels]

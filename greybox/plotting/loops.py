@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from greybox.data.frequency_response import decibels_of
 from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
@@ -62,7 +63,7 @@ def loop_figures(margins: Margins) -> list[Figure]:
     middle = np.clip(1.0, size.min(), size.max())
     omega = omega[(size > SHOWN[0] * middle) & (size < SHOWN[1] * middle)]
     gain = loops.broken_at(signal, omega)
-    decibel, phase = 20 * np.log10(np.abs(gain)), np.degrees(np.unwrap(np.angle(gain)))
+    decibel, phase = decibels_of(gain), np.degrees(np.unwrap(np.angle(gain)))
     phase -= 360 * np.round((phase - phase[0]).mean(axis=1, keepdims=True) / 360)
     # In the turn that has -180 degrees in its middle, at the gain nearest to one.
     phase -= 360 * math.ceil(phase[0, np.abs(decibel[0]).argmin()] / 360)

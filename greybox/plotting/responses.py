@@ -12,7 +12,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Labels, StringPair, frozen
+from greybox.files.arrays import Array, Labels, StringPair, frozen, unique
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, INK, Series, require_drawable
 from greybox.plotting.signals import distinct_labels
@@ -190,4 +190,4 @@ def _label(item: Fit | FrequencyResponse) -> str:
 
 
 def _joined(names: Iterable[str]) -> str:
-    return ", ".join(dict.fromkeys(names))
+    return ", ".join(unique(names))

@@ -2,13 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from typing import TypeVar
 
 from greybox.data.record import Record
-from greybox.files.arrays import Labels, NamedStrings
+from greybox.files.arrays import Item, Labels, NamedStrings
 from greybox.files.text_table import in_greek, numbered_where_alike
-
-Item = TypeVar("Item")
 
 
 def shown_unit(units: NamedStrings, name: str) -> tuple[float, str]:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Array, StringPair, Values, sum_of_squares
+from greybox.files.arrays import Array, StringPair, Values, sum_of_squares, unique
 from greybox.files.text_table import number, p_text, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series, require_drawable
 from greybox.plotting.matplotlib_figure import draw
@@ -173,7 +173,7 @@ def structures_figure(results: Study | Comparison) -> Figure:
     else:
         require_drawable(results, Study, f"{STUDY}, or what gb.compare makes of it")
         title, classes, cells = "Starts that agree", AGREEING, _shares(results)
-    columns, rows = (list(dict.fromkeys(key[k] for key in cells)) for k in (0, 1))
+    columns, rows = (unique(key[k] for key in cells) for k in (0, 1))
     low, series = -np.inf, []
     for name, (high, color, style) in classes.items():
         inside = {key: value for key, value in cells.items() if low < value <= high}

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen
+from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen, unique
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, require_drawable, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -113,7 +113,7 @@ def history_figure(
         panels.append(Panel(signal_label(data, name), series, height=0.5))
 
     data = drawn[0].data
-    records = ", ".join(dict.fromkeys(history.data.name for history in drawn if history.data.name))
+    records = ", ".join(unique(history.data.name for history in drawn if history.data.name))
     return Figure(
         f"Time history, {records}" if records else "Time history",
         "Time, s" if data.has_time else "Row",

@@ -8,7 +8,6 @@ Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 a
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from greybox.files.arrays import (
     frozen,
     sum_of_squares,
 )
-from greybox.files.text_table import Printed, number, require_kind, text_table
+from greybox.files.text_table import Printed, number, require_kind, text_table, titled
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import (
     Inputs,
@@ -43,7 +42,7 @@ from greybox.regression.regressors import regressors
 from greybox.spectral.uniform_stretches import check_uniform
 
 
-@dataclass(frozen=True)
+@frozen
 class UsedEquation:
     """One regression: left side, R², number of rows, band of its terms (Hz), and residual (rms).
 
@@ -102,7 +101,7 @@ class EquationErrorEstimate(Printed):
             note = "AT BOUND" if name in self.at_bound else ""
             rows.append([name, number(value), p.unit, note, p.about])
         header = ["parameter", "estimate", "unit", "", "meaning"]
-        lines = text_table(header, rows, left=(0, 2, 3, 4)).splitlines()
+        lines = [text_table(header, rows, left=(0, 2, 3, 4))]
         lines += [f"not estimated: {name}, {why}" for name, why in self.missing.items()]
 
         rows = []
@@ -111,7 +110,7 @@ class EquationErrorEstimate(Printed):
             cells = [f"{e.r_squared:.4f}", str(e.rows), band, number(e.residual, 3)]
             rows.append([e.left, " ".join(e.parameters), *cells])
         header = ["equation", "for", "R²", "rows", "band, Hz", "residual"]
-        lines += ["", *text_table(header, rows, (0, 1)).splitlines()]
+        lines += ["", text_table(header, rows, (0, 1))]
         lines += [f"left out: {text}" for text in self.left_out]
         lines += ["", *(f"state {text}" for text in self.states)]
         lines += [f"input {name} {text}" for name, text in self.inputs.items()]
@@ -120,8 +119,7 @@ class EquationErrorEstimate(Printed):
             "Noise in the regressors biases the estimate. Use it as a start for gb.fit, which",
             "gives standard errors.",
         ]
-        indented = ("  " + line if line else line for line in lines)
-        return "\n".join([f"{self.name}: equation error", "", *indented])
+        return titled(f"{self.name}: equation error", lines)
 
 
 def equation_error(

@@ -1,7 +1,6 @@
 """Which equations of a model become regressions, and which parameters are linear in them."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Literal
 
 import casadi as ca
@@ -36,7 +35,7 @@ class KnownState:
         return f"{self.name} from the {kind} {self.source}"
 
 
-@dataclass(frozen=True)
+@frozen
 class Equation:
     """One regression: the derivative of a state, or an output, against a row of the model."""
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record, median_step
-from greybox.files.arrays import Array, as_arrays
+from greybox.files.arrays import Array, as_arrays, nans
 from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -49,7 +49,7 @@ def regressors(
     """
     time = record.time
     step = median_step(time)
-    x = np.full((len(equations.state_names), time.size), np.nan)
+    x = nans((len(equations.state_names), time.size))
     derivatives: dict[str, Array] = {}
     cutoffs: dict[str, float] = {}
     for state in equations.states:
@@ -63,7 +63,7 @@ def regressors(
         x[equations.state_names.index(state.name)] = signal
         derivatives[state.name] = differentiate(time, signal)
 
-    u = np.full((len(equations.input_names), time.size), np.nan)
+    u = nans((len(equations.input_names), time.size))
     lateness = 0.0
     delays = np.asarray(equations.delay(p)).ravel().tolist()
     for row, name, delay in zip(u, equations.input_names, delays, strict=True):
@@ -144,7 +144,7 @@ def _delayed(time: Array, values: Array, late: float, held: bool) -> Array:
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
-    result = np.full(time.size, np.nan)
+    result = nans(time.size)
     for rows in stretches(time, values):
         t, u = time[rows], values[rows]
         if t.size > 3:

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from greybox.data.record import GAP, median_step, runs_between_gaps
-from greybox.files.arrays import Array, ArrayPair, IntArray, sum_of_squares
+from greybox.files.arrays import Array, ArrayPair, IntArray, nans, sum_of_squares
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
@@ -66,7 +66,7 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
     is_line = sum_of_squares(amplitude) <= 1e-24 * float(np.nansum(values**2))
     cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
-    smoothed = np.full(values.size, np.nan)
+    smoothed = nans(values.size)
     for rows in parts:
         smoothed[rows] = low_pass(values[rows], step, cutoff)
     return smoothed, cutoff
@@ -88,7 +88,7 @@ def differentiate(time: Array, values: Array) -> Array:
     """Differentiate a smooth signal (n,), stretch by stretch, by cubic splines of order step⁴."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
-    result = np.full(values.size, np.nan)
+    result = nans(values.size)
     for rows in stretches(time, values):
         if rows.stop - rows.start > 3:
             result[rows] = CubicSpline(time[rows], values[rows])(time[rows], 1)

@@ -7,7 +7,16 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, IntArray, StringPair, Strings, Values, frozen, selected
+from greybox.files.arrays import (
+    Array,
+    IntArray,
+    StringPair,
+    Strings,
+    Values,
+    frozen,
+    places_of,
+    selected,
+)
 from greybox.formulation.time_criteria import (
     Inputs,
     OutputError,
@@ -112,7 +121,7 @@ class ModelAtEstimate:
         """Return the covariance (k, k) of the errors of these outputs; None if unknown."""
         if self.part is None or not set(outputs) <= set(self.part.outputs):
             return None
-        places = [self.part.outputs.index(name) for name in outputs]
+        places = places_of(outputs, self.part.outputs)
         return self.part.noise[np.ix_(places, places)]
 
 

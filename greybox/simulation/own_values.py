@@ -24,7 +24,9 @@ from greybox.files.arrays import (
     Strings,
     by_name,
     frozen,
+    places_of,
     selected,
+    unique,
 )
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
@@ -80,7 +82,7 @@ def with_own_values(
             estimate = candidate
 
     title = record.name or "the record"
-    undetermined = [name for name in dict.fromkeys(own) if name not in estimate.names]
+    undetermined = [name for name in unique(own) if name not in estimate.names]
     notes: Strings = ()
     if undetermined:
         notes = (
@@ -201,7 +203,7 @@ def _determined(
 def _with_biases(model: ModelAtEstimate, own: Labels) -> ModelAtEstimate:
     """Return the model with a bias of zero for every signal in `own` that has none yet."""
     possible = {f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs)}
-    new = [name for name in dict.fromkeys(own) if name in possible and name not in model.names]
+    new = [name for name in unique(own) if name in possible and name not in model.names]
     require_known(own, (*model.names, *new), "parameter", model.label)
     biases = (*model.criterion.biases, *(name.removesuffix("_bias") for name in new))
     covariance = model.covariance
@@ -227,7 +229,7 @@ def _minimized(
     """Return the best values of the parameters, within their bounds."""
     # Bounds keep a value finite that the windows determine badly.
     low, high = lower_and_upper(parameters.values())
-    places = np.array([model.names.index(name) for name in parameters], dtype=int)
+    places = places_of(parameters, model.names)
 
     def at(values: Array) -> _Estimate:
         q = model.q.copy()

@@ -22,8 +22,9 @@ from greybox.files.arrays import (
     Labels,
     Strings,
     frozen,
+    nans,
 )
-from greybox.files.text_table import Printed, counted, number, text_table
+from greybox.files.text_table import Printed, counted, number, text_table, titled
 from greybox.modeling.parameter import is_finite_number
 from greybox.statistics.metrics import fit_percent, rms
 
@@ -113,7 +114,7 @@ class Prediction(Printed):
         states = zip(self.states, self.trajectory, strict=True)
         named |= {name: values for name, values in states if name not in named}
 
-        signals = {name: np.full(len(self.data), np.nan) for name in named}
+        signals = {name: nans(len(self.data)) for name in named}
         for name, values in named.items():
             signals[name][self.rows] = values
         units = {n: self.data.units.get(n.removesuffix("_error"), "") for n in named}
@@ -200,20 +201,18 @@ class Prediction(Printed):
             rows,
             left=(0, 1),
         )
-        notes = ["", *("  " + note for note in self.notes)] if self.notes else []
-        return "\n".join([head, "", *("  " + line for line in table.splitlines()), *notes])
+        return titled(head, [table, *(["", *self.notes] if self.notes else [])])
 
     def _row(self, name: str, shares: Sequence[float]) -> Labels:
         k = self._place(name)
         grown = [number(self.rms(name, share), 3) for share in shares]
-        standard_error = rms(self.error[k])
         values = [number(self.fit_percent(name), 4), number(self.rms(name), 3), *grown]
         return [
             name,
             self.data.units.get(name, ""),
             *values,
             number(math.sqrt(self.noise[k, k]), 3),
-            number(standard_error, 3),
+            number(rms(self.error[k]), 3),
         ]
 
 

@@ -8,7 +8,17 @@ from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
-from greybox.files.arrays import Array, BoolArray, Labels, Strings, Values, all_finite, selected
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    Labels,
+    Strings,
+    Values,
+    all_finite,
+    nans,
+    selected,
+    unique,
+)
 from greybox.files.text_table import as_names, counted, require_kind, some
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.integrators import Integrator
@@ -119,8 +129,7 @@ def simulate(
 
     # A state with the name of an output is given once, as the sensor shows it.
     columns = {
-        name: np.full(len(record), np.nan)
-        for name in dict.fromkeys((*outputs, *errors, *estimated.system.states))
+        name: nans(len(record)) for name in unique((*outputs, *errors, *estimated.system.states))
     }
     simulator = Simulator(estimated, outputs, integrator)
     unknown: dict[str, None] = {}
@@ -221,11 +230,11 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     """
     require_lengths(horizon=horizon, lead=lead)
     estimated, record = _model_and_record(model, values, record, inputs, part)
-    horizon = default_length([record], SHORTEST) if horizon is None else horizon
+    horizon = horizon or default_length([record], SHORTEST)
 
     # Within the delay, outputs respond to inputs before the window.
     delay = float(np.max(estimated.delays, initial=0.0))
-    lead = default_length([record], SHORTEST, delay) if lead is None else lead
+    lead = lead or default_length([record], SHORTEST, delay)
     outputs = tuple(name for name in estimated.system.outputs if name in record.signals)
     if not outputs:
         raise ValueError(

@@ -23,6 +23,8 @@ from greybox.files.arrays import (
     by_name,
     evenly_spread,
     frozen,
+    nans,
+    places_of,
     real_root,
 )
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta, repeated
@@ -156,7 +158,7 @@ class Simulator:
         model = self._model
         count = len(stretch)
         # A free run has no measurements that could correct its states.
-        nothing_measured = np.full((len(self._outputs), count), np.nan)
+        nothing_measured = nans((len(self._outputs), count))
         data = SampledData((replace(stretch, outputs=nothing_measured),)).rows(model.delays)
 
         def run(step: SampleStep) -> _Run:
@@ -178,7 +180,7 @@ class Simulator:
         elif fitted_initial:
             part, rows = model.part, stretch.rows
             compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
-            places = [self._outputs.index(name) for name in part.outputs]
+            places = places_of(part.outputs, self._outputs)
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
             by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
         error, unknown = _standard_errors(by_value[0], variance[0], model)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen, of_diagonal
+from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen, nans, of_diagonal
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
 # Initial states (w, n) -> derivatives of the outputs with respect to them (w, samples, k, n).
@@ -75,7 +75,7 @@ def estimate_states(
     x = guess
     e, S, finite = _linearized(x, residual, sensitivities)
     if not finite.any():
-        unknown = np.full(n, np.nan)
+        unknown = nans(n)
         return StateEstimates(x, R, unknown, unknown, ~finite)
     if not finite.all():
         # The other windows begin at the mean of the windows that are finite.
@@ -150,7 +150,7 @@ def one_step_errors(
     variance = np.diag(noise)
     x = offset.copy()
     P = np.broadcast_to(np.diag(1 / precision), (w, len(precision), len(precision))).copy()
-    result = np.full(e.shape, np.nan)
+    result = nans(e.shape)
     for t in range(samples):
         for j in range(k):
             h = sensitivities[:, t, j]

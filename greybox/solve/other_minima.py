@@ -16,7 +16,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, by_name
+from greybox.files.arrays import Array, by_name, places_of
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.modeling.linear_response import frequency_response
 from greybox.solve.batched_newton import BatchedNewton
@@ -35,7 +35,7 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     if not ResponseSolver.serves(alike):
         return x[:0]
 
-    places = [nlp.free.index(name) for name in alike.free]
+    places = places_of(alike.free, nlp.free)
     best = x[places]
     boxes = [alike.problem.parameters[name].in_box(SHARES) for name in alike.free]
     held = np.tile(np.eye(len(best), dtype=bool), len(SHARES))

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import hold_of_response
-from greybox.files.arrays import Array, BoolArray, ComplexArray, Fields
+from greybox.files.arrays import Array, BoolArray, ComplexArray, Fields, unique
 from greybox.files.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -85,7 +85,7 @@ def response_at(
 def measured_in(stretches: Sequence[UniformStretch], input: str, output: str) -> Fields:
     """Return source, stretches, units and hold of a response that these stretches give."""
     return {
-        "source": ", ".join(dict.fromkeys(s.record.source for s in stretches if s.record.source)),
+        "source": ", ".join(unique(s.record.source for s in stretches if s.record.source)),
         "stretches": tuple(s.origin for s in stretches),
         "units": {n: u for n, u in stretches[0].record.units.items() if n in (input, output) and u},
         "about": hold_of_response(input, output, [(s.record.hold, s.step) for s in stretches]),

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, FloatPair, Strings, frozen
+from greybox.files.arrays import Array, FloatPair, Strings, frozen, unique
 from greybox.files.text_table import Printed, number, text_table
 
 # Change of trim over the amplitude, and standard error over the response: an error of the gain
@@ -167,10 +167,10 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
         standard_error=math.sqrt(variance),
         dof=effective_dof,
         periods=sum(p.periods for p in points),
-        findings=tuple(dict.fromkeys(text for p in points for text in p.findings)),
+        findings=unique(text for p in points for text in p.findings),
         notes=(
             f"mean of {len(points)} tests",
-            *dict.fromkeys(text for p in points for text in p.notes),
+            *unique(text for p in points for text in p.notes),
         ),
         # The worst test decides: a nonlinearity does not average out.
         unexplained=float(np.fmax.reduce([p.unexplained for p in points])),

@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, median_step, require_time
 from greybox.data.test_segment import Segment, checked_segments
-from greybox.files.arrays import Array, ComplexArray, all_finite, sum_of_squares
+from greybox.files.arrays import Array, ComplexArray, all_finite, sum_of_squares, unique
 from greybox.spectral.demodulation import (
     UnusableSegmentError,
     least_squares,
@@ -113,17 +113,21 @@ def finite_frequency(
         except UnusableSegmentError as reason:
             left_out.append((segment, str(reason)))
     if not points:
-        reasons = "; ".join(dict.fromkeys(reason for _, reason in left_out)) or "there is none"
+        reasons = "; ".join(unique(reason for _, reason in left_out)) or "there is none"
         raise ValueError(f"no segment gives a point of the response: {reasons}.")
     points = _with_pooled_noise(points)
 
     # The harmonics of one test are compared with the responses of the others. So the mean is taken
     # twice: first for the response, then with the error that the harmonics imply.
     frequencies = sorted({p.omega for p in points})
-    merged = [averaged([p for p in points if p.omega == omega]) for omega in frequencies]
-    shares = unexplained(np.array(frequencies), np.array([p.response for p in merged]), measured)
+
+    def means(points: list[FrequencyPoint]) -> tuple[FrequencyPoint, ...]:
+        return tuple(averaged([p for p in points if p.omega == omega]) for omega in frequencies)
+
+    responses = np.array([p.response for p in means(points)])
+    shares = unexplained(np.array(frequencies), responses, measured)
     points = [with_unexplained(p, float(share)) for p, share in zip(points, shares, strict=True)]
-    merged = tuple(averaged([p for p in points if p.omega == omega]) for omega in frequencies)
+    merged = means(points)
     response = _response(merged, record, input, output)
     # Sines were flown one after another; only distortion is alike at neighboring frequencies.
     if not np.any(shares):

@@ -1,5 +1,6 @@
 """Fourier integrals over a manoeuvre (doublet, 2-1-1, step, manual inputs) on a chosen band."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -60,11 +61,12 @@ def transient_spectrum(
         )
     stretch = stretches[0]
     duration = stretch.origin.end - stretch.origin.start
-    step = duration / (stretch.values.shape[1] - 1)
+    count = stretch.values.shape[1] - 1
+    step = duration / count
     omega = lines_in_band(band, duration, step)
 
     readings = {name: intersample(record.hold.get(name, 0.0), step) for name in names}
-    before_end = step * np.arange(stretch.values.shape[1] - 1)
+    before_end = step * np.arange(count)
     transforms = {
         name: (_held if readings[name].held else _interpolated)(values, omega, step)
         for name, values in zip(names, stretch.values, strict=True)
@@ -99,12 +101,12 @@ def _changes(before_end: Array, values: Array) -> Array:
 def lines_in_band(band: Interval, duration: float, step: float) -> Array:
     """Return the multiples of 2π / duration within the band, rad/s; refuse a band without any."""
     low, high = require_band(band)
-    spacing = 2 * np.pi / duration
-    if high > HIGHEST * 2 * np.pi / step * (1 + 1e-9):  # rounding of the step
+    spacing = math.tau / duration
+    highest = HIGHEST * math.tau / step
+    if high > highest * (1 + 1e-9):  # rounding of the step
         raise ValueError(
             f"the band ends at {high:g} rad/s, but the signals are sampled at {1 / step:g} Hz: end "
-            f"it at {HIGHEST * 2 * np.pi / step:.4g} rad/s ({HIGHEST:g} of the sampling rate) at "
-            "most."
+            f"it at {highest:.4g} rad/s ({HIGHEST:g} of the sampling rate) at most."
         )
     lines = np.arange(
         max(1, np.ceil(low / spacing * (1 - 1e-9))), np.floor(high / spacing * (1 + 1e-9)) + 1
@@ -119,7 +121,7 @@ def lines_in_band(band: Interval, duration: float, step: float) -> Array:
 
 def _sums(values: Array, omega: Array, step: float) -> ComplexArray:
     """Return Σ x_k exp(-jω t_k) at multiples of the resolution of the values."""
-    return np.fft.rfft(values)[np.rint(omega * step * values.size / (2 * np.pi)).astype(int)]
+    return np.fft.rfft(values)[np.rint(omega * step * values.size / math.tau).astype(int)]
 
 
 def _held(values: Array, omega: Array, step: float) -> ComplexArray:

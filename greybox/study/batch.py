@@ -20,7 +20,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.printed import data_names, summary
 from greybox.estimate.storage import to_bytes
-from greybox.files.arrays import Fields, Named, frozen
+from greybox.files.arrays import Fields, Named, frozen, unique
 from greybox.files.error_place import error_place
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable, require_kind
@@ -334,11 +334,11 @@ def _fit_member(
 def _stated(problem: AnyProblem | UnreadableError) -> Fields:
     """Return the fields that distinguish a failed member, as the summary of a fit has them."""
     parts = problem.parts
-    models = list(dict.fromkeys(part.model.label for part in parts))
+    models = unique(part.model.label for part in parts)
     return {
         "model": models,
         "data": data_names(parts, models),
-        "criterion": "; ".join(dict.fromkeys(part.criterion.name for part in parts)),
+        "criterion": "; ".join(unique(part.criterion.name for part in parts)),
     }
 
 

@@ -32,6 +32,7 @@ from greybox.files.text_table import (
     number,
     some,
     text_table,
+    titled,
 )
 from greybox.modeling.one_thread import cached_property
 from greybox.modeling.parameter import require_whole
@@ -190,12 +191,10 @@ class Bootstrap(Printed):
             ]
             for name, q in self.summary(level)["quantities"].items()
         ]
-        table = ["  " + line for line in text_table(header, rows, left=(0, 5, 6)).splitlines()]
-        remarks = [f"  warning: {text}" for text in self.warnings]
-        remarks += [f"  note: {text}" for text in self.notes]
-        return "\n".join(
-            [title, "", *table, "", *remarks, f"  {self.seconds:.2f} s; seed {self.seed}"]
-        )
+        lines = [text_table(header, rows, left=(0, 5, 6)), ""]
+        lines += [f"warning: {text}" for text in self.warnings]
+        lines += [f"note: {text}" for text in self.notes]
+        return titled(title, [*lines, f"{self.seconds:.2f} s; seed {self.seed}"])
 
     def summary(self, level: float = 0.95) -> Fields:
         """Return plain values for JSON, without the replicates; None for an open or unknown end."""

@@ -10,7 +10,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.files.arrays import Fields, Named, NamedStrings, Strings
+from greybox.files.arrays import Fields, Named, NamedStrings, Strings, unique
 from greybox.files.delimited_text import heading, read_delimited
 from greybox.files.safe_files import require_file
 from greybox.formulation.signal_units import as_the_only_pair
@@ -54,7 +54,7 @@ def read_data(
     """
     path = require_file(path)
     if prepare:
-        return prepared(read(path, columns=columns or None, rate=rate), **prepare)
+        return prepared(read(path, columns=columns, rate=rate), **prepare)
     names = _header(path)
     is_response = _is_response(names, columns or {})
     if rate and is_response:
@@ -77,7 +77,7 @@ def read_data(
             model, read_response(path, input=input, output=output, columns=columns)
         )
 
-    return _record_of(read(path, columns=columns or None, rate=rate), path, model)
+    return _record_of(read(path, columns=columns, rate=rate), path, model)
 
 
 def _header(path: Path) -> Strings | None:
@@ -141,7 +141,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
     (record,) = records
     # Models are written in SI units, tables in any.
     record = in_si(record, [name for name in names if name in record.signals])
-    return replace(record, findings=tuple(dict.fromkeys([*record.findings, *log.findings])))
+    return replace(record, findings=unique([*record.findings, *log.findings]))
 
 
 def reading_once() -> Callable[..., Any]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import StringPair
+from greybox.files.arrays import StringPair, unique
 from greybox.files.text_table import counted, percent, some
 from greybox.modeling.one_thread import unchanged
 from greybox.simulation.prediction import default_length
@@ -79,7 +79,7 @@ def ranking(results: Iterable[Result]) -> Comparison:
         tuple(sizes),
         f"{counted(len(tables[EVIDENCE]), 'data set')}: {some([*tables[EVIDENCE]])}",
         tuple(rows),
-        tuple(dict.fromkeys([*(_wins(*pair) for pair in ranked.items()), *notes])),
+        unique([*(_wins(*pair) for pair in ranked.items()), *notes]),
         supported=verdicts[-1][0] if verdicts else "",
         verdict=" ".join(text for _, text in verdicts),
     )
@@ -111,7 +111,7 @@ def _evidence(
     values = [math.inf if value is None else value for value in excess]
     order = sorted(range(len(fits)), key=values.__getitem__)
     first = {names[k]: k for k in reversed(order)}
-    best = {name: (fits[first[name]], held[first[name]]) for name in dict.fromkeys(names)}
+    best = {name: (fits[first[name]], held[first[name]]) for name in unique(names)}
     return best, {name: values[first[name]] for name in best if values[first[name]] < math.inf}
 
 

@@ -22,7 +22,15 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
-from greybox.files.arrays import Array, Arrays, ComplexArray, frozen, real_root, sum_of_squares
+from greybox.files.arrays import (
+    Array,
+    Arrays,
+    ComplexArray,
+    frozen,
+    nans,
+    real_root,
+    sum_of_squares,
+)
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -356,7 +364,7 @@ class ResponseReplicates(Replicates):
     def _by_ipopt(self, data: Array) -> Outcome:
         # IPOPT takes much longer than a batch: check the time limit before each solve.
         if cut := reason_to_end():
-            return Outcome(np.full(len(self.start), np.nan), cut, 0, 0.0, converged=False)
+            return Outcome(nans(len(self.start)), cut, 0, 0.0, converged=False)
         # The compiled functions are shared; near the estimate, no other criterion is needed to
         # locate the minimum.
         nlp = copy(self.nlp)

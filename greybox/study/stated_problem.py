@@ -16,7 +16,7 @@ from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Fields, Named, selected
+from greybox.files.arrays import Fields, Named, selected, unique, without
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -268,11 +268,11 @@ def _restated(part: Problem, changes: Mapping[str, Named]) -> Problem:
         )
 
     # A parameter is either fixed or free: each option undoes what the problem says.
-    fixed = {name: x for name, x in part.fixed_values.items() if name not in changed["free"]}
+    fixed = without(part.fixed_values, changed["free"])
     free = [name for name in part.free if name not in changed["fixed"]]
     return part.with_(
         fixed={**fixed, **changed["fixed"]},
-        free=tuple(dict.fromkeys([*free, *changed["free"]])),
+        free=unique([*free, *changed["free"]]),
         **{
             what: {**getattr(part, what), **changed[what]}
             for what in ("bounds", "start", "starts", "prior")

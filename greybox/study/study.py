@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.pandas_frames import Frame
-from greybox.files.arrays import Fields, Labels, Strings, frozen
+from greybox.files.arrays import Fields, Labels, Strings, frozen, unique
 from greybox.files.grouping import grouped
 from greybox.files.optional_package import required
 from greybox.files.text_table import (
@@ -84,12 +84,12 @@ class Study(Printed):
         """Return the members by the value of a factor; those without one are left out."""
         return {value: self.select(**{by: value}) for value in self._values(by)}
 
-    def _values(self, name: str) -> list[str]:
+    def _values(self, name: str) -> Strings:
         """Return the different values of a factor; ValueError if no member has it."""
         names = dict.fromkeys(key for member in self.members for key in member.factors)
         if self.members:
             require_known([name], names, "factor", "the study")
-        return [*dict.fromkeys(m.factors[name] for m in self.members if name in m.factors)]
+        return unique(m.factors[name] for m in self.members if name in m.factors)
 
     @property
     def table(self) -> list[Fields]:

@@ -172,9 +172,8 @@ def _predictions(
     predictions: dict[str, Predictions] = {}
     notes: list[str] = []
     for kind, of_fits in data.items():
-        is_fitted = kind == IDENTIFICATION
         predictions[kind], texts = predict_same_windows(
-            fits, names, of_fits, window_and_lead, fitted=is_fitted
+            fits, names, of_fits, window_and_lead, fitted=kind == IDENTIFICATION
         )
         notes += texts
     return predictions, notes

@@ -3,9 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from greybox.files.arrays import Fields, Strings, by_name, frozen
+from greybox.files.arrays import Fields, Strings, by_name, frozen, unique
 from greybox.files.grouping import grouped
-from greybox.files.text_table import Printed, counted, number, one_line, probability, text_table
+from greybox.files.text_table import (
+    Printed,
+    counted,
+    number,
+    one_line,
+    probability,
+    text_table,
+    titled,
+)
 from greybox.simulation.prediction import Prediction, seconds
 
 IDENTIFICATION = "identification"
@@ -106,16 +114,15 @@ class Comparison(Printed):
         return one_line(self, f"of {', '.join(self.labels)}", counted(len(self.rows), "row"))
 
     def __str__(self) -> str:
-        lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
-        lines += [f"  {text}" for text in (self.verdict, *self.statements) if text] + [""]
+        lines = [f"data  {self.data}", "", *filter(None, (self.verdict, *self.statements)), ""]
         titles = dict.fromkeys(row.data for row in self.rows) | {"fit": ""}
         titles |= {kind: f"{kind} data: {self._windows(kind)}" for kind in self.predictions}
         for data, title in titles.items():
             rows = [row for row in self.rows if row.data == data]
-            lines += [f"  {title}", ""] if rows and title else []
+            lines += [title, ""] if rows and title else []
             for of_output in grouped(rows, lambda row: row.output):
-                lines += self._section(of_output)
-        return "\n".join(lines).rstrip()
+                lines += [self._table(of_output), ""]
+        return titled(f"Comparison of {', '.join(self.labels)}", lines).rstrip()
 
     def _windows(self, data: str) -> str:
         """Return number and length of the windows."""
@@ -126,14 +133,13 @@ class Comparison(Printed):
         texts = [f"{counted(sum(map(len, rows)), 'row')}, each by itself"] if rows else []
         if in_time:
             window, lead = (
-                " to ".join(dict.fromkeys((seconds(min(lengths)), seconds(max(lengths)))))
+                " to ".join(unique((seconds(min(lengths)), seconds(max(lengths)))))
                 for lengths in ([p.horizon for p in in_time], [p.lead for p in in_time])
             )
             count = counted(sum(map(len, in_time)), "window")
             texts.append(f"{count} of {window} s, each from {lead} s before it")
         return " and ".join(texts)
 
-    def _section(self, rows: Sequence[Row]) -> list[str]:
+    def _table(self, rows: Sequence[Row]) -> str:
         cells = [[r.measure, r.unit, *r.texts] for r in rows]
-        table = text_table([rows[0].output, "", *self.labels], cells, left=(0, 1))
-        return [*("  " + line for line in table.splitlines()), ""]
+        return text_table([rows[0].output, "", *self.labels], cells, left=(0, 1))

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.same_data import check_fits, labels_of
 
 
-@dataclass(frozen=True)
+@frozen
 class Difference:
     """One parameter or derived quantity of two fits.
 

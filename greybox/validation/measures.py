@@ -12,7 +12,7 @@ from greybox.estimate.fit import SolverChoice
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Array, StringPair, frozen
+from greybox.files.arrays import Array, StringPair, frozen, nans, unique
 from greybox.files.json_numbers import finite
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood, RelativeLikelihood
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -104,7 +104,7 @@ def fit_rows(
     or if the fits have common likelihoods.
     """
     likelihoods = common_likelihood(fits, comparable=comparable) if same_data else None
-    names = list(dict.fromkeys(fit.criterion for fit in fits))
+    names = unique(fit.criterion for fit in fits)
     criterion = names[0] if len(names) == 1 else "negative log-likelihood"
     costs = [fit.cost for fit in fits]
     numbers = [sum(part.compared_numbers for part in fit.parts) for fit in fits]
@@ -173,7 +173,7 @@ def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> list[Row
     if any(estimated):
         text = "values estimated from the records"
         rows.append(Row(kind, "", text, "", tuple(map(finite, estimated))))
-    for output in dict.fromkeys(name for p in predictions[0] for name in p.outputs):
+    for output in unique(name for p in predictions[0] for name in p.outputs):
         pairs = zip(predictions, fits, strict=True)
         measures = [_measures(output, of_fit, fit) for of_fit, fit in pairs]
         rows += [
@@ -207,7 +207,7 @@ def _measures(output: str, predictions: Sequence[Prediction], fit: Fit) -> dict[
 
 def _in_time_order(prediction: Prediction, output: str) -> list[Array]:
     """Return the errors one step ahead along the record, NaN between windows, cut at its gaps."""
-    along = np.full(len(prediction.data), np.nan)
+    along = nans(len(prediction.data))
     errors = prediction.one_step[prediction.outputs.index(output)]
     along[prediction.rows.ravel()] = errors.ravel()
     return [along[rows] for rows in prediction.data.independent_pieces]

@@ -17,7 +17,17 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, FloatPair, StringPair, Strings, Values, all_finite, by_name
+from greybox.files.arrays import (
+    Array,
+    FloatPair,
+    StringPair,
+    Strings,
+    Values,
+    all_finite,
+    array_of,
+    by_name,
+    without,
+)
 from greybox.files.text_table import Printed, listed, number, p_text
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
@@ -373,7 +383,7 @@ class _Part:
         part = self.part
         # Only output error may assume errors that are not normal.
         settings = {"errors": "normal", **part.settings}
-        settings = {name: v for name, v in settings.items() if name not in ADDED_SETTINGS}
+        settings = without(settings, ADDED_SETTINGS)
         # Output error is prediction error with gains of zero.
         criterion = part.criterion_class.replace("PredictionError", "OutputError")
         others = [getattr(part, name, None) for name in ("at", "sine", "inputs")]
@@ -411,7 +421,7 @@ def _agree(expected: Equations, rows: Equations) -> bool:
     """Return whether all expected rows are there, equal up to rounding, and mostly finite."""
     if not expected.keys() <= rows.keys():
         return False
-    a, b = (np.array([of[name] for name in expected]) for of in (expected, rows))
+    a, b = (array_of(of, expected) for of in (expected, rows))
     sizes = np.abs(a[np.isfinite(a)])
     # A thousand times the rounding of a long formula; what cancels leaves 1e-14 of a term.
     atol = 1e-14 * np.max(sizes, initial=0.0)

@@ -1,7 +1,7 @@
 """Whether fits have the same data, and whether their costs may be compared."""
 
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Labels, Strings
+from greybox.files.arrays import Labels, Strings, unique
 from greybox.files.text_table import number, numbered_where_alike, require_kind
 
 
@@ -18,7 +18,7 @@ def labels_of(fits: Fits) -> Strings:
     """Return the names of the models, with problems or numbers where they are alike."""
     # Names of models are the most useful. Only if these are equal, names of problems or numbers are
     # needed.
-    models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
+    models = [", ".join(unique(part.label for part in fit.parts)) for fit in fits]
     with_problems = [f"{model} ({fit.name})" for model, fit in zip(models, fits, strict=True)]
     for labels in (models, with_problems):
         if len(set(labels)) == len(labels):
@@ -116,4 +116,4 @@ def _criteria(fit: Fit) -> str:
     for part in fit.parts:
         settings = ", ".join(f"{name} = {value!r:.40}" for name, value in part.settings.items())
         texts.append(f"{part.criterion} ({settings})" if settings else part.criterion)
-    return ", ".join(dict.fromkeys(texts))
+    return ", ".join(unique(texts))

@@ -16,7 +16,6 @@ estimate. Errors whose size follows that of the output are named in their place.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Findings
 from greybox.estimate.fitted_part import FittedRecord
-from greybox.files.arrays import Array, ComplexArray, FloatPair, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, FloatPair, frozen, nans, real_and_imaginary
 from greybox.files.text_table import Sentences, listed, number, p_text, percent
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.huber import bounded, robust_deviation
@@ -37,7 +36,7 @@ SIZE = 0.01
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
+@frozen
 class Deviation:
     """The point of a response that deviates most.
 
@@ -234,7 +233,7 @@ def deletion_ratios(
     total = float(z @ z)
 
     if dof < 2 or not total > 0:
-        return np.full(n, math.nan), math.nan
+        return nans(n), math.nan
 
     rows = np.stack([basis[:n], basis[n:]], axis=1)
     M = np.eye(2) - rows @ rows.mT

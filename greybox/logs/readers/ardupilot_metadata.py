@@ -6,7 +6,7 @@ from typing import Any
 
 from pymavlink.mavutil import mode_mapping_bynumber
 
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, non_empty
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers.messages import Messages
 
@@ -63,7 +63,7 @@ def metadata(groups: Iterable[Messages]) -> Fields:
         "texts": tuple(zip(_times(msg), texts, strict=False)),
         "modes": _modes(by_name.get("MODE"), vehicle),
     }
-    return {key: value for key, value in about.items() if value}
+    return non_empty(about)
 
 
 def column(group: Messages | None, *names: str) -> Sequence[Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT, MULT_TO_PREFIX
 
-from greybox.files.arrays import IntArray, NamedStrings, Strings, frozen
+from greybox.files.arrays import IntArray, NamedStrings, Strings, frozen, unique
 from greybox.logs.readers.ardupilot_metadata import column, unit
 from greybox.logs.readers.messages import Messages
 
@@ -266,7 +266,7 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], Strings]:
     """Give messages of logs without unit tables ArduPilot's usual units, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
         return groups, ()
-    names = ", ".join(dict.fromkeys(group.name for group in groups if group.name in USUAL))
+    names = ", ".join(unique(group.name for group in groups if group.name in USUAL))
     with_units = [replace(g, units={**g.units, **USUAL.get(g.name, {})}) for g in groups]
     text = f"the log has no table of units: ArduPilot's usual ones are assumed for {names}."
     return with_units, (text,) if names else ()

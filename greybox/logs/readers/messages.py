@@ -19,6 +19,8 @@ from greybox.files.arrays import (
     Strings,
     Values,
     frozen,
+    nans,
+    unique,
 )
 from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
@@ -85,18 +87,14 @@ def checksum_of(path: Path) -> str:
 
 def bare(messages: MessageNames) -> Strings | None:
     """Return names without instances: a request for ``IMU[0]`` reads all of IMU."""
-    return (
-        None
-        if messages is None
-        else tuple(dict.fromkeys(name.partition("[")[0] for name in messages))
-    )
+    return None if messages is None else unique(name.partition("[")[0] for name in messages)
 
 
 def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], Strings]:
     """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
     timed = [group for group in groups if group.time is not None and len(group)]
     # In the order of the file, in which restarts show across all types of messages.
-    stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
+    stamps = nans(max((1 + int(group.order.max()) for group in timed), default=0))
     for group in timed:
         stamps[group.order] = group.time
     shifted, findings = time_stamps.one_clock(stamps)

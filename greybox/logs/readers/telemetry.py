@@ -35,6 +35,9 @@ from greybox.files.arrays import (
     NamedStrings,
     Values,
     by_name,
+    nans,
+    non_empty,
+    without,
 )
 from greybox.files.progress import bar
 from greybox.logs.readers import time_stamps
@@ -207,7 +210,7 @@ def metadata(kinds: Mapping[str, Kind], times: NamedArrays, beats: Heartbeats) -
         "texts": texts,
         "modes": _modes(beats, times, firmware.get("vehicle", "")),
     }
-    return {key: value for key, value in about.items() if value}
+    return non_empty(about)
 
 
 def heartbeats(kinds: Mapping[str, Kind]) -> Heartbeats:
@@ -376,7 +379,7 @@ def _clocks(kinds: Mapping[str, Kind]) -> tuple[Array, dict[int, list[float]]]:
         np.concatenate([getattr(kind, name) for kind in kinds.values()])
         for name in ("numbers", "senders", "received", "sent")
     )
-    stamps = np.full(1 + numbers.max(initial=-1), np.nan)
+    stamps = nans(1 + numbers.max(initial=-1))
     stamps[numbers] = received
     # A restart shows in the order in which the packets came, whatever their kinds.
     order = np.argsort(numbers)
@@ -397,7 +400,7 @@ def _clocks(kinds: Mapping[str, Kind]) -> tuple[Array, dict[int, list[float]]]:
 def _messages(kind: Kind, time: Array) -> Messages:
     """Return the packets of one kind, in the order of their times: a link may deliver them late."""
     texts = {**kind.texts}
-    columns = {label: x for label, x in kind.columns.items() if label not in TICKS}
+    columns = without(kind.columns, TICKS)
     units = kind.definition.fieldunits_by_name
     instance = kind.definition.instance_field
     labels = _labels(np.asarray(kind.senders), texts.get(instance), columns.pop(instance, None))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Fields, Named
+from greybox.files.arrays import Fields, Named, non_empty, without
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers import named_arrays
 from greybox.logs.readers.messages import MessageNames, bare
@@ -109,7 +109,7 @@ def _about(facts: Named) -> Fields:
         "parameter_changes": parameter_changes(written),
         "texts": tuple((ticks / 1e6, text) for ticks, text in facts["texts"]),
     }
-    return {key: value for key, value in about.items() if value}
+    return non_empty(about)
 
 
 def with_angles(name: str, record: Record) -> Record:
@@ -126,7 +126,7 @@ def with_angles(name: str, record: Record) -> Record:
             "pitch": np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),
             "yaw": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
         }
-        angles = {name: values for name, values in angles.items() if name not in record.signals}
+        angles = without(angles, record.signals)
 
     hold = dict.fromkeys(angles, record.hold[first]) if first in record.hold else {}
 
