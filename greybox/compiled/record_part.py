@@ -18,7 +18,7 @@ from greybox.compiled.riccati import NoiseModel, noise_model
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.compiled.step_size import drawn_parameters, needed_substeps
+from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import (
     Array,
@@ -36,10 +36,6 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
 from greybox.statistics.huber import bounded
-
-# Samples of a segment. On the unstable tilt plant segments of 5 to 20 samples converged from 14 of
-# 14 random starts, 50 failed.
-SEGMENT = 10
 
 
 class RecordPart(SegmentedPart):
@@ -356,12 +352,14 @@ def compile_records(
     for lot in grouped(range(len(models)), kind):
         first = lot[0]
         every = joined([data[k] for k in lot])
-        substeps = needed_substeps(models[first], drawn[first], every, longest[first])
+        substeps, segment_length = substeps_and_segment(
+            models[first], drawn[first], every, longest[first]
+        )
         is_stiff = method.scheme.substeps is None and substeps > MOST_SUBSTEPS
         if is_stiff and method.for_stiff_models() != method:
             return compile_records(problems, expressions, z, method.for_stiff_models())
         for k in lot:
-            cut = replace(data[k], segment_length=method.segment or SEGMENT)
+            cut = replace(data[k], segment_length=segment_length)
             parts[k] = RecordPart(models[k], cut, MOST_SUBSTEPS if is_stiff else substeps)
 
     return [parts[k] for k in range(len(models))]
