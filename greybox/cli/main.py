@@ -88,9 +88,6 @@ class _Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"there is no {value!r}; there are {choices}")
 
     def error(self, message: str) -> NoReturn:
-        # An option of several values, such as --held-out, takes all words behind it.
-        if "are required" in message and "--" not in message:
-            message += ", before the options"
         see = " See" if message.endswith("?") else "; see"
         raise UsageError(f"{message.rstrip('.')}{see} {self.prog} --help.")
 

@@ -180,8 +180,6 @@ def as_options(text: str, options: argparse.Namespace) -> str:
     # x=3 in a formula stays as it is.
     text = text.replace("fixed={", "fix={").replace("records=[...]", "held_out=...")
     text = text.replace("gb.load(path, models=[...])", "--model my.py")
-    # An option of several values, such as --free, takes all words behind it.
-    text = text.replace("a problem or", "a problem, before the options, or")
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
     # "open_loop=True" and "name=..." have no value on the command line.

@@ -30,6 +30,7 @@ from greybox.files.arrays import (
     StringPair,
     Strings,
     by_name,
+    nans,
 )
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
@@ -196,7 +197,7 @@ class RecordPart(SegmentedPart):
 
         # A steady filter belongs to one linear model: the one about the mean state.
         outputs, inputs = self.at_nodes
-        unknown = np.full(self.states, np.nan)
+        unknown = nans(self.states)
         nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
         rows = data.rows(np.zeros(len(self.system.inputs)))
         reference = nodes.mean(axis=1), rows.mean(axis=1)

@@ -6,8 +6,6 @@ search will go. Whether that many substeps are accurate enough is judged at the 
 (`greybox.solve.discretization_error`).
 """
 
-from typing import Any
-
 import numpy as np
 
 from greybox.compiled.initial_states import at_samples
@@ -20,6 +18,7 @@ from greybox.modeling.step_size import stable_substeps
 # Number of parameter vectors, the declared one first. With 17, the quartile is one of them, and a
 # few odd draws do not move it.
 DRAWS = 17
+QUARTILE = 12  # np.quantile imports masked arrays, which takes longer than sorting
 
 
 def substeps_and_segment(
@@ -60,14 +59,9 @@ def substeps_and_segment(
     # An unstable mode may grow by exp(2), sevenfold, over a segment. On the unstable tilt plant
     # segments of 5 to 20 samples converged from 14 of 14 random starts, 50 failed. With 10, five
     # instead of seven of ten runs of a stiff reaction of eight species (HIRES) arrive.
-    growth = max(_upper_quartile(growth_rates) * step, 1e-12)
+    growth = max(sorted(growth_rates)[QUARTILE] * step, 1e-12)
     segment = model.method.segment or int(np.clip(2 / growth, 5, 10))
-    return integrator.substeps or int(max(counts[0], _upper_quartile(counts))), segment
-
-
-def _upper_quartile(values: list[Any]) -> float:
-    # np.quantile imports masked arrays, which takes longer than all of this.
-    return sorted(values)[3 * DRAWS // 4]
+    return integrator.substeps or max(counts[0], sorted(counts)[QUARTILE]), segment
 
 
 def drawn_parameters(problem: Problem) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Fields, StringPair, all_finite, unique
+from greybox.files.arrays import Fields, StringPair, Strings, all_finite, unique
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import counted, number, percent, some, text_table, titled, with_error
 from greybox.formulation.spectrum_criteria import EquationError
@@ -326,17 +326,15 @@ def _is_of_later_record(name: str, records: int) -> bool:
     return records > MANY and number_of_record is not None and int(number_of_record[1]) > 3
 
 
-def data_names(parts: Iterable[Any], models: Iterable[str]) -> list[str]:
+def data_names(parts: Iterable[Any], models: Iterable[str]) -> Strings:
     """Return the names of the data of parts; without one, those of the problems, or checksums.
 
     A problem without a name is named by its model, and two models may be fitted to the same data.
     """
-    return list(
-        dict.fromkeys(
-            part.data.name
-            or (part.data.checksum[:8] if part.name.startswith(tuple(models)) else part.name)
-            for part in parts
-        )
+    return unique(
+        part.data.name
+        or (part.data.checksum[:8] if part.name.startswith(tuple(models)) else part.name)
+        for part in parts
     )
 
 

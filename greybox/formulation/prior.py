@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, FloatPair, NamedStrings, Strings, by_name, frozen
+from greybox.files.arrays import Array, FloatPair, NamedStrings, Strings, array_of, by_name, frozen
 from greybox.files.text_table import listed, require_kind
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
@@ -107,4 +107,4 @@ def _of_estimate(source: HeldEstimate, names: Strings) -> NormalPrior:
             "prior={name: (mean, standard deviation)} for the others, or fix it in both."
         )
 
-    return NormalPrior(names, np.array([source.estimate[name] for name in names]), covariance)
+    return NormalPrior(names, array_of(source.estimate, names), covariance)

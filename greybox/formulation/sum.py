@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import by_name, frozen
+from greybox.files.arrays import by_name, frozen, unique
 from greybox.files.text_table import counted, numbered_where_alike, one_line, preformatted
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
@@ -75,9 +75,9 @@ class Sum(Addable, Generic[Part]):
         vars(self)["_as_added"] = self.parts
         vars(self)["parts"] = numbered_parts(_with_costs_that_add(self.parts))
         if not self.name:
-            names = list(dict.fromkeys(part.name for part in self.as_added))
+            names = unique(part.name for part in self.as_added)
             if len(names) > 8:  # more names do not fit into a line
-                names = [*names[:2], "...", f"{names[-1]} ({len(names)} in all)"]
+                names = *names[:2], "...", f"{names[-1]} ({len(names)} in all)"
             vars(self)["name"] = " + ".join(names)
 
         self._check_ties()

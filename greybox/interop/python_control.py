@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
-from greybox.files.arrays import Labels, NamedStrings, Strings, Values
+from greybox.files.arrays import Labels, NamedStrings, Strings, Values, unique
 from greybox.files.optional_package import required
 from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
@@ -71,7 +71,7 @@ def to_control(
     if isinstance(thing, tuple):
         # python-control interpolates between frequencies, which must increase for that.
         pairs = {(r.output or "y", r.input or "u"): r.by_frequency for r in thing}
-        outputs, inputs = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True))
+        outputs, inputs = map(unique, zip(*pairs, strict=True))
         omega = pairs[outputs[0], inputs[0]].omega
         is_matrix = len(pairs) == len(outputs) * len(inputs)
         if not is_matrix or any(not np.array_equal(r.omega, omega) for r in pairs.values()):

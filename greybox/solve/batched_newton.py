@@ -105,14 +105,12 @@ class _Searches:
     data: Array
 
 
-def _iteration(p: int) -> tuple[Columns, Columns]:
+def _iteration(p: int) -> tuple[Columns, ...]:
     """Return `advanced` and `bounded` for p variables."""
     # Searches go to the next level at a projected gradient of 1e-2: with 1e-3 they take a twentieth
     # more iterations.
-    return (
-        Columns(advanced(p, 1e-2), fewest=FEWEST_IN_A_FEW_CALLS),
-        Columns(bounded(p), fewest=FEWEST_IN_A_FEW_CALLS),
-    )
+    functions = advanced(p, 1e-2), bounded(p)
+    return tuple(Columns(function, fewest=FEWEST_IN_A_FEW_CALLS) for function in functions)
 
 
 _iterations = Stored(16)

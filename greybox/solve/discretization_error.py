@@ -114,7 +114,7 @@ def refine_discretization(
     # Beyond its limit of stability, an integrator has no error that could be estimated.
     z = solver.nlp.scaling.to_solver(search.minima[0].estimate)
     while search.nodes and not solver.nlp.has_stable_steps(z, search.nodes):
-        solver = solver.refined(solver.nlp.refined(2))
+        solver = solver.with_problem(solver.nlp.refined(2))
     # A fixed number of substeps is the user's choice: it is judged, but not changed.
     # One of the eleven hard problems, the swing, is biased without refinement.
     is_fine = solver.nlp.method.scheme.substeps is not None
@@ -129,7 +129,7 @@ def refine_discretization(
         growth = _cheap_growth(nlp, error) if is_fine else error.growth
         if growth == 1:
             break
-        finer = solver.refined(nlp.refined(growth))
+        finer = solver.with_problem(nlp.refined(growth))
         # Behind kinks, states that follow from too long steps lead to worse minima than the data.
         begin = search if is_fine else replace(search, nodes=None)
         followed = with_finer_steps(begin, finer)

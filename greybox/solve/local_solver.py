@@ -104,8 +104,8 @@ class LocalSolver(Runner):
         """Return outcomes that replace runs, by number: every minimum needs a certified run."""
         return {}
 
-    def refined(self, nlp: CompiledProblem) -> "LocalSolver":
-        """Return the solver of the same problem with finer steps, where there are steps."""
+    def with_problem(self, nlp: CompiledProblem) -> "LocalSolver":
+        """Return the solver of the same problem with finer steps or other samples."""
         raise NotImplementedError
 
     def polished(self, search: Multistart) -> Multistart:

@@ -28,7 +28,7 @@ def with_robust_errors(search: Multistart, solver: LocalSolver) -> tuple[Multist
             break
         cost = best.cost
         trajectories = solver.profile(best.estimate, search.nodes).trajectories
-        solver = solver.refined(_pseudo_values(measured, trajectories))
+        solver = solver.with_problem(_pseudo_values(measured, trajectories))
         search = solver.polished(with_finer_steps(search, solver) or search)
     return search, solver
 

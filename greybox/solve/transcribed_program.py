@@ -97,9 +97,9 @@ class TranscribedProgram(LocalSolver):
         """Return the best nodes at the parameters x (p,), as the Gauss-Newton solver finds them."""
         return self._gauss_newton.profile(x, nodes)
 
-    def refined(self, nlp: CompiledProblem) -> GaussNewton:
-        """Return the Gauss-Newton solver with finer steps, which is near the minimum already."""
-        return self._gauss_newton.refined(nlp)
+    def with_problem(self, nlp: CompiledProblem) -> GaussNewton:
+        """Return the Gauss-Newton solver of the problem, which is near the minimum already."""
+        return self._gauss_newton.with_problem(nlp)
 
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps
-from greybox.files.arrays import Array, Labels
+from greybox.files.arrays import Array, Labels, array_of
 from greybox.files.text_table import checked_items
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
@@ -46,7 +46,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> li
     for record in checked_items("records", records, Record, "a Record or several of them"):
         require_time(record, "a frequency response")
         for piece in record.pieces:
-            values = np.array([piece[name] for name in signals])
+            values = array_of(piece, signals)
             present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
             for run in runs_between_gaps(present, 1):
                 if run.size > 1:

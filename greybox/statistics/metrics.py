@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, frozen, sum_of_squares
+from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, frozen, nans, sum_of_squares
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -183,7 +183,7 @@ def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
     mean = float(np.nanmean(np.concatenate(series)))
     a = autoregression([np.nan_to_num(s - mean) for s in series])
     # Σ a_k e(t - k) is NaN where a term is missing, as before the first sample.
-    missing = np.full(a.size - 1, np.nan)
+    missing = nans(a.size - 1)
     return [np.convolve(np.append(missing, s - mean), a, mode="valid") for s in series], a
 
 
@@ -213,4 +213,4 @@ def _tested(statistic: float, dof: float, correlations: Array, bound: float) -> 
 
 
 def _unknown(lags: int) -> CorrelationTest:
-    return CorrelationTest(math.nan, 0, math.nan, np.full(lags, np.nan), math.nan)
+    return CorrelationTest(math.nan, 0, math.nan, nans(lags), math.nan)

@@ -18,7 +18,7 @@ from greybox.compiled.compiled_problem import AnyProblem, require_problem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Labels, Strings, Values, frozen, selected
+from greybox.files.arrays import Labels, Strings, Values, frozen, selected, without
 from greybox.files.progress import bar
 from greybox.files.text_table import Printed, as_names, counted, listed, number, text_table
 from greybox.formulation.problem import Problem
@@ -323,6 +323,6 @@ def with_terms(problem: AnyProblem, terms: Terms, absent: Values) -> AnyProblem:
 def _part(part: Problem, terms: Terms, absent: Values) -> Problem:
     values = {n: absent[part.outside(n)] for n in part.declared if part.outside(n) in absent}
     chosen = {name for name in values if part.outside(name) in terms}
-    fixed = {n: v for n, v in {**part.fixed_values, **values}.items() if n not in chosen}
+    fixed = without({**part.fixed_values, **values}, chosen)
     free = [name for name in part.free if name not in values]
     return part.with_(fixed=fixed, free=[*free, *sorted(chosen)])

@@ -235,7 +235,7 @@ def test_states_of_coarse_steps_are_kept_where_their_error_does_not_matter(
     facts = {"substeps": 1, "method": method, "has_stable_steps": lambda *_: True}
     facts["refined"] = lambda _: solver.nlp
     solver.nlp = SimpleNamespace(**vars(PLAIN), **facts)
-    solver.refined = lambda _: solver
+    solver.with_problem = lambda _: solver
     refine_discretization(search, solver)
     assert solver.begun == [search.nodes if keeps else None]
 

@@ -210,7 +210,7 @@ class Fragile(LocalSolver):
     def cost(self, values):
         raise NotImplementedError
 
-    def refined(self, nlp):
+    def with_problem(self, nlp):
         raise NotImplementedError
 
 

@@ -8,6 +8,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
+from greybox.files.arrays import unique
 from greybox.files.text_table import Sentences, counted, listed, number, with_error
 
 
@@ -42,7 +43,7 @@ def determined_together(fit: Fit) -> Sentences:
     if not combinations:
         return
 
-    members = tuple(dict.fromkeys(name for c in combinations for name in c.names))
+    members = unique(name for c in combinations for name in c.names)
     remaining = f" and {len(combinations) - 3} more" if len(combinations) > 3 else ""
     yield (
         f"{'; '.join(map(str, combinations[:3]))}{remaining}: determined together, although "

@@ -3,9 +3,8 @@
 import math
 import re
 from collections.abc import Sequence
-from itertools import combinations, compress
+from itertools import combinations
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
@@ -366,24 +365,16 @@ def _place(fitted: FittedRecord, pairs: Pairs) -> str:
 
 
 def resting_inputs(nlp: CompiledProblem) -> Sentences:
-    """Note inputs that never change in any record, and inputs that no equation uses."""
+    """Note inputs that never change in any record."""
     records = nlp.parts_of(RecordPart)
-    inputs, moving, used = set[str](), set[str](), set[str]()
-    for part in records:
-        system, record = part.system, part.model.record
-        formulas = ca.vertcat(system.derivative(*system.symbols), system.output(*system.symbols))
-        inputs.update(system.inputs)
-        moving.update(name for name in system.inputs if np.ptp(record[name]))
-        used.update(compress(system.inputs, ca.which_depends(formulas, system.symbols[1])))
-
-    resting = ", ".join(sorted(inputs - moving))
+    pairs = {(name, part.model.record) for part in records for name in part.system.inputs}
+    moving = {name for name, record in pairs if np.ptp(record[name])}
+    resting = ", ".join(sorted({name for name, _ in pairs} - moving))
     if resting and moving:
         yield f"the inputs never change ({resting}): their effects look like those of constants."
     # A static model has no free response.
     elif resting and len(records) == len(nlp.parts) and not any(p.is_static for p in records):
         yield f"the inputs never change ({resting}): only the free response is informative."
-    for name in sorted(moving - used):
-        yield f"no equation and no measured output uses the input {name}: remove it or use it."
 
 
 def rounded_outputs(records: Sequence[FittedRecord]) -> Sentences:

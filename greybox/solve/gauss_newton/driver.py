@@ -62,9 +62,9 @@ class GaussNewton(LocalSolver):
             limits = limits.with_equation(equation)
         return GaussNewton(self.nlp, settings=self.settings, limits=limits)
 
-    def refined(self, nlp: CompiledProblem) -> "GaussNewton":
-        """Return the solver of the same problem with finer steps."""
-        return GaussNewton(nlp, settings=self.settings)
+    def with_problem(self, nlp: CompiledProblem) -> "GaussNewton":
+        """Return the solver of the same problem with finer steps or other samples."""
+        return GaussNewton(nlp, settings=self.settings, limits=self.limits)
 
     # --- runs
 
@@ -105,15 +105,15 @@ class GaussNewton(LocalSolver):
     @cached_property
     def _finer(self) -> "GaussNewton":
         """Return the solver with twice the steps, for runs that arrive where they are too long."""
-        return GaussNewton(self.nlp.refined(2), settings=self.settings, limits=self.limits)
+        return self.with_problem(self.nlp.refined(2))
 
     @cached_property
     def _excerpts(self) -> "GaussNewton | None":
         """Return the solver of the excerpts of a long record."""
         if max(part.samples for part in self.nlp.parts) <= 4 * EXCERPT:
             return None
-        excerpts = replace(self.nlp, parts=tuple(p.excerpt(EXCERPT) for p in self.nlp.parts))
-        return GaussNewton(excerpts, settings=self.settings, limits=self.limits)
+        excerpts = tuple(part.excerpt(EXCERPT) for part in self.nlp.parts)
+        return self.with_problem(replace(self.nlp, parts=excerpts))
 
     def _begun(self, begin: Iterate) -> tuple[Iterate, Progress]:
         """Return where to begin: with nodes from the data, or with simulated ones.

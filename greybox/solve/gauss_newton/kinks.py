@@ -13,9 +13,6 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-import numpy as np
-
-from greybox.compiled.record_group import RecordGroup
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, STALLED, Iterate
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
@@ -35,7 +32,7 @@ NEGLIGIBLE = 5e-3
 
 
 def status_at_kink(parts: AllParts, iterate: Iterate, *, states_only: bool) -> str:
-    """Return the status of a run where no step decreases the cost, and the record of the kink.
+    """Return the status of a run where no step decreases the cost.
 
     It has converged if some combination of the linearizations beside it promises next to nothing.
     """
@@ -52,7 +49,7 @@ def status_at_kink(parts: AllParts, iterate: Iterate, *, states_only: bool) -> s
             mean = step.linearizations
     if not step.decrease <= NEGLIGIBLE:
         return STALLED
-    return CONVERGED if mean is first else f"{AT_KINK} of {_kinked(parts, first, mean)!r}"
+    return CONVERGED if mean is first else AT_KINK
 
 
 def _mixed(first: Sequence[Any], second: Sequence[Any], share: float) -> list[Any]:
@@ -61,12 +58,3 @@ def _mixed(first: Sequence[Any], second: Sequence[Any], share: float) -> list[An
         tuple.__new__(type(a), [(1 - share) * u + share * v for u, v in zip(a, b, strict=True)])
         for a, b in zip(first, second, strict=True)
     ]
-
-
-def _kinked(parts: AllParts, first: Sequence[Any], second: Sequence[Any]) -> str:
-    """Return the name of the part whose gradients differ most, or of its record."""
-    changes = [np.abs(a[-1] - b[-1]).max(axis=-1) for a, b in zip(first, second, strict=True)]
-    place = np.argmax([change.max() for change in changes])
-    part = parts.parts[place]
-    records = part.parts if isinstance(part, RecordGroup) else (part,)
-    return records[np.argmax(changes[place]) % len(records)].name
