@@ -2,7 +2,8 @@
 
 The rule for substeps is that of `greybox.modeling.step_size`. Here it is applied to the model along
 the measured data, at the declared parameters and at others drawn from the start boxes, where the
-search will go. Whether that many substeps are accurate enough is judged at the minimum
+search will go. A run that goes where they are unstable continues with twice as many
+(`greybox.solve.gauss_newton.driver`). Whether they are accurate enough is judged at the minimum
 (`greybox.solve.discretization_error`).
 """
 
