@@ -200,8 +200,8 @@ def noise_model(
         linear=ca.Function("linear", [q], [F, half, C, *slopes], {"cse": True}),
         step=step,
         driven=places_of(model.driven, sample.system.states),
-        intensities=np.array([names.index(f"w_{name}") for name in model.driven], dtype=int),
-        deviations=np.array([names.index(f"v_{name}") for name in outputs], dtype=int),
+        intensities=places_of((f"w_{name}" for name in model.driven), names),
+        deviations=places_of((f"v_{name}" for name in outputs), names),
         columns=columns,
     )
 

@@ -333,7 +333,8 @@ def data_names(parts: Iterable[Any], models: Iterable[str]) -> Strings:
     """
     return unique(
         part.data.name
-        or (part.data.checksum[:8] if part.name.startswith(tuple(models)) else part.name)
+        # Parts of one name are numbered: Lag 1, Lag 2.
+        or (part.data.checksum[:8] if re.sub(r" \d+$", "", part.name) in models else part.name)
         for part in parts
     )
 

@@ -1,5 +1,7 @@
 """Printed answers are those of tests/golden/answers.txt, which tests/support/printed_answers.py renews."""
 
+import json
+
 import numpy as np
 import pytest
 from printed_answers import GOLDEN, Line, differences, printed
@@ -47,3 +49,17 @@ def test_names_units_and_meanings_begin_below_their_headings(options):
         assert row[heading.index("parameter") :].startswith(f"{name} ")
         assert row[heading.index("unit") :].startswith(f"{fit.by_name[name].unit} ")
         assert row[heading.index("meaning") :] == fit.by_name[name].about
+
+
+def test_data_without_a_name_are_named_by_their_problem_unless_that_is_only_its_model():
+    x = np.arange(9.0)
+    tables = [
+        gb.Record(x, {"u": x, "y": 2 * x + 1 + scatter * (x % 2)}, has_time=False)
+        for scatter in (0.1, 0.2)
+    ]
+    label = Line().label
+    named = gb.Problem(Line(), tables[0], name=f"{label} of steel")
+    alike = gb.Problem(Line(), tables[0]) + gb.Problem(Line(), tables[1])
+    fits = [gb.fit(problem, starts=1, progress=False) for problem in (named, alike)]
+    assert json.loads(fits[0].to_json())["data"] == [f"{label} of steel"]
+    assert json.loads(fits[1].to_json())["data"] == [table.checksum[:8] for table in tables]

@@ -2,7 +2,6 @@
 
 import math
 import re
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -364,7 +363,7 @@ def test_the_shift_is_that_of_a_fit_with_twice_the_steps():
     solver = GaussNewton(nlp)
     end = solver.run(np.array([2.0]))
     error = discretization_error(nlp, solver.profile(end.estimate, end.nodes).trajectories)
-    finer = GaussNewton(replace(nlp, parts=tuple(part.refined(2) for part in nlp.parts)))
+    finer = GaussNewton(nlp.refined(2))
     moved = finer.run(end.estimate)
     away = 0.004
     heights = [solver.cost(end.estimate * (1 + sign * away)) - end.cost for sign in (1, -1)]

@@ -367,7 +367,7 @@ def _place(fitted: FittedRecord, pairs: Pairs) -> str:
 def resting_inputs(nlp: CompiledProblem) -> Sentences:
     """Note inputs that never change in any record."""
     records = nlp.parts_of(RecordPart)
-    pairs = {(name, part.model.record) for part in records for name in part.system.inputs}
+    pairs = [(name, part.model.record) for part in records for name in part.system.inputs]
     moving = {name for name, record in pairs if np.ptp(record[name])}
     resting = ", ".join(sorted({name for name, _ in pairs} - moving))
     if resting and moving:
