@@ -211,6 +211,8 @@ class Information:
         estimate is its least squares on the Jacobian.
     disturbed : bool
         Whether the errors of a manoeuvre look like those of turbulence, or of a missing term.
+    noise_ratio : float or None
+        Squared residuals of a frequency response over its given variances; None without these.
     """
 
     part: "Part"
@@ -224,6 +226,7 @@ class Information:
     errors: ArrayPair | None = None
     offset: Callable[[float], Array] | None = None
     disturbed: bool = False
+    noise_ratio: float | None = None
 
 
 class Portable:

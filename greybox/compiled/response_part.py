@@ -272,6 +272,7 @@ class ResponsePart(Part):
             correlated=correlated,
             errors=None if data.has_independent_errors else (data.omega, errors),
             offset=offset,
+            noise_ratio=criterion.noise_ratio(response, data) if criterion.known_noise else None,
         )
 
     def neighbors(

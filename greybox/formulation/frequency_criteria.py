@@ -392,7 +392,8 @@ class MaximumLikelihood(Criterion):
     each, 95 % intervals contained the truth in 93 to 95 % of 150 fits; with two degrees in 87 to
     91 %, since few points then decide. If the residuals are larger than the variances, the standard
     errors are widened by the root of the ratio, the scale factor of the Particle Data Group (Review
-    of Particle Physics, introduction).
+    of Particle Physics, introduction). Several responses have the ratio of all together, unless
+    theirs differ by Bartlett's test (5 %): each then has its own.
 
     Examples
     --------

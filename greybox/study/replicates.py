@@ -308,7 +308,7 @@ def _drawn_part(part: ResponsePart, values: Array, errors: PartAccuracy) -> Draw
     if not variance > np.finfo(float).eps:
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
     if has_variances:  # given variances are believed, unless the residuals are larger
-        variance = max(variance, 0.5)
+        variance = errors.noise / 2 if errors.noise else max(variance, 0.5)
     return DrawnResponse(
         part.data.omega,
         response,

@@ -429,6 +429,43 @@ def test_stated_variances_hold_unless_the_residuals_are_larger(stated, widened):
     same_covariance(fit.covariance_of(fit.free), covariance, 1e-4)
 
 
+def responses_with_their_own_gains(stated):
+    """Return a fit of responses with given variances; the share by which each is stated."""
+    data = [measured(Lags(), OMEGA, LAGS, 0.03, k, variance=True) for k in range(len(stated))]
+    problems = [
+        gb.Problem(
+            Lags(),
+            replace(d, variance=factor * d.variance, name=f"flight {k}"),
+            gb.MaximumLikelihood(),
+            rename={"K": f"K_{k}"},
+        )
+        for k, (d, factor) in enumerate(zip(data, stated, strict=True))
+    ]
+    return fitted(sum(problems[1:], problems[0]), {f"K_{k}": 2.0 for k in range(len(stated))})
+
+
+def test_responses_show_together_whether_their_variances_are_too_small():
+    """Each by itself seems up to 1.4 times as noisy as given, by chance; one is in the second fit."""
+    given = responses_with_their_own_gains([1.0] * 8)
+    function = response_of(Lags(), OMEGA, list(LAGS))
+    relative = np.tile(np.geomspace(0.5, 2, OMEGA.size) * 0.03, 2)
+    rows = []
+    for k in range(8):
+        x = np.array([given.estimate[n] for n in (f"K_{k}", "T1", "T2", "T")])
+        size = relative * np.tile(np.abs(function(np.array(list(LAGS.values())))), 2)
+        slope = numeric_jacobian(lambda x: stacked(function(x)), x) / size[:, None]
+        rows.append(np.hstack([slope[:, :1] * (np.arange(8) == k), slope[:, 1:]]))
+    names = [*(f"K_{k}" for k in range(8)), "T1", "T2", "T"]
+    by_hand = np.sqrt(np.diag(np.linalg.inv(sum(row.T @ row for row in rows))))
+    errors = np.array([given.standard_error[n] for n in names])
+    assert_allclose(errors, by_hand, rtol=0.05)
+
+    doubted = responses_with_their_own_gains([1.0] * 7 + [1 / 9])
+    wider = np.array([doubted.standard_error[n] for n in names]) / errors
+    # The last one's own gain has the error of its residuals, which are three times as large as stated.
+    assert np.all((wider[:8] > 0.9) & (wider[:8] < 1.4))
+
+
 def test_an_inactive_constraint_changes_nothing():
     data = measured(Lags(), OMEGA, LAGS, 0.02)
     plain = fitted(gb.Problem(Lags(), data))
