@@ -180,8 +180,8 @@ def error_statement(fit: Any) -> str:
     elif taken := [part for part in fit.responses if not part.data.has_independent_errors]:
         # Slow errors beneath white ones as large are not always seen, even in many points.
         is_hidden = any(len(part.data) < FEW for part in taken)
-        extent = f"which fewer than {FEW} points hardly" if is_hidden else "as far as the residuals"
-        conditions += f"; independent along frequency, {extent} show"
+        extent = f", which fewer than {FEW} points hardly show" if is_hidden else " like the residuals"
+        conditions += f"; independent along frequency{extent}"
 
     interval = ""
     if math.isfinite(fit.dof):

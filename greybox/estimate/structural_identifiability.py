@@ -45,7 +45,7 @@ from greybox.modeling.transfer_function import TransferFunction
 from greybox.statistics.column_space import beside
 
 POINTS = 3  # at which the rank is computed: at one of them it may be smaller by chance
-FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
+FREQUENCIES = 40  # drawn for each pair: they give more numbers than any structure has parameters
 BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
 STRETCHES = 4  # that it has, each from its own initial state
 # Sizes of inputs and initial states that are tried until nothing grows out of what formulas are

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 from greybox.files.arrays import AnyArray
 from greybox.modeling.functions import ceil, exp, tanh, where
 
-# Around a whole number of samples, of a sample. Corners stopped 4 % of fits of simulated responses
-# with such delays, and this changes what is folded back by less than a tenth.
+# The distance from a whole number of samples, in samples, at which a corner is rounded. Corners
+# stopped 4 % of fits of simulated responses with such delays. Rounding changes what is folded back
+# by less than a tenth.
 ROUNDED = 0.05
 
 

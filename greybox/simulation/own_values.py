@@ -164,7 +164,7 @@ class _Estimate:
 
 
 def _longer(model: ModelAtEstimate, windows: Windows) -> Iterator[Windows]:
-    """Yield windows of the record four times as long, and so on to the longest stretch.
+    """Yield windows of the record, each four times as long as the last, to the longest stretch.
 
     The longer a free simulation is, the better it shows constant errors.
     """

@@ -99,8 +99,8 @@ class Study(Printed):
     def to_pandas(self) -> Frame:
         """Return a row for every member and quantity as a pandas data frame.
 
-        In this long form members of different structures share a table: rows are selected,
-        grouped and, by ``pivot(index="member", columns="parameter", values="value")``, spread. The
+        In this long form, members of different structures share a table. A column for each
+        parameter is ``pivot(index="member", columns="parameter", values="value")``. The
         columns are ``member``, the factors, ``grade, cost, converged, agreeing, minima, held_out``
         (the error of held-out predictions in percent), ``explains`` (whether the model explains
         the data), ``starts, warnings, reason``, then

@@ -26,8 +26,8 @@ from greybox.solve.runs import NOT_FINITE, Outcome, spent
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(all="ignore")
 
-# Samples of the excerpts on which a run of a record of more than four times as many begins. A fit
-# of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they fill
+# A run of a record of more than four times this number of samples begins on excerpts of so many. A
+# fit of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they fill
 # whole batches: memory for another number of columns is not needed.
 EXCERPT = 40_000
 
