@@ -178,9 +178,10 @@ def error_statement(fit: Any) -> str:
             f"errors would be {percent:.0f} % as wide)"
         )
     elif taken := [part for part in fit.responses if not part.data.has_independent_errors]:
+        extent = " like the residuals"
         # Slow errors beneath white ones as large are not always seen, even in many points.
-        is_hidden = any(len(part.data) < FEW for part in taken)
-        extent = f", which fewer than {FEW} points hardly show" if is_hidden else " like the residuals"
+        if any(len(part.data) < FEW for part in taken):
+            extent = f", which fewer than {FEW} points hardly show"
         conditions += f"; independent along frequency{extent}"
 
     interval = ""

@@ -27,8 +27,8 @@ from greybox.solve.runs import NOT_FINITE, Outcome, spent
 DIVERGING = np.errstate(all="ignore")
 
 # A run of a record of more than four times this number of samples begins on excerpts of so many. A
-# fit of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they fill
-# whole batches: memory for another number of columns is not needed.
+# fit of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they
+# fill whole batches: memory for another number of columns is not needed.
 EXCERPT = 40_000
 
 
