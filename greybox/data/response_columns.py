@@ -118,9 +118,10 @@ def written_columns(header: Labels, prefix: str) -> NamedStrings:
     if missing:
         raise ValueError(
             f"has no column {missing[0]!r}; it has {', '.join(names)}: call the columns "
-            "omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or, with units in "
-            "brackets, frequency, magnitude, phase; or say which they are, "
-            "columns={'frequency': ...}, and so on."
+            "omega_rad_s, alpha, beta (real and imaginary part; p_lat_alpha, p_lat_beta and so on "
+            "for several responses) and, if known, coherence, variance, dof, or, with units in "
+            "brackets, frequency, magnitude, phase; or say which they are, columns={'frequency': "
+            "...}, and so on."
         )
     # Files may have more columns, for other programs.
     others = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
