@@ -9,9 +9,8 @@ from greybox.files.arrays import Named
 from greybox.files.grouping import grouped
 from greybox.html_report.elements import COLUMNS, Cell, figure_grid, number_cell, table, tag
 from greybox.html_report.fit_section import Entry
-from greybox.plotting.bode import bode_figure
 from greybox.plotting.figure import Figure
-from greybox.plotting.nyquist import nyquist_figures
+from greybox.plotting.overview import response_figures
 from greybox.plotting.study import estimates_figure, structures_figure
 from greybox.plotting.time_history import history_figure
 from greybox.study.study import FAILURES, Study, shown
@@ -108,8 +107,7 @@ def _comparison(comparison: Comparison) -> Iterator[Element]:
 def _figures(fits: Fits, labels: Sequence[str], comparison: Comparison | None) -> Iterator[Figure]:
     """Yield responses and histories of all, and predictions of records that no fit has used."""
     if all(fit.responses for fit in fits):
-        yield bode_figure(fits, labels)
-        yield from nyquist_figures(fits, labels)
+        yield from response_figures(fits, labels)
 
     for k in range(min(len(fit.records) for fit in fits)):
         try:

@@ -35,8 +35,7 @@ from greybox.html_report.elements import (
     tag,
 )
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.plotting.bode import bode_figure
-from greybox.plotting.nyquist import nyquist_figures
+from greybox.plotting.overview import response_figures
 from greybox.plotting.profile import profile_figures
 from greybox.plotting.residuals import residual_figures, shape_figures
 from greybox.plotting.spectrum import spectrum_figure
@@ -170,8 +169,7 @@ def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
         yield "Intervals", list(_profiles(fit.profiles))
     yield "Equation", list(_equations(fit))
     if fit.responses:
-        figures = [bode_figure([fit]), *nyquist_figures([fit])]
-        yield "Frequency response", [figure_grid(figures)]
+        yield "Frequency response", [figure_grid(response_figures([fit]))]
     if fit.records:
         yield "Time history", list(_histories(fit))
     if fit.spectra:

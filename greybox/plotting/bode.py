@@ -1,5 +1,6 @@
 """The Bode diagram: magnitude, phase, coherence, and the errors of fits."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from greybox.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import (
     DrawnResponse,
+    by_pair,
     drawn_responses,
     interpolated,
     ratio,
@@ -20,6 +22,8 @@ from greybox.plotting.responses import (
 
 BARS = "Bars: one standard deviation of the measurement."
 DB_PER_NEPER = 20 / np.log(10)
+# Input-output pairs in one diagram: as many as there are colors.
+MOST_PAIRS = 6
 
 
 def bode(
@@ -32,7 +36,8 @@ def bode(
     """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s.
 
     Below them are the coherence, where it is known, and the errors of fits: measured less fitted
-    values in dB and degrees.
+    values in dB and degrees. More than six input-output pairs have a row of panels each, unless
+    `axes` are given.
 
     Curves are unwrapped along omega; the first curve of each input-output pair begins within
     (-180°, 180°]. Measured phases are moved by multiples of 360° next to their curve.
@@ -66,20 +71,34 @@ def bode(
     TypeError, ValueError
         For items that cannot be drawn, or a wrong number of labels or axes.
     """
-    figure = bode_figure(fits, labels, level)
+    if axes is None:
+        figures = bode_figures(fits, labels, level)
+        if len(figures) == 1:
+            return draw(figures, hz=hz)
+        rows = [replace(figure, subject="") for figure in figures]
+        return draw(rows, columns=len(rows[0].panels), title=title(fits), hz=hz)
     # With two axes a user wants magnitude and phase, whatever else there is to draw.
-    if axes is not None:
-        figure = replace(figure, panels=figure.panels[: flat_axes(axes).size])
-    return draw([figure], axes, hz=hz)
+    (figure,) = bode_figures(fits, labels, level, sys.maxsize)
+    return draw([replace(figure, panels=figure.panels[: flat_axes(axes).size])], axes, hz=hz)
 
 
-def bode_figure(
+def bode_figures(
     fits: Sequence[Fit | FrequencyResponse],
     labels: Labels = (),
     level: float | None = 0.95,
-) -> Figure:
-    """Return the Bode diagram, with the errors of fits."""
+    most: int = MOST_PAIRS,
+) -> list[Figure]:
+    """Return the Bode diagram with the errors of fits; one for each of more pairs than `most`."""
     responses = drawn_responses(fits, labels, level)
+    pairs = by_pair(responses)
+    return [_figure(fits, group, level) for group in (pairs if len(pairs) > most else [responses])]
+
+
+def _figure(
+    fits: Sequence[Fit | FrequencyResponse],
+    responses: Sequence[DrawnResponse],
+    level: float | None,
+) -> Figure:
     curves: tuple[list[Series], list[Series]] = ([], [])  # of magnitude and of phase
     for drawn, degrees in zip(responses, phases(responses), strict=True):
         omega = drawn.response.omega
@@ -90,10 +109,11 @@ def bode_figure(
                 curves[k].insert(0, _band(drawn, k, values[k]))
             curves[k].append(drawn.series(omega, values[k], **ends))
 
+    name = ratio(responses)
     # Steps of an axis in degrees: multiples of 45 and 90 are where margins are read.
     panels = [
-        Panel(f"Magnitude of {ratio(responses)}, dB", curves[0]),
-        Panel(f"Phase of {ratio(responses)}, °", curves[1], steps=ANGLES),
+        Panel(f"Magnitude of {name}, dB", curves[0]),
+        Panel(f"Phase of {name}, °", curves[1], steps=ANGLES),
     ]
     coherence = [
         drawn.series(drawn.response.omega, drawn.response.coherence)
@@ -104,7 +124,7 @@ def bode_figure(
         panels.append(Panel("Coherence γ²", coherence, height=0.6, limits=(0.0, 1.05)))
     panels += _error_panels(fits, responses)
     return Figure(
-        "Bode diagram",
+        "Bode diagram" if name == "P(jω)" else f"Bode diagram, {name}",
         "ω, rad/s",
         panels,
         subject=title(fits) or "Bode diagram",
@@ -125,7 +145,9 @@ def _error_panels(
             with np.errstate(all="ignore"):
                 error = part.data.response / part.response
             same_data = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
-            data = next(drawn for drawn in same_data if drawn.is_measured)
+            data = next((drawn for drawn in same_data if drawn.is_measured), None)
+            if data is None:  # another pair
+                continue
             # A curve that lies on another one is not drawn: then take any curve of the fit.
             curves = [drawn for drawn in (*same_data, *responses) if drawn.fit is fit]
             if len(fitted) > 1 and curves:
@@ -138,11 +160,16 @@ def _error_panels(
 
     if not points[0]:
         return []
-    banded = [drawn for drawn in responses if drawn.band is not None]
-    return [
-        Panel(label, [rule(), *(_band(drawn, k) for drawn in banded), *points[k]], height=0.5)
-        for k, label in enumerate(("Error, dB", "Error, °"))
-    ]
+    panels = []
+    for k, label in enumerate(("Error, dB", "Error, °")):
+        bands = [_band(drawn, k) for drawn in responses if drawn.band is not None]
+        # Beside a zero of the response, a band reaches so far that the points would be a line.
+        drawn = [y for row in points[k] for y in (row.y, row.low, row.high) if y is not None]
+        reach = np.abs(np.hstack(drawn))
+        most = 1.2 * max(reach[np.isfinite(reach)], default=0.0)
+        limits = (-most, most) if most > 0 else None
+        panels.append(Panel(label, [rule(), *bands, *points[k]], 0.5, limits=limits))
+    return panels
 
 
 def _caption(
@@ -165,8 +192,11 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     order = np.argsort(around.omega)
     omega = around.omega[order]
     unit = (DB_PER_NEPER, 180 / np.pi)[k]
+    # Beside a zero of the response, errors are larger than it. The band is as wide as error bars at
+    # most: 20 dB and half a turn to either side.
+    most = (20.0, 180.0)[k]
     middle = unit * around.offset[k, order]
-    half_width = unit * around.half_width[k, order]
+    half_width = np.minimum(unit * around.half_width[k, order], most)
     if curve is not None:
         middle += interpolated(omega, drawn.response.omega, curve)
     return band(drawn.label, omega, middle - half_width, middle + half_width, drawn.color)

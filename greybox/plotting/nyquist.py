@@ -11,7 +11,7 @@ from greybox.files.arrays import Fields, Interval, Labels
 from greybox.files.text_table import number
 from greybox.plotting.figure import Figure, Panel, outlined
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
-from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
+from greybox.plotting.responses import DrawnResponse, by_pair, drawn_responses, ratio, title
 
 CIRCLES = "Circles: confidence regions of the measured points."
 
@@ -68,11 +68,8 @@ def nyquist_figures(
     level: float | None = 0.95,
 ) -> list[Figure]:
     """Return one figure for each input-output pair."""
-    responses = drawn_responses(fits, labels, level)
-    # Panels are in the order of the data, which is the one that a user knows.
-    measured_first = sorted(responses, key=lambda drawn: not drawn.is_measured)
-    pairs = dict.fromkeys(drawn.pair for drawn in measured_first)
-    return [_figure([drawn for drawn in responses if drawn.pair == pair], level) for pair in pairs]
+    pairs = by_pair(drawn_responses(fits, labels, level))
+    return [_figure(responses, level) for responses in pairs]
 
 
 def columns_of(count: int) -> int:

@@ -223,7 +223,7 @@ def test_estimates_of_several_fits_stand_with_their_errors(fit):
     assert [part.text for part in compared if part.tag == "h3"] == ["Comparison"]
     assert compared[-1].get("class") == "figures"
     titles = ["".join(title.itertext()) for title in compared[-1].iter("strong")]
-    assert titles == ["Bode diagram", "Nyquist diagram, y/u", "Time history, flight"]
+    assert titles == ["Bode diagram, y/u", "Nyquist diagram, y/u", "Time history, flight"]
     # One fit alone is compared with nothing, and seven are too many for a figure.
     assert [
         part.text

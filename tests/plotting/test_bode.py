@@ -10,7 +10,7 @@ from page_results import lag
 
 import greybox as gb
 from greybox.models.tilt import Tilt
-from greybox.plotting.bode import bode_figure
+from greybox.plotting.bode import bode_figures
 
 
 def test_bode_is_in_decibel_and_degrees(pitch):
@@ -90,7 +90,7 @@ def test_users_axes_may_leave_out_the_errors(pitch, sweep):
 
 def test_the_values_are_data_curve_band_and_errors():
     fit = lag()
-    bode = bode_figure([fit])
+    (bode,) = bode_figures([fit])
     part = fit.responses[0]
     labels = [panel.label.partition(",")[0] for panel in bode.panels]
     assert labels == ["Magnitude of y/u", "Phase of y/u", "Coherence γ²", "Error", "Error"]
@@ -126,13 +126,50 @@ def test_the_values_are_data_curve_band_and_errors():
     assert bode.is_logarithmic
     for words in ("95 % confidence band", "one standard deviation", "measured less fitted"):
         assert words in bode.caption
-    assert not [s for s in bode_figure([fit], level=None).panels[0].series if s.kind == "band"]
+    assert not [s for s in bode_figures([fit], level=None)[0].panels[0].series if s.kind == "band"]
 
 
 def test_bands_lie_about_the_response_less_its_bias(pitch):
     """In any order of the frequencies."""
-    shade = named(bode_figure([pitch]).panels[1], "fit of", "band")
+    shade = named(bode_figures([pitch])[0].panels[1], "fit of", "band")
     band = pitch.response_band()
     assert np.all(np.diff(shade.x) > 0)
     low, high = (np.unwrap(limit) for limit in band.phase)
     assert shade.high - shade.low == pytest.approx(np.degrees(high - low))
+
+
+def test_more_pairs_than_colors_have_a_row_each():
+    omega = np.geomspace(1, 10, 5)
+    responses = [
+        gb.FrequencyResponse(omega, (k + 1) / (1j * omega + 1), "u", f"y{k}") for k in range(7)
+    ]
+    assert len(gb.plotting.bode(*responses[:6])) == 2
+    axes = gb.plotting.bode(*responses)
+    assert [ax.get_ylabel() for ax in axes[::2]] == [f"Magnitude of y{k}/u, dB" for k in range(7)]
+    together = gb.plotting.bode(*responses, axes=Figure().subplots(2, 1))
+    assert [len(points(ax)) for ax in together] == [7, 7]
+
+
+class Notch(gb.TransferFunction):
+    """Nothing passes at one frequency."""
+
+    input, output = "u", "y"
+    w = gb.Parameter(3.0, bounds=(1, 10), unit="rad/s")
+
+    def response(self, s, p):
+        return (s**2 + p.w**2) / (s + 1) ** 2
+
+
+def test_the_errors_of_points_are_seen_beside_a_zero_of_the_response():
+    omega = np.geomspace(1, 10, 30)
+    random = np.random.default_rng(2)
+    errors = 0.02 * (random.normal(size=30) + 1j * random.normal(size=30))
+    exact = gb.frequency_response(Notch(), {"w": 3.0}, omega)
+    data = replace(exact, response=exact.response * (1 + errors), source="measured", name="flight")
+    fit = gb.fit(gb.Problem(Notch(), data), starts=4, progress=False)
+    (bode,) = bode_figures([fit])
+    magnitude, _, error, _ = bode.panels
+    shade = named(magnitude, "fit of", "band")
+    assert 5 < np.max(shade.high - shade.low) <= 40  # dB
+    largest = np.abs(named(error, "flight", "points").y).max()
+    assert largest < error.limits[1] < 2 * largest < 2
