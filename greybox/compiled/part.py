@@ -438,9 +438,10 @@ class Part(Portable, ABC):
     # --- for the diagnostics
 
     @cached_property
-    def discontinuous_delays(self) -> Mapping[str, StringPair]:
-        """Delays at whose whole samples the cost jumps, each with the held input and its output.
+    def delays(self) -> Mapping[str, StringPair]:
+        """Parameters of the delays of a record, each with its input and an output.
 
-        The input is held, and reaches the output directly.
+        At whole samples the cost has a kink. It jumps if the input is held and reaches the output
+        directly; otherwise the output is empty.
         """
         return {}

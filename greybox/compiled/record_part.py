@@ -136,19 +136,22 @@ class RecordPart(SegmentedPart):
 
     @cached_property
     @one_thread_at_a_time
-    def discontinuous_delays(self) -> Mapping[str, StringPair]:
-        """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
+    def delays(self) -> Mapping[str, StringPair]:
+        """Parameters of the delays, see `Part.delays`."""
         system = self.system
         result = dict[str, StringPair]()
         x, u, p = system.symbols
         outputs = [*zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)]
         delay = system.delay(p)
-        # Through states, and with interpolated inputs, the outputs are continuous in the delay.
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
-            reached = [name for name, output in outputs if ca.depends_on(output, u[i])]
-            if self.model.between[i].held and reached and ca.depends_on(delay[i], p[j]):
-                place = self.model.parameters.index(system.parameters[j])
-                result[self.model.outside_names[place]] = (system.inputs[i], reached[0])
+            if not ca.depends_on(delay[i], p[j]):
+                continue
+            # Through states, and with interpolated inputs, the outputs are continuous in the delay.
+            is_held = self.model.between[i].held
+            reached = [name for name, output in outputs if is_held and ca.depends_on(output, u[i])]
+            name = self.model.outside_names[self.model.parameters.index(system.parameters[j])]
+            if reached or name not in result:
+                result[name] = system.inputs[i], "".join(reached[:1])
 
         return result
 

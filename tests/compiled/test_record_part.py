@@ -305,7 +305,7 @@ def test_facts_of_a_part(made):
     assert not part.is_static
     assert part.has_nodes
     assert part.has_states
-    assert part.discontinuous_delays == {}
+    assert part.delays == {"d": ("F", "")}
     assert part.samples == part.data.segments * part.data.segment_length
     known, _ = part_of(spring(60), gb.OutputError(inputs="held", initial={"x": lambda p: 0.0}))
     assert known.unknown_initial_states == 1
@@ -506,11 +506,11 @@ def test_a_delay_is_discontinuous_where_a_held_input_reaches_what_is_compared_at
         problem = gb.Problem(
             Direct(), data, criterion, free=("d",), rename={"d": "late"}, **options
         )
-        return compile_problem(problem, method).parts[0].discontinuous_delays
+        return compile_problem(problem, method).parts[0].delays
 
     assert found(both) == {"late": ("F", "pull")}
-    assert found(both, inputs="linear") == {}
-    assert found(record) == {}
+    assert found(both, inputs="linear") == {"late": ("F", "")}
+    assert found(record) == {"late": ("F", "")}
 
 
 def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
     few_agreeing_starts,
@@ -19,12 +20,22 @@ from greybox.problems import pitch_hover
 from greybox.solve.runs import TOO_COARSE, Run
 
 
-def said(is_likelihood, *costs):
+def said(is_likelihood, *costs, error=0.1):
     nlp = SimpleNamespace(
-        parts=[SimpleNamespace(is_likelihood=is_likelihood)], free=("a",), numbers=48
+        parts=[SimpleNamespace(is_likelihood=is_likelihood)], free=("a",), names=("a",), numbers=48
     )
-    minima = [SimpleNamespace(cost=cost, estimate=[float(k)]) for k, cost in enumerate(costs)]
-    return [*rival_minima(nlp, SimpleNamespace(minima=minima))]
+    minima = [SimpleNamespace(cost=c, estimate=np.array([float(k)])) for k, c in enumerate(costs)]
+    accuracy = Accuracy(
+        nlp,
+        minima[0].estimate,
+        (),
+        covariance=np.array([[error**2]]),
+        blind=np.zeros((1, 0)),
+        size=np.ones(1),
+        dof=40.0,
+        bias=np.zeros(1),
+    )
+    return [*rival_minima(SimpleNamespace(minima=minima), accuracy)]
 
 
 @pytest.mark.parametrize(
@@ -66,6 +77,10 @@ def test_minima_that_the_data_hardly_tell_apart_are_named(is_likelihood, costs, 
 def test_a_rival_is_within_three_units_of_log_likelihood(is_likelihood, costs, rival):
     """A unit is 1/48 of the cost of 48 relative errors of unknown size."""
     assert said(is_likelihood, *costs) == ([rival] if rival else [])
+
+
+def test_a_rival_within_a_standard_error_needs_no_words():
+    assert [len(said(True, -10.0, -9.9, error=error)) for error in (0.9, 1.1, np.nan)] == [1, 0, 1]
 
 
 @pytest.mark.parametrize(
@@ -132,8 +147,8 @@ def test_the_lowest_end_that_did_not_converge_is_named():
 
 def test_delays_at_which_the_cost_jumps_are_named_once_each():
     parts = [
-        SimpleNamespace(discontinuous_delays={"tau": ("u", "y"), "known": ("w", "z")}),
-        SimpleNamespace(discontinuous_delays={"tau": ("u", "y")}),
+        SimpleNamespace(delays={"tau": ("u", "y"), "known": ("w", "z"), "k": ("u", "")}),
+        SimpleNamespace(delays={"tau": ("u", "y")}),
     ]
     (text,) = discontinuous_costs(SimpleNamespace(parts=parts, free=["k", "tau"]))
     for words in ("held input u reaches y", "discontinuous where tau", "standard error of tau"):

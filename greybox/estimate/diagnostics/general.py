@@ -93,7 +93,7 @@ def warnings(
         *few_agreeing_starts(search, answer.agreeing),
         *unfinished_runs(search),
         *minimum_at_kink(search),
-        *rival_minima(nlp, search),
+        *rival_minima(search, accuracy),
         *several_estimates_of_one_response(search, accuracy),
         *coarse_pade(answer.responses),
         *delays_within_a_sample(nlp, answer),

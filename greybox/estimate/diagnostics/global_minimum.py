@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.covariance import Accuracy, assess, propagate
 from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.files.arrays import Array
 from greybox.files.text_table import Sentences, counted, listed, number
@@ -57,19 +57,24 @@ def minimum_at_kink(search: Multistart) -> Sentences:
     if run.status.startswith(AT_KINK):
         yield (
             f"run {run.index} {run.status}: gradients beside its end differ and none is zero, as "
-            "where a state or an input switches, or where the steps of the integration are too "
-            "long. The standard errors hold on one side only: use the profiles."
+            "where a state or an input switches, a delay is a whole number of samples, or the "
+            "steps of the integration are too long. The standard errors hold on one side only: use "
+            "the profiles."
         )
 
 
-def rival_minima(nlp: CompiledProblem, search: Multistart) -> Sentences:
+def rival_minima(search: Multistart, accuracy: Accuracy) -> Sentences:
     """Warn of another minimum with a different response and nearly the same likelihood."""
     best, *others = search.minima
+    nlp = accuracy.nlp
     unit = likelihood_unit(nlp, best.cost)
+    errors = propagate(accuracy, np.eye(len(nlp.free), len(nlp.names)))
+    # Initial states that the data hardly show may differ with equal parameters. Values within a
+    # standard error say nothing else, as on both sides of the kink where a delay passes a sample.
+    near = np.fmax(errors, 1e-3 * np.abs(best.estimate))
     for rival in others[:1]:
         excess = rival.cost - best.cost
-        # Initial states that the data hardly show may differ with equal parameters.
-        is_another = not np.allclose(rival.estimate, best.estimate, rtol=1e-3)
+        is_another = np.any(np.abs(rival.estimate - best.estimate) > near)
         if is_another and excess < RIVAL * unit:
             yield (
                 f"another minimum with a different response has {math.exp(-excess / unit):.2g} "
@@ -103,8 +108,8 @@ def discontinuous_costs(nlp: CompiledProblem) -> Sentences:
     delays = {
         name: pair
         for part in nlp.parts
-        for name, pair in part.discontinuous_delays.items()
-        if name in nlp.free
+        for name, pair in part.delays.items()
+        if pair[1] and name in nlp.free
     }
     for name, (input_, output) in delays.items():
         yield (

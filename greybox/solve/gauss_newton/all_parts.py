@@ -42,8 +42,9 @@ class AllParts:
         ]
         self.is_gain = np.isin(nlp.free, gains)  # or process noise: neither has a scale
         self.samples = sum(part.samples for part in self.parts)
-        delays = [name for part in nlp.parts for name in part.discontinuous_delays]
-        self.is_discontinuous = np.isin(nlp.free, delays)
+        delays = {name: output for part in nlp.parts for name, (_, output) in part.delays.items()}
+        self.is_delay = np.isin(nlp.free, [*delays])
+        self.is_discontinuous = np.isin(nlp.free, [name for name in delays if delays[name]])
         self.limits = limits
         self.settings = settings
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any
 
 from greybox.compiled.part import Condensed, Trajectory
-from greybox.files.arrays import Array, Arrays, frozen
+from greybox.files.arrays import Array, Arrays, BoolArray, frozen
 
 CONVERGED, STALLED = "converged", "stalled"
 
@@ -138,8 +138,8 @@ class Progress:
     undamped_decrease : float
         Predicted decrease of an undamped step below which a run counts as converged once damped
         steps have come to rest. The default is half the square of a thirtieth of a standard error.
-    delays_held : bool
-        True where delays at which the cost jumps keep their values: the cost is least at the jump.
+    held : (p,) array, or False
+        Delays that keep their values: the cost is least where it jumps, or has a kink.
     """
 
     stages: tuple[float, ...] = (0.0,)
@@ -152,7 +152,7 @@ class Progress:
     # enough.
     full_damping: float = 1e-2 * FIRST_DAMPING
     undamped_decrease: float = 5e-4
-    delays_held: bool = False
+    held: BoolArray | bool = False
 
     @property
     def is_exact(self) -> bool:

@@ -50,9 +50,7 @@ def gauss_newton_step(
         # gain of 1e6 Pa per m/s has little information per unit, and nothing that scales it.
         ridge = 1e-10 / np.maximum(parts.is_gain * iterate.z**2, 1.0)
         damped = hessian + np.diag(ridge + progress.damping * np.diag(hessian))
-        constraints = parts.limits.linearized(
-            iterate.z, parts.is_discontinuous & progress.delays_held
-        )
+        constraints = parts.limits.linearized(iterate.z, progress.held)
         solve = partial(solve_small_qp, damped, gradient)
         dz, normals, bounds = stable_step(parts, iterate, constraints, solve)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 from hard_models import GuardedTanks, simulated
 from sampled_lag import SampledLag
 from spring_lag_tilt import HELD
@@ -84,3 +85,36 @@ def test_a_delay_of_whole_samples_converges(seed):
 
     assert fit.converged
     assert fit.estimate["T_delay"] == pytest.approx(0.3, abs=1e-6)
+
+
+class DirectLag(gb.StateSpace):
+    """A delayed input that reaches the output through a lag and directly, as an acceleration."""
+
+    inputs, states, outputs = ("u",), ("x",), ("y",)
+    delays = {"u": "T"}
+    K = gb.Parameter(2.0, bounds=(0.1, 10))
+    tau = gb.Parameter(0.3, bounds=(0.05, 3), unit="s")
+    D = gb.Parameter(1.0, bounds=(-5, 5))
+    T = gb.Parameter(0.03, bounds=(0, 0.2), unit="s")
+
+    def derivative(self, x, u, p):
+        return ((p.K * u.u - x.x) / p.tau,)
+
+    def output(self, x, u, p):
+        return (x.x + p.D * u.u,)
+
+
+@pytest.mark.parametrize("seed", [1, 15])
+def test_the_other_parameters_settle_where_a_delay_is_one_sample(seed):
+    """Of the runs that stalled there, none counted: the fit ended elsewhere, or nowhere."""
+    random, step = np.random.default_rng(seed), 0.02
+    u = np.repeat(random.choice([-1.0, 1.0], 40), 15)
+    time, late = step * np.arange(u.size), np.append(u[0], u[:-1])
+    x = scipy.signal.lsim(([[-2.5]], [[5.0]], [[1.0]], [[0.0]]), late, time, [2 * u[0]])[1]
+    y = x + late + 0.1 * random.normal(size=u.size)
+    fit = gb.fit(gb.Problem(DirectLag(), gb.Record(time, {"u": u, "y": y})), progress=False)
+
+    assert fit.converged
+    assert fit.agreeing >= 3
+    assert fit.estimate["T"] == pytest.approx(step, abs=1e-3)
+    assert fit.estimate["D"] == pytest.approx(1, abs=0.03)

@@ -89,8 +89,8 @@ def test_held_delays_do_not_move():
         nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
     )
     linearizations = parts.linearize(iterate, [part.initial_weight() for part in parts.parts])
-    step = gauss_newton_step(parts, iterate, linearizations, replace(EXACT, delays_held=True))
     is_delay = np.array([name == "d" for name in nlp.free])
+    step = gauss_newton_step(parts, iterate, linearizations, replace(EXACT, held=is_delay))
     assert step.dz[is_delay] == pytest.approx(0, abs=1e-12)
     assert np.abs(step.dz[~is_delay]).min() > 1e-6
 
@@ -222,7 +222,6 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
             )
             for one, weight in zip(systems, weights, strict=True)
         ],
-        is_discontinuous=np.zeros(1, dtype=bool),
         is_gain=np.zeros(1, dtype=bool),
         gains=[None, None],
         along=lambda *others: zip(parts.parts, [None, None], *others[1:], strict=True),
