@@ -33,6 +33,7 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE, TOO_COARSE
 
 SINGULAR = "singular"  # the nodes of a record are not determined
+EXCEEDED = "iterations exceeded"
 
 
 @frozen
@@ -74,7 +75,7 @@ def descend(
     # beyond the stability limit. Poles of a formula, such as x / (1 + x / M), may also lead a run
     # astray: it then ends at a kink, above the cost of a simulation from its start.
     end = _attempted(parts, iterate, progress, iterations, states_only=states_only)
-    if end.status == STALLED and parts.is_delay.any() and not states_only:
+    if end.status in (STALLED, EXCEEDED) and parts.is_delay.any() and not states_only:
         end = _at_whole_samples(parts, end, iterations)
     if end.status in (CONVERGED, TOO_COARSE) or parts.is_gain.any():
         return end
@@ -88,15 +89,17 @@ def descend(
 
 
 def _at_whole_samples(parts: AllParts, end: End, iterations: int) -> End:
-    """Return the end of a stalled run after all unknowns but the delays have settled.
+    """Return the end of a run that creeps or stalls, or the minimum at whole samples of delays.
 
-    Where a delay is a whole number of samples, the cost may have a kink. Steps that cross it are
-    refused before the others are at their minimum: 5 of 30 fits of a lag with direct feedthrough,
-    whose delay was one sample, ended at a false minimum from all starts.
+    There the cost may have a kink. Steps that cross it are refused before the other unknowns are at
+    their minimum: 5 of 30 fits of a lag with direct feedthrough, whose delay was one sample, ended
+    at a false minimum from all starts. Therefore all but the delays settle first.
     """
     progress = replace(EXACT, held=parts.is_delay)
-    rest = _attempted(parts, end.iterate, progress, iterations - end.iterations, states_only=False)
+    rest = _attempted(parts, end.iterate, progress, iterations, states_only=False)
     status = status_at_kink(parts, rest.iterate, states_only=False)
+    if not status.startswith(CONVERGED):
+        return end
     return replace(rest, status=status, iterations=end.iterations + rest.iterations)
 
 
@@ -202,7 +205,7 @@ def _iterated(
         # For a long record, they take an eighth of the memory.
         del step, trial, closed
         linearizations = []
-    return End(iterate, "iterations exceeded", iterations)
+    return End(iterate, EXCEEDED, iterations)
 
 
 def followed(parts: AllParts, iterate: Iterate, step: Step) -> Iterate | None:
