@@ -235,8 +235,8 @@ def _combinations(
     units: Labels,
     directions: KnownDirections,
     errors: Array,
-) -> list[DeterminedCombination]:
-    """Return the simplest independent combinations that are determined."""
+) -> Iterator[DeterminedCombination]:
+    """Yield the simplest independent combinations that are determined."""
     value = directions.at
     loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
     products = [*_products([k for k in loose if value[k] != 0])]
@@ -264,7 +264,6 @@ def _combinations(
     # follow from the chosen ones.
     factors, divisors = np.abs(rows).sum(axis=1), (rows < 0).sum(axis=1)
     order = np.lexsort((error / smallest, divisors, ~is_product, factors))
-    chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
     for k in order[good[order]]:
         scaled = gradients[k] * directions.size
@@ -272,9 +271,7 @@ def _combinations(
         # Their number is limited by the directions that remain for the members.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended
-            chosen.append(_named(names, value, rows[k], float(error[k]), bool(is_product[k])))
-
-    return chosen
+            yield _named(names, value, rows[k], float(error[k]), bool(is_product[k]))
 
 
 def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:

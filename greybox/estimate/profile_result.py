@@ -3,7 +3,7 @@
 import math
 from typing import Literal
 
-from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
+from greybox.files.arrays import Array, Fields, Interval, Strings, attributes, by_name, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, alternatives, number, one_line, titled
 
@@ -150,7 +150,7 @@ class Profiles(Printed):
             "problem": self.name,
             "level": self.level,
             "profiles": {
-                p.name: {name: getattr(p, name) for name in fields}
+                p.name: attributes(p, *fields)
                 | words[p.name]
                 | {"others": by_name(self.free, p.others.T)}
                 for p in self.profiles

@@ -42,6 +42,7 @@ from greybox.files.arrays import (
     NamedStrings,
     Strings,
     Values,
+    attributes,
     by_name,
     frozen,
     places_of,
@@ -499,7 +500,7 @@ class Fit(Printed):
         limits = [(*intervals.get(q.name, unknown), *q.bounds) for q in self.quantities]
         ends = ("low", "high", "lower_bound", "upper_bound")
         columns |= zip(ends, np.reshape(limits, (-1, 4)).T, strict=True)
-        about = {"name": self.name, "criterion": self.criterion, "cost": self.cost, "level": level}
+        about = attributes(self, "name", "criterion", "cost") | {"level": level}
 
         return frame_of(columns, [q.name for q in self.quantities], "name", about)
 

@@ -34,6 +34,7 @@ from greybox.files.arrays import (
     StringPair,
     Strings,
     Values,
+    attributes,
     frozen,
     nans,
 )
@@ -191,9 +192,8 @@ class Margins(Printed):
 
     def to_dict(self) -> Fields:
         """Return the numbers as plain values; None where unknown or infinite."""
-        scalars = ("verdict", "plant", "setpoint", "response", "level", "notes")
         return plain(
-            {name: getattr(self, name) for name in scalars}
+            attributes(self, "verdict", "plant", "setpoint", "response", "level", "notes")
             | {
                 "broken_at": self.signal,
                 "stable": self.is_stable,

@@ -25,6 +25,7 @@ from greybox.files.arrays import (
     Named,
     NamedStrings,
     Values,
+    attributes,
     frozen,
     selected,
 )
@@ -277,12 +278,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     def _check_names(self) -> None:
         """Require that options name parameters, and that none is two of fixed, free and tied."""
-        kinds = {
-            "fixed": self.fixed_values,
-            "free": self.free,
-            "tied": self.tied,
-        }
-        mappings = {what: getattr(self, what) for what in ("rename", "bounds", "start", "starts")}
+        kinds = {"fixed": self.fixed_values, **attributes(self, "free", "tied")}
+        mappings = attributes(self, "rename", "bounds", "start", "starts")
         for what, names in mappings.items():
             require_kind(what, names, Mapping, "{name of a parameter: ...}")
 
@@ -331,11 +328,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def _restated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `bounds`, `start` and `starts` to one declared parameter."""
         # A parameter that is never estimated would ignore them silently.
-        changes = {
-            what: getattr(self, what)[name]
-            for what in ("bounds", "start", "starts")
-            if name in getattr(self, what)
-        }
+        stated = attributes(self, "bounds", "start", "starts").items()
+        changes = {what: values[name] for what, values in stated if name in values}
         if name in self.tied and changes.keys() - {"bounds"}:
             raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
         if (

@@ -216,7 +216,7 @@ def _document(title: str, sections: Sequence[Element], author: str) -> str:
         title=html(tag("title", title)),
         heading=html(tag("h1", title)) + html(tag("p", byline, class_="soft")),
         links=html(tag("ul", links)),
-        main=html(tag("main", *sections)),
+        main=html(tag("main", sections)),
         policy=POLICY.format(_hash(script), _hash(style)),
         script=script,
         style=style,

@@ -5,7 +5,7 @@ Begin with `measure`.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -28,7 +28,7 @@ from greybox.files.arrays import (
     non_empty,
     unique,
 )
-from greybox.files.text_table import counted, number, one_line
+from greybox.files.text_table import Sentences, counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.identification.systematic_errors import (
@@ -406,8 +406,7 @@ def _chosen(segments: Segments, settings: Settings) -> list[Segment]:
     return chosen
 
 
-def _numbers(text: str, count: int) -> list[int]:
-    result: list[int] = []
+def _numbers(text: str, count: int) -> Iterator[int]:
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if not match:
@@ -420,8 +419,7 @@ def _numbers(text: str, count: int) -> list[int]:
                 f"tests={part.strip()!r} must lie between 1 and {count}, the number of tests, and "
                 "a range must not run backwards."
             )
-        result += range(first, last + 1)
-    return result
+        yield from range(first, last + 1)
 
 
 def _require_one_axis(used: Segments) -> None:
@@ -620,9 +618,8 @@ def _excitation(used: Segments) -> str:
     return f"{counted(len(used), used[0].kind)}{axis}{size}, {band}, {times}"
 
 
-def _conversions(recording: Recording, signals: NamedStrings) -> list[str]:
-    """Return which signals were converted to SI, and from which unit."""
-    changed = []
+def _conversions(recording: Recording, signals: NamedStrings) -> Sentences:
+    """Yield which signals were converted to SI, and from which unit."""
     for name, signal in signals.items():
         log, field_name = recording.locate(signal)
         unit = log.units.get(field_name, "")
@@ -630,5 +627,4 @@ def _conversions(recording: Recording, signals: NamedStrings) -> list[str]:
         if conversion and conversion.changes:
             cut = unit == "deg" and is_truncated(signal, log[field_name])
             half = f" with half a step of {STEP} {unit}, which the log truncates" if cut else ""
-            changed.append(f"{name} from {unit} to {conversion.si}{half}")
-    return changed
+            yield f"{name} from {unit} to {conversion.si}{half}"

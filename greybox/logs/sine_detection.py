@@ -1,6 +1,7 @@
 """Finds sines and sweeps in one signal by its zero crossings."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -156,9 +157,8 @@ def _crossings(time: Array, values: Array, corners: IntArray) -> ArrayPair:
     return np.array(times), np.abs(np.diff(values[corners]))
 
 
-def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
-    """Return the first and one past the last of crossings that form a line and have one height."""
-    runs = []
+def _runs(crossings: Array, swings: Array) -> Iterator[tuple[int, int]]:
+    """Yield the first and one past the last of crossings that form a line and have one height."""
     start = 0
     end = 3  # the fewest from which a line can be extrapolated and checked
     while end <= crossings.size:
@@ -170,13 +170,11 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
             continue
 
         if end - start >= CROSSINGS:
-            runs.append((start, end))
+            yield start, end
             start = end - 1
         else:
             start += 1
         end = start + 3
-
-    return runs
 
 
 def _continues(crossings: Array, swings: Array) -> bool:

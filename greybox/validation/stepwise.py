@@ -253,7 +253,7 @@ class _Fits:
         problem = with_terms(self.problem, terms, self.absent)
         free = {name for name, p in problem.parameters.items() if not p.fixed}
         start = {} if near is None else selected(near.estimate, free)
-        starts = [start, Sobol(self.starts, 0)]
+        starts = [start, Sobol(self.starts)]
         return fit_problem(problem, starts, profiles=profiles, progress=False)
 
     def trial(self, step: int, term: str, terms: Terms, limit: float) -> Trial:

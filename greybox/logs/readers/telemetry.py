@@ -40,6 +40,7 @@ from greybox.files.arrays import (
     without,
 )
 from greybox.files.progress import bar
+from greybox.files.text_table import Sentences
 from greybox.logs.readers import time_stamps
 from greybox.logs.readers.ardupilot_metadata import mode_name, unit, vehicle_in
 from greybox.logs.readers.controller_outputs import with_holds
@@ -437,15 +438,8 @@ def _address(sender: int) -> str:
     return f"{sender >> 8}:{sender & 0xFF}"
 
 
-def _damage(packets: Packets) -> list[str]:
-    findings = []
+def _damage(packets: Packets) -> Sentences:
     if packets.skipped:
-        findings.append(
-            f"{packets.skipped} bytes in {packets.places} places are damaged and were skipped."
-        )
+        yield f"{packets.skipped} bytes in {packets.places} places are damaged and were skipped."
     if packets.unknown:
-        findings.append(
-            f"{packets.unknown} packets of kinds that pymavlink does not know were left out."
-        )
-
-    return findings
+        yield f"{packets.unknown} packets of kinds that pymavlink does not know were left out."
