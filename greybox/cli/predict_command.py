@@ -10,7 +10,7 @@ from greybox.cli.read_log import read_log
 from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Fields, NamedStrings, attributes
+from greybox.files.arrays import Fields, NamedStrings, attributes, selected
 from greybox.logs.prepare import prepare
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulate import predict
@@ -76,7 +76,7 @@ def _signals_of(fit: Fit) -> NamedStrings:
         model = fit.model_of()
         names = (*model.input_names, *model.output_names)
         if set(names) <= set(pairs):
-            return {name: pairs[name] for name in names}
+            return selected(pairs, names)
     raise UsageError(f"{fit.name} has no signals of its log: give --signals NAME=SIGNAL ...")
 
 

@@ -421,8 +421,9 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
 
     NaN for a quantity that depends on a direction on which the data contain no information.
     """
-    known = KnownDirections(accuracy.covariance, accuracy.blind, accuracy.size, accuracy.size)
-    return known.errors(gradient)
+    return KnownDirections(
+        accuracy.covariance, accuracy.blind, accuracy.size, accuracy.size
+    ).errors(gradient)
 
 
 def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:

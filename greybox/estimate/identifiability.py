@@ -21,6 +21,7 @@ from greybox.files.arrays import (
     nans,
     real_root,
     sum_of_squares,
+    unique,
     unit_length,
 )
 from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
@@ -416,16 +417,16 @@ def invisible_groups(
         block = projector[np.ix_(members, members)]
         moves = np.zeros((len(names), len(members)))
         moves[members] = block * size[members, None]
-        states = {
-            state: None
+        states = unique(
+            state
             for of_part in initial
             for state, follow in of_part.items()
             # Initial states that change by less than this share take no part.
             if np.any(np.abs(follow[:, : len(names)] @ moves) > 1e-3)
-        }
+        )
         directions = max(round(float(np.trace(block))), 1)
         members_by_name = tuple(names[k] for k in members)
-        groups.append(Combination(members_by_name, math.inf, directions, tuple(states)))
+        groups.append(Combination(members_by_name, math.inf, directions, states))
 
     return tuple(sorted(groups, key=lambda group: names.index(group.names[0])))
 

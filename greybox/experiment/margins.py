@@ -344,7 +344,15 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
         raise ValueError(
             f"tracking is {tracking!r}: give two names, a setpoint and the signal that follows it."
         )
-    setpoint, response = tracking or _tracking(controllers)
+    # The first setpoint, and what its controller measures first.
+    setpoint, response = tracking or next(
+        (
+            (c.outside(c.setpoints[0]), c.outside(c.inputs[0]))
+            for c in controllers
+            if c.setpoints and c.inputs
+        ),
+        ("", ""),
+    )
     unit = _unit(response, model, controllers)
     integrals = _INTEGRALS.get(unit)
     if boundary and integrals is None:
@@ -438,14 +446,6 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
         share = 100 * max(missing.values())
         notes.insert(0, f"No interval: {share:.2g} % of the draws have no {listed([*missing])}.")
     return replace(answer, margins=tuple(rows), notes=tuple(notes))
-
-
-def _tracking(controllers: Sequence[Controller]) -> StringPair:
-    """Return the first setpoint and what its controller measures first."""
-    for c in controllers:
-        if c.setpoints and c.inputs:
-            return c.outside(c.setpoints[0]), c.outside(c.inputs[0])
-    return "", ""
 
 
 def _unit(signal: str, model: Model, controllers: Sequence[Controller]) -> str:

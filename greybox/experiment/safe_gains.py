@@ -119,8 +119,12 @@ class SafeGains(Printed):
 
     def to_dict(self) -> Fields:
         """Return the numbers as plain values."""
-        more = {"verdict": self.verdict, "best": self.best, "promise": PROMISE}
-        return plain(self) | more | {"allowed": self.allowed.tolist()}
+        return plain(self) | {
+            "verdict": self.verdict,
+            "best": self.best,
+            "promise": PROMISE,
+            "allowed": self.allowed.tolist(),
+        }
 
     def __str__(self) -> str:
         rows = []
@@ -319,15 +323,14 @@ def _judged(
             confidence[k] = math.nan if bad else confidence[k]
             poor += [w for w in bad if w > 0]
 
-    return confidence, bandwidth, _cure(fit.name, poor) if poor else ""
-
-
-def _cure(name: str, poor: Sequence[float]) -> str:
-    """Return which flight would measure the response at these poor crossovers, in rad/s."""
-    return (
-        f"In the conditions of {name!r}, fly sines or a sweep from {min(poor) / SPACING:.2g} to "
-        f"{max(poor) * SPACING:.2g} rad/s, with a larger amplitude where the points were noisy."
+    if not poor:
+        return confidence, bandwidth, ""
+    cure = (
+        f"In the conditions of {fit.name!r}, fly sines or a sweep from "
+        f"{min(poor) / SPACING:.2g} to {max(poor) * SPACING:.2g} rad/s, with a larger amplitude "
+        "where the points were noisy."
     )
+    return confidence, bandwidth, cure
 
 
 def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolArray]:

@@ -428,8 +428,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """Priors of the parameters, by outside name."""
         # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
         outside = {name: self.outside(name) for name in self.declared}
-        of_model = selected(self._stated, self.model.parameters)
-        return tuple(normal_priors(of_model, self.prior, outside))
+        return tuple(
+            normal_priors(selected(self._stated, self.model.parameters), self.prior, outside)
+        )
 
     @property
     def response(self) -> FrequencyResponse:
@@ -441,8 +442,12 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def signals(self) -> Fields:
         """The input and output of the response, the operating point and the order of the delay."""
         data = self.response
-        pade = delay_order(self.delay)
-        return {"input": data.input, "output": data.output, "at": self.at, "pade": pade}
+        return {
+            "input": data.input,
+            "output": data.output,
+            "at": self.at,
+            "pade": delay_order(self.delay),
+        }
 
     @cached_property
     def sampled_hold(self) -> float:

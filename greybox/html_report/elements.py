@@ -165,8 +165,12 @@ def table(header: Labels, rows: Sequence[Sequence[Cell]]) -> Element:
         for text, right in zip(header, is_number, strict=True)
     ]
     body = tag("tbody", [tag("tr", map(_cell, row, is_number)) for row in rows])
-    sortable = tag("table", tag("thead", tag("tr", head)), body, class_="sortable")
-    return tag("div", sortable, class_="scroll", tabindex="0")
+    return tag(
+        "div",
+        tag("table", tag("thead", tag("tr", head)), body, class_="sortable"),
+        class_="scroll",
+        tabindex="0",
+    )
 
 
 def parameter_table(fit: Fit) -> Element:

@@ -572,26 +572,27 @@ def _about(
     settings: Settings,
 ) -> NamedStrings:
     """Return the origin of a response, for its file."""
-    about = {
-        "log": recording.source,
-        "log sha256": recording.checksum,
-        "signals": ", ".join(f"{name} = {signal}" for name, signal in signals.items()),
-        "converted": ", ".join(_conversions(recording, signals)),
-        "sampling": f"{record.rate:.5g} Hz",
-        "excitation": _excitation(used),
-        "estimate": _kind(signals, used, settings),
-        "filter": "; ".join(
-            f"{name} was logged behind a {known}"
-            for name in (response.input, response.output)
-            for known in record.filters.get(name, ())
-        ),
-        **{name: in_series(known) for name, known in filters.items()},
-        "band": ""
-        if settings.band is None
-        else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
-        **response.about,
-    }
-    return non_empty(about)
+    return non_empty(
+        {
+            "log": recording.source,
+            "log sha256": recording.checksum,
+            "signals": ", ".join(f"{name} = {signal}" for name, signal in signals.items()),
+            "converted": ", ".join(_conversions(recording, signals)),
+            "sampling": f"{record.rate:.5g} Hz",
+            "excitation": _excitation(used),
+            "estimate": _kind(signals, used, settings),
+            "filter": "; ".join(
+                f"{name} was logged behind a {known}"
+                for name in (response.input, response.output)
+                for known in record.filters.get(name, ())
+            ),
+            **{name: in_series(known) for name, known in filters.items()},
+            "band": ""
+            if settings.band is None
+            else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
+            **response.about,
+        }
+    )
 
 
 def _kind(signals: NamedStrings, used: Segments, settings: Settings) -> str:

@@ -287,20 +287,18 @@ def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
         if source.is_filtered(rate):
             time, values = _low_passed(time, values, source.step, rate)
         elif source.is_held:
-            result[inside] = _held_mean(time, values, times, 1 / rate)
+            # The mean over each coming step, without a shift in time: a difference of the
+            # integral, which is linear between the samples.
+            step = 1 / rate
+            ends = np.append(time[1:], time[-1] + step)
+            integral = np.append(0.0, np.cumsum(values * (ends - time)))
+            bounds = np.append(time[0], ends)
+            after, before = (np.interp(t, bounds, integral) for t in (times + step, times))
+            result[inside] = (after - before) / step
             continue
         result[inside] = CubicSpline(time, values)(times)
 
     return result
-
-
-def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
-    """Return the mean of a held signal over each coming step, without a shift in time."""
-    ends = np.append(time[1:], time[-1] + step)
-    # The mean over a step is a difference of the integral, which is linear between the samples.
-    integral = np.append(0.0, np.cumsum(values * (ends - time)))
-    bounds = np.append(time[0], ends)
-    return (np.interp(grid + step, bounds, integral) - np.interp(grid, bounds, integral)) / step
 
 
 def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:

@@ -268,8 +268,18 @@ def _sweep(
     """
     step = median_step(time)
 
+    def follows(k: int, way: int) -> bool:
+        """Return whether a smooth change of frequency predicts the next crossing, one way."""
+        # In half periods per second; the first is next to the predicted crossing.
+        frequency = 1 / np.abs(np.diff(crossings[k - way * np.arange(KNOWN_PERIODS + 1)]))
+        predicted = 1 / max(float(NEXT @ frequency), 0.5 * frequency[0])
+        error = abs(abs(crossings[k + way] - crossings[k]) - predicted)
+        # 1/2 on the way from a rest, whose middle is not that of the sweep.
+        ratio = swings[k + way] / swings[k]
+        return bool(error < OFF_SWEEP * predicted + step and SWING[0] < ratio < SWING[1])
+
     def end(k: int, way: int) -> int:
-        while 0 <= k + way < crossings.size and _follows(crossings, swings, k, way, step):
+        while 0 <= k + way < crossings.size and follows(k, way):
             k += way
         return k
 
@@ -298,18 +308,6 @@ def _end_frequency(crossings: Array) -> FloatPair:
     frequency = math.pi / np.abs(np.diff(crossings))
     beyond = float(BEYOND @ frequency)
     return float(np.clip(beyond, 0.5 * frequency[0], frequency[0])), float(frequency[0])
-
-
-def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
-    """Return whether a smooth change of frequency predicts the next crossing after k, one way."""
-    crossings_used = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
-    # In half periods per second; the first is next to the predicted crossing.
-    frequency = 1 / np.abs(np.diff(crossings_used))
-    predicted = 1 / max(float(NEXT @ frequency), 0.5 * frequency[0])
-    error = abs(abs(crossings[k + way] - crossings[k]) - predicted)
-    # 1/2 on the way from a rest, whose middle is not that of the sweep.
-    ratio = swings[k + way] / swings[k]
-    return bool(error < OFF_SWEEP * predicted + step and SWING[0] < ratio < SWING[1])
 
 
 def _first_half_wave(time: Array, values: Array, corners: IntArray, crossings: Array) -> float:

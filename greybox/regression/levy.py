@@ -188,14 +188,13 @@ def levy(
     numerator.flags.writeable = False
     denominator.flags.writeable = False
 
-    model = ratio(numerator, denominator, data.omega)
     return RationalFit(
         numerator,
         denominator,
         integrators=int(integrator),
         data=data,
         iterations=iterations,
-        cost=evaluate(RelativeError(), model, data),
+        cost=evaluate(RelativeError(), ratio(numerator, denominator, data.omega), data),
         condition=float(np.abs(np.linalg.cond(matrix))),  # LAPACK's zero may be negative
     )
 

@@ -152,8 +152,7 @@ def model_at(
         raise TypeError(f"model is {model!r:.80}: give an instance such as LinearTilt(), or a Fit.")
     fit = model if is_fit else values
     if isinstance(fit, Estimate):
-        of_model = None if is_fit else model
-        return fit.at_estimate(of_model, inputs=inputs, part=part, record=record)
+        return fit.at_estimate(None if is_fit else model, inputs=inputs, part=part, record=record)
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
     assert isinstance(model, Model)

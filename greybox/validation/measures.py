@@ -69,8 +69,7 @@ def common_likelihood(fits: Fits, *, comparable: bool) -> Likelihoods | None:
     # proportional to the response.
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
-    least = (_least_cost(fit, criterion) for fit in fits)
-    return Likelihoods(criterion, tuple(fits), tuple(least))
+    return Likelihoods(criterion, tuple(fits), tuple(_least_cost(fit, criterion) for fit in fits))
 
 
 @one_thread_at_a_time  # also frees what it compiles
