@@ -9,13 +9,12 @@ import numpy as np
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, NamedStrings, array_of
-from greybox.files.text_table import counted
+from greybox.files.text_table import counted, require_whole
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.parameter import require_whole
 from greybox.modeling.realization import dynamics
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
 

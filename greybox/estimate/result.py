@@ -446,7 +446,8 @@ class Fit(Printed):
         Raises
         ------
         ValueError
-            If the fit does not have this part.
+            If the fit does not have this part, or its model has other parameters than the fitted
+            one.
         LookupError
             If a loaded fit does not know it.
         """

@@ -17,7 +17,7 @@ from greybox.files.arrays import (
     by_name,
     unique,
 )
-from greybox.files.text_table import checked_items
+from greybox.files.text_table import checked_items, is_finite_number
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -25,7 +25,7 @@ from greybox.modeling.model import (
     require_signal_names,
     require_usable,
 )
-from greybox.modeling.parameter import Parameters, is_finite_number
+from greybox.modeling.parameter import Parameters
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import column, entries_by_name, traced
 

@@ -39,7 +39,7 @@ from greybox.files.arrays import (
     nans,
 )
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, listed, number, text_table
+from greybox.files.text_table import Printed, listed, number, require_kind, text_table
 from greybox.modeling.model import Model
 
 UNITS = {
@@ -493,6 +493,12 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
     intervals).
     """
+    require_kind(
+        "loop",
+        loop,
+        FrequencyResponse,
+        "the FrequencyResponse of a broken loop; gb.margins takes a fit with its controller",
+    )
     require_level(level)
     loop = loop.by_frequency
     points, drawn = np.log(loop.omega), _drawn(loop)

@@ -33,7 +33,7 @@ from greybox.files.arrays import (
     nans,
 )
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, listed, number, text_table
+from greybox.files.text_table import Printed, checked_items, listed, number, text_table
 from greybox.modeling.model import Names, require_known
 from greybox.spectral import spectral_response
 
@@ -211,8 +211,10 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         refuses.
     """
     require_level(level)
-    flights = [fits] if isinstance(fits, Fit) else fits
-    controllers = [controller] if isinstance(controller, Controller) else controller
+    flights = checked_items("a flight", fits, Fit, "the fit of a flight, or several")
+    if not flights or not parts:
+        raise ValueError(f"fits={fits!r:.60} and parts={parts!r:.60}: give at least one of both.")
+    controllers = checked_items("the controller", controller, Controller, "a controller or several")
     # The controller of each gain, and its name; gains with the same name have a prefix.
     counts = Counter(name for c in controllers for name in c.parameters)
     owners = {

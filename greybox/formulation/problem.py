@@ -29,7 +29,7 @@ from greybox.files.arrays import (
     frozen,
     selected,
 )
-from greybox.files.text_table import as_names, one_line, require_kind
+from greybox.files.text_table import as_names, is_finite_number, one_line, require_kind
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
@@ -48,7 +48,7 @@ from greybox.modeling.model import (
     require_operating_point,
 )
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.parameter import Parameter, Parameters, is_finite_number
+from greybox.modeling.parameter import Parameter, Parameters
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.symbolic_reading import called, require_no_nan

@@ -11,7 +11,7 @@ from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, ArrayPair, Labels, Strings, frozen, nans, unique
-from greybox.files.text_table import as_names, counted, require_kind
+from greybox.files.text_table import as_names, counted, is_finite_number, require_kind
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 
@@ -250,8 +250,8 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
         )
     first = max(start, *(source.time[0] for source in sources.values()))
     last = min(end, *(source.time[-1] for source in sources.values()))
-    if not (math.isfinite(rate) and rate > 0):
-        raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
+    if not (is_finite_number(rate) and rate > 0):
+        raise ValueError(f"rate {rate!r} must be a finite number of Hz above 0.")
 
     # A rate in rad/s or a step in ms would make a record of interpolated samples.
     fastest = 1 / min(source.step for source in sources.values())

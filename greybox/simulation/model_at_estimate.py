@@ -17,6 +17,7 @@ from greybox.files.arrays import (
     places_of,
     selected,
 )
+from greybox.files.text_table import is_finite_number
 from greybox.formulation.time_criteria import (
     Inputs,
     OutputError,
@@ -25,7 +26,7 @@ from greybox.formulation.time_criteria import (
     between_samples,
 )
 from greybox.modeling.model import Model, require_known
-from greybox.modeling.parameter import Parameters, is_finite_number
+from greybox.modeling.parameter import Parameters
 from greybox.modeling.realization import Dynamics, dynamics
 
 

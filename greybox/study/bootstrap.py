@@ -30,12 +30,12 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
+    require_whole,
     some,
     text_table,
     titled,
 )
 from greybox.modeling.one_thread import cached_property
-from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
