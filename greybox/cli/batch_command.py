@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, attributes, save_figure
+from greybox.cli.output import Answer, save_figure
 from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inputs
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.terminal import write
 from greybox.cli.workers import stated_executor
-from greybox.files.arrays import Fields
+from greybox.files.arrays import Fields, attributes
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError

@@ -4,8 +4,9 @@ import argparse
 
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, attributes, require_writable
+from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import HELD_OUT, held_out_records, saved_fit
+from greybox.files.arrays import attributes
 from greybox.files.safe_files import write_text
 from greybox.study.study import read_study
 from greybox.validation.compare import compare

@@ -3,8 +3,8 @@
 import argparse
 from types import ModuleType
 
-from greybox.cli.output import Answer, attributes
-from greybox.files.arrays import Fields, unique
+from greybox.cli.output import Answer
+from greybox.files.arrays import Fields, attributes, unique
 from greybox.files.text_table import text_table
 from greybox.modeling.model import Model, equation
 from greybox.modeling.parameter import parameter_table

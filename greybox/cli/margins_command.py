@@ -3,13 +3,13 @@
 import argparse
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
+from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.data.response_file import read_response
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
-from greybox.files.arrays import Fields, selected
+from greybox.files.arrays import Fields, attributes, selected
 from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module
 from greybox.study.study import read_study

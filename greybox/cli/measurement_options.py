@@ -52,8 +52,7 @@ def stated_choices(options: argparse.Namespace) -> Fields:
 
     # Options and settings have the same names, so that a new setting needs only its option.
     names = {field.name for field in fields(Settings)}
-    values = selected(vars(options), names)
-    return values | {
+    return selected(vars(options), names) | {
         "band": stated_band(options.band),
         "instrument": "".join(options.instrument),
     }

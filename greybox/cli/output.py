@@ -41,11 +41,6 @@ def write_answer(result: Fields, text: str, as_json: bool, status: int = USABLE)
     return FAILED if trouble and status == USABLE else status
 
 
-def attributes(value: Any, *names: str) -> Fields:
-    """Return some attributes by name."""
-    return {name: getattr(value, name) for name in names}
-
-
 def require_writable(path: Path | None, force: bool, endings: Labels = (), kind: str = "") -> None:
     """Check that a file can be written and has one of these endings; None means no file.
 

@@ -5,12 +5,12 @@ import argparse
 import numpy as np
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, attributes
+from greybox.cli.output import Answer
 from greybox.cli.read_log import read_log
 from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Fields, NamedStrings
+from greybox.files.arrays import Fields, NamedStrings, attributes, selected
 from greybox.logs.prepare import prepare
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulate import predict
@@ -73,10 +73,10 @@ def _signals_of(fit: Fit) -> NamedStrings:
     noted = fit.responses[0].data.about.get("signals") if fit.responses else None
     if noted:
         pairs = dict(pair.split(" = ") for pair in noted.split(", "))
-        model = fit.model_of(0)
+        model = fit.model_of()
         names = (*model.input_names, *model.output_names)
         if set(names) <= set(pairs):
-            return {name: pairs[name] for name in names}
+            return selected(pairs, names)
     raise UsageError(f"{fit.name} has no signals of its log: give --signals NAME=SIGNAL ...")
 
 

@@ -6,12 +6,12 @@ from typing import Any
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, stated_choices
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
+from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
-from greybox.files.arrays import Fields, non_empty
+from greybox.files.arrays import Fields, attributes, non_empty
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 

@@ -28,13 +28,11 @@ def note_opened_files() -> None:
     """Note every file that Python opens for reading from now on, and those that greybox reads."""
     _opened.clear()
     _read.clear()
-    _listen()
+    _listen(_note)
 
 
-@cache
-def _listen() -> None:
-    # An audit hook cannot be removed: a second one would note everything again.
-    sys.addaudithook(_note)
+# An audit hook cannot be removed: a second one would note everything again.
+_listen = cache(sys.addaudithook)
 
 
 def _note(event: str, arguments: tuple) -> None:

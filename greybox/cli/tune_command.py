@@ -3,10 +3,11 @@
 import argparse
 
 from greybox.cli.margins_command import CONTROLLER_OPTIONS, stated_controllers
-from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
+from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
+from greybox.files.arrays import attributes
 from greybox.study.catalog import shipped_module
 
 EXAMPLES = (

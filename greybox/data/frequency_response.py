@@ -25,6 +25,7 @@ from greybox.files.arrays import (
     NamedArrays,
     NamedStrings,
     all_finite,
+    attributes,
     frozen,
     nans,
 )
@@ -234,9 +235,7 @@ class FrequencyResponse(Printed):
         ``alpha, beta``, then, if known, ``coherence, variance, dof``, and ``alpha_common1,
         beta_common1`` and so on for the common errors.
         """
-        columns = {
-            name: getattr(self, name) for name in ("alpha", "beta", "coherence", "variance", "dof")
-        }
+        columns = attributes(self, "alpha", "beta", "coherence", "variance", "dof")
         common = () if self.common_errors is None else self.common_errors
         for j, errors in enumerate(common, start=1):
             columns |= {f"alpha_common{j}": errors.real, f"beta_common{j}": errors.imag}
@@ -246,7 +245,7 @@ class FrequencyResponse(Printed):
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
         # Not the name, the source or the remarks: the same numbers are the same data.
-        columns = [getattr(self, name) for name in COLUMNS]
+        columns = attributes(self, *COLUMNS).values()
         # The mark keeps a variance and a coherence of the same numbers apart.
         marked = ["-" if values is None else values for values in columns]
         common = [] if self.common_errors is None else [self.common_errors]
@@ -255,12 +254,8 @@ class FrequencyResponse(Printed):
     def where(self, selected: BoolArray | IntArray) -> "FrequencyResponse":
         """Return the points for which `selected` (n,) is true, or that have these places."""
         # The frequencies are the last axis of all.
-        arrays = {
-            name: values[..., selected]
-            for name in (*COLUMNS, "common_errors")
-            if (values := getattr(self, name)) is not None
-        }
-        return replace(self, **arrays)
+        arrays = attributes(self, *COLUMNS, "common_errors").items()
+        return replace(self, **{n: x[..., selected] for n, x in arrays if x is not None})
 
     @property
     def by_frequency(self) -> "FrequencyResponse":
@@ -365,7 +360,7 @@ class FrequencyResponse(Printed):
         ModuleNotFoundError
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
-        about = {name: getattr(self, name) for name in ("input", "output", "name", "source")}
+        about = attributes(self, "input", "output", "name", "source")
         return frame_of(
             self.columns,
             self.omega,
@@ -375,7 +370,7 @@ class FrequencyResponse(Printed):
 
     def __str__(self) -> str:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"
-        optional = {c: getattr(self, c) for c in ("coherence", "variance", "dof", "common_errors")}
+        optional = attributes(self, "coherence", "variance", "dof", "common_errors")
         extras = [name.replace("_", " ") for name, values in optional.items() if values is not None]
         return (
             f"{self.name or 'frequency response'}: {pair}, "

@@ -1,21 +1,20 @@
 """The model of a fit at its estimate, with covariance and assumptions, to be run on records."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.files.arrays import Array, NamedStrings, Strings, array_of
-from greybox.files.text_table import counted
+from greybox.files.arrays import Array, NamedStrings, array_of
+from greybox.files.text_table import counted, require_whole
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.parameter import require_whole
 from greybox.modeling.realization import dynamics
 from greybox.simulation.model_at_estimate import ModelAtEstimate, criterion_of
 
@@ -74,7 +73,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
             else p
             for name, p in model.parameters.items()
         },
-        own=_own_names(fit, model, record, outside) if record else (),
+        own=tuple(_own_names(fit, model, record, outside) if record else ()),
     )
 
 
@@ -87,8 +86,8 @@ def propagated(slope: Array, covariance: Array) -> Array:
     return np.where(lost | lost[:, None], np.nan, result)
 
 
-def _own_names(fit: Any, model: Model, part: FittedRecord, outside: NamedStrings) -> Strings:
-    """Return the free values that belong to one record alone, by their names in the model.
+def _own_names(fit: Any, model: Model, part: FittedRecord, outside: NamedStrings) -> Iterator[str]:
+    """Yield the free values that belong to one record alone, by their names in the model.
 
     These are biases, unless records share them under one name, and parameters that have another
     name in other records.
@@ -100,8 +99,6 @@ def _own_names(fit: Any, model: Model, part: FittedRecord, outside: NamedStrings
         if _class_name(record.model) == _class_name(part.model)
         and not share_samples(record.data, part.data)
     ]
-    record_names = []
-
     for name, known_as in outside.items():
         elsewhere = [record.outside(name) for record in same_model]
         if name in model.parameters:
@@ -109,9 +106,7 @@ def _own_names(fit: Any, model: Model, part: FittedRecord, outside: NamedStrings
         else:
             is_own = name.endswith("_bias") and known_as not in elsewhere
         if is_own and known_as in fit.free:
-            record_names.append(name)
-
-    return tuple(record_names)
+            yield name
 
 
 def part_index(fit: Any, model: Model | None, part: int | None, record: Record | None) -> int:

@@ -427,8 +427,9 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
 
     NaN for a quantity that depends on a direction on which the data contain no information.
     """
-    known = KnownDirections(accuracy.covariance, accuracy.blind, accuracy.size, accuracy.size)
-    return known.errors(gradient)
+    return KnownDirections(
+        accuracy.covariance, accuracy.blind, accuracy.size, accuracy.size
+    ).errors(gradient)
 
 
 def _common_noise(pairs: Sequence[tuple[Information, _Share]], root: Array) -> float | None:

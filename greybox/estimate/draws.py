@@ -20,12 +20,13 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
+    require_whole,
     some,
     text_table,
 )
 from greybox.formulation.starts import sobol_shares
 from greybox.modeling.model import Names
-from greybox.modeling.parameter import lower_and_upper, require_whole
+from greybox.modeling.parameter import lower_and_upper
 from greybox.solve.gauss_newton.driver import GaussNewton
 
 # Factor on a step: for a lag with an error of half its value, the upper error is that much larger.
@@ -140,6 +141,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     """
     require_fit(fit)
     require_whole("count", count, 1)
+    require_whole("seed", seed, 0)
     if fit.known_directions(fit.names).unseen.size:
         unknown = [q.name for q in fit.quantities if math.isnan(q.standard_error)]
         raise ValueError(

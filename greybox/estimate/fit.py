@@ -200,8 +200,7 @@ class SolverChoice:
         """
         try:
             with building():
-                nlp = compile_problem(problem, self.method)
-                return solver_for(nlp, self.options, self.search)
+                return solver_for(compile_problem(problem, self.method), self.options, self.search)
         except ZeroDivisionError as error:
             # The command line and studies name the line; in Python the traceback shows it.
             raise ValueError(

@@ -155,10 +155,8 @@ def require_shapes(value: Any, axes_of: NamedStrings, sizes: Mapping[str, int]) 
     for name, axes in axes_of.items():
         array = getattr(value, name)
         if array is not None:
-            required = [sizes.get(axis, -1) for axis in axes]
-            is_right = array.ndim == len(axes) and all(
-                size in (-1, length) for size, length in zip(required, array.shape, strict=True)
-            )
+            lengths = zip(axes, array.shape, strict=False)
+            is_right = array.ndim == len(axes) and all(sizes.get(a, n) == n for a, n in lengths)
             require(is_right, f"{name} has another shape")
 
 

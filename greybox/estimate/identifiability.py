@@ -21,6 +21,7 @@ from greybox.files.arrays import (
     nans,
     real_root,
     sum_of_squares,
+    unique,
     unit_length,
 )
 from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
@@ -235,8 +236,8 @@ def _combinations(
     units: Labels,
     directions: KnownDirections,
     errors: Array,
-) -> list[DeterminedCombination]:
-    """Return the simplest independent combinations that are determined."""
+) -> Iterator[DeterminedCombination]:
+    """Yield the simplest independent combinations that are determined."""
     value = directions.at
     loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
     products = [*_products([k for k in loose if value[k] != 0])]
@@ -264,7 +265,6 @@ def _combinations(
     # follow from the chosen ones.
     factors, divisors = np.abs(rows).sum(axis=1), (rows < 0).sum(axis=1)
     order = np.lexsort((error / smallest, divisors, ~is_product, factors))
-    chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
     for k in order[good[order]]:
         scaled = gradients[k] * directions.size
@@ -272,9 +272,7 @@ def _combinations(
         # Their number is limited by the directions that remain for the members.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended
-            chosen.append(_named(names, value, rows[k], float(error[k]), bool(is_product[k])))
-
-    return chosen
+            yield _named(names, value, rows[k], float(error[k]), bool(is_product[k]))
 
 
 def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
@@ -419,16 +417,16 @@ def invisible_groups(
         block = projector[np.ix_(members, members)]
         moves = np.zeros((len(names), len(members)))
         moves[members] = block * size[members, None]
-        states = {
-            state: None
+        states = unique(
+            state
             for of_part in initial
             for state, follow in of_part.items()
             # Initial states that change by less than this share take no part.
             if np.any(np.abs(follow[:, : len(names)] @ moves) > 1e-3)
-        }
+        )
         directions = max(round(float(np.trace(block))), 1)
         members_by_name = tuple(names[k] for k in members)
-        groups.append(Combination(members_by_name, math.inf, directions, tuple(states)))
+        groups.append(Combination(members_by_name, math.inf, directions, states))
 
     return tuple(sorted(groups, key=lambda group: names.index(group.names[0])))
 

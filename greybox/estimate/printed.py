@@ -14,9 +14,18 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Fields, StringPair, Strings, all_finite, unique
+from greybox.files.arrays import Fields, StringPair, Strings, all_finite, attributes, unique
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import counted, number, percent, some, text_table, titled, with_error
+from greybox.files.text_table import (
+    Sentences,
+    counted,
+    number,
+    percent,
+    some,
+    text_table,
+    titled,
+    with_error,
+)
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import SCREENED, Runs
@@ -246,22 +255,20 @@ def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
     return [f"{', '.join(names)} {way}" for way, names in alike.items()]
 
 
-def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
+def _output_texts(records: Sequence[FittedRecord]) -> Sentences:
     """Say how well every output of every record is reproduced; of many records the range."""
     # Twenty records with three outputs would take a page.
     if len(records) <= MANY:
-        return [_output_text(part, output) for part in records for output in part.outputs]
-    texts = []
+        yield from (_output_text(part, output) for part in records for output in part.outputs)
+        return
     for output in unique(output for part in records for output in part.outputs):
         parts = [part for part in records if output in part.outputs]
         percents = [part.fit_percent(output) for part in parts]
         least = parts[percents.index(min(percents))].name
-        texts.append(
+        yield (
             f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to "
             f"{max(percents):.1f} % (least in {least!r})"
         )
-
-    return texts
 
 
 def _output_text(part: FittedRecord, output: str) -> str:
@@ -297,9 +304,8 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     return [line for _, line in lines]
 
 
-def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
+def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> Sentences:
     """Say how well every output of every manoeuvre is reproduced, and the noise of one sample."""
-    texts = []
     for part in spectra:
         place = f" ({part.name})" if len(spectra) > 1 else ""
         by_equation = part.criterion == EquationError().name
@@ -309,9 +315,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
                 noise = f"error of its equation {noise}"
             else:
                 noise = f"noise of a sample {noise} {part.data.units.get(output, '')}".rstrip()
-            texts.append(f"{output}{place}: {noise}, fit {part.fit_percent(output):.1f} %")
-
-    return texts
+            yield f"{output}{place}: {noise}, fit {part.fit_percent(output):.1f} %"
 
 
 def _bounds_and_note(q: Any) -> StringPair:
@@ -350,52 +354,53 @@ def summary(result: Any, level: float = 0.95) -> Fields:
     named += ("estimate", "best_effort", "standard_error", "derived", "dof")
     named += ("warnings", "notes", "checksum", "seconds", "versions")
     models = unique(part.label for part in result.parts)
-    answer = {
-        "problem": result.name,
-        "model": models,
-        "data": data_names(result.parts, models),
-        **{name: getattr(result, name) for name in named},
-        "starts": len(runs),
-        "screened": np.count_nonzero(runs.stage == SCREENED),
-        "converged": np.count_nonzero(runs.converged),
-        "minima": len(result.minima),
-        "verdict": verdict(result),
-        "misfit": misfit
-        and vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value},
-        "level": level,
-        "interval": result.interval(level),
-        "profiles": {} if result.profiles is None else result.profiles.intervals_in_words(),
-        "covariance": {"names": result.names, "values": result.covariance},
-        "bounds": {q.name: q.bounds for q in free},
-        "starts_box": {q.name: q.box for q in free},
-        "unit": {q.name: q.unit for q in parameters},
-        "fixed": {q.name: q.value for q in parameters if q.kind == "fixed"},
-        "tied": [q.name for q in parameters if q.kind == "tied"],
-        "at": {name: x for part in result.responses for name, x in part.at.items()},
-        "prior": {
-            name: {
-                "mean": mean,
-                "standard_deviation": sigma,
-                "share": result.prior_share.get(name, math.nan),
-            }
-            for name, (mean, sigma) in result.priors.items()
-        },
-        "outputs": [
-            {
-                "part": part.name,
-                "output": name,
-                "unit": part.data.units.get(name, ""),
-                "fit_percent": part.fit_percent(name),
-                # The diagonal of the covariance of the residuals, given or estimated.
-                "noise": math.sqrt(part.noise[k, k]),
-            }
-            for part in (*result.records, *result.spectra)
-            for k, name in enumerate(part.outputs)
-        ],
-        "responses": [
-            {"part": part.name, "magnitude_phase_cost": part.magnitude_phase_cost}
-            for part in result.responses
-        ],
-        "at_bound": result.at_bound,
-    }
-    return plain(answer)
+    return plain(
+        {
+            "problem": result.name,
+            "model": models,
+            "data": data_names(result.parts, models),
+            **attributes(result, *named),
+            "starts": len(runs),
+            "screened": np.count_nonzero(runs.stage == SCREENED),
+            "converged": np.count_nonzero(runs.converged),
+            "minima": len(result.minima),
+            "verdict": verdict(result),
+            "misfit": misfit
+            and vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value},
+            "level": level,
+            "interval": result.interval(level),
+            "profiles": {} if result.profiles is None else result.profiles.intervals_in_words(),
+            "covariance": {"names": result.names, "values": result.covariance},
+            "bounds": {q.name: q.bounds for q in free},
+            "starts_box": {q.name: q.box for q in free},
+            "unit": {q.name: q.unit for q in parameters},
+            "fixed": {q.name: q.value for q in parameters if q.kind == "fixed"},
+            "tied": [q.name for q in parameters if q.kind == "tied"],
+            "at": {name: x for part in result.responses for name, x in part.at.items()},
+            "prior": {
+                name: {
+                    "mean": mean,
+                    "standard_deviation": sigma,
+                    "share": result.prior_share.get(name, math.nan),
+                }
+                for name, (mean, sigma) in result.priors.items()
+            },
+            "outputs": [
+                {
+                    "part": part.name,
+                    "output": name,
+                    "unit": part.data.units.get(name, ""),
+                    "fit_percent": part.fit_percent(name),
+                    # The diagonal of the covariance of the residuals, given or estimated.
+                    "noise": math.sqrt(part.noise[k, k]),
+                }
+                for part in (*result.records, *result.spectra)
+                for k, name in enumerate(part.outputs)
+            ],
+            "responses": [
+                {"part": part.name, "magnitude_phase_cost": part.magnitude_phase_cost}
+                for part in result.responses
+            ],
+            "at_bound": result.at_bound,
+        }
+    )

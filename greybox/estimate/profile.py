@@ -27,7 +27,7 @@ from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
 from greybox.files.arrays import Array, Interval, Labels, Strings, all_finite, array_of, frozen
 from greybox.files.progress import bar
-from greybox.files.text_table import as_names, listed, number
+from greybox.files.text_table import checked_items, listed, number
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -104,7 +104,12 @@ def profile(
     # A quantity that follows from constants alone has the standard error zero and no profile.
     lines = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
 
-    chosen = as_names(lines if names is None else names)
+    chosen = checked_items(
+        "a name",
+        lines if names is None else names,
+        str,
+        "names of parameters and derived quantities",
+    )
     require_known(chosen, lines, "quantity to profile", f"the fit {fit.name!r}")
 
     # Two fresh starts for every point of a response: another minimum may become the lowest away

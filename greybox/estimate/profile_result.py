@@ -3,7 +3,7 @@
 import math
 from typing import Literal
 
-from greybox.files.arrays import Array, Fields, Interval, Strings, by_name, frozen
+from greybox.files.arrays import Array, Fields, Interval, Strings, attributes, by_name, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import Printed, alternatives, number, one_line, titled
 
@@ -135,27 +135,29 @@ class Profiles(Printed):
 
     def intervals_in_words(self) -> Fields:
         """Return interval and text of every profile for JSON; None for an open side."""
-        intervals = {
-            p.name: {"low": p.interval[0], "high": p.interval[1], "text": str(p)}
-            for p in self.profiles
-        }
-        return plain(intervals)
+        return plain(
+            {
+                p.name: {"low": p.interval[0], "high": p.interval[1], "text": str(p)}
+                for p in self.profiles
+            }
+        )
 
     def summary(self) -> Fields:
         """Return everything as plain values, for JSON; None for an open side."""
         fields = ("estimate", "standard_error", "ends", "at_bound", "connected")
         fields += ("values", "costs", "roots")
         words = self.intervals_in_words()
-        answer = {
-            "problem": self.name,
-            "level": self.level,
-            "profiles": {
-                p.name: {name: getattr(p, name) for name in fields}
-                | words[p.name]
-                | {"others": by_name(self.free, p.others.T)}
-                for p in self.profiles
-            },
-            "limit": self.limit,
-            "warnings": self.warnings,
-        }
-        return plain(answer)
+        return plain(
+            {
+                "problem": self.name,
+                "level": self.level,
+                "profiles": {
+                    p.name: attributes(p, *fields)
+                    | words[p.name]
+                    | {"others": by_name(self.free, p.others.T)}
+                    for p in self.profiles
+                },
+                "limit": self.limit,
+                "warnings": self.warnings,
+            }
+        )

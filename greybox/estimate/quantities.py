@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.estimate.covariance import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
-from greybox.files.arrays import Array, Labels
+from greybox.files.arrays import Array, Labels, attributes
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import entries_by_name
@@ -53,11 +53,11 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
     for line, (value, error, dof, bias) in zip([*nlp.names, *follow], columns, strict=True):
         if isinstance(line, Formula):
             limit = f"of the tied {line.name}"
-            stated = {name: getattr(line, name) for name in ("name", "kind", "unit", "about")}
+            stated = attributes(line, "name", "kind", "unit", "about")
             stated["at_bound"] = any(label.endswith(limit) for label in accuracy.active)
         else:
             declared = nlp.problem.parameters[line]
-            stated = {name: getattr(declared, name) for name in ("unit", "about", "bounds", "box")}
+            stated = attributes(declared, "unit", "about", "bounds", "box")
             stated |= {"name": line, "kind": "fixed" if declared.fixed else "free"}
             stated["at_bound"] = line in accuracy.at_bound
         lines.append(Quantity(value=value, standard_error=error, dof=dof, bias=bias, **stated))

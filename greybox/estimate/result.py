@@ -42,6 +42,7 @@ from greybox.files.arrays import (
     NamedStrings,
     Strings,
     Values,
+    attributes,
     by_name,
     frozen,
     places_of,
@@ -445,7 +446,8 @@ class Fit(Printed):
         Raises
         ------
         ValueError
-            If the fit does not have this part.
+            If the fit does not have this part, or its model has other parameters than the fitted
+            one.
         LookupError
             If a loaded fit does not know it.
         """
@@ -499,7 +501,7 @@ class Fit(Printed):
         limits = [(*intervals.get(q.name, unknown), *q.bounds) for q in self.quantities]
         ends = ("low", "high", "lower_bound", "upper_bound")
         columns |= zip(ends, np.reshape(limits, (-1, 4)).T, strict=True)
-        about = {"name": self.name, "criterion": self.criterion, "cost": self.cost, "level": level}
+        about = attributes(self, "name", "criterion", "cost") | {"level": level}
 
         return frame_of(columns, [q.name for q in self.quantities], "name", about)
 

@@ -10,6 +10,7 @@ checked for consistency (SECURITY.md).
 
 import json
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -79,7 +80,8 @@ def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> 
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If it is not a greybox fit, is damaged, or was written by another version.
+        If it is not a greybox fit, is damaged, or was written by another version, and if a given
+        model has other parameters than the fitted one.
 
     Examples
     --------
@@ -90,7 +92,11 @@ def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> 
     >>> again.estimate == fit.estimate
     True
     """
-    return from_bytes(read_sealed(path), models, f"{path}")
+    fit = from_bytes(read_sealed(path), models, f"{path}")
+    for part in range(len(fit.parts)) if fit.given else ():
+        with suppress(LookupError):  # a model that is not given may not be needed
+            fit.model_of(part)
+    return fit
 
 
 def to_bytes(fit: Fit) -> bytes:

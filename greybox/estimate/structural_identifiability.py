@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
-from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.data.frequency_response import FrequencyResponse
@@ -262,6 +261,7 @@ def _of_responses(
     return _Sensitivity(nlp, _directions(x, jacobian, column_lengths(jacobian)), {})
 
 
+@np.errstate(all="ignore")  # a structure may be far from where its formulas are finite
 def _of_record(
     model: Model,
     outputs: Labels,
@@ -287,35 +287,27 @@ def _of_record(
         x = array_of(values, nlp.free)
         [part] = nlp.parts_of(RecordPart)
         nodes = size * random.normal(size=(part.data.segments, part.states))
-        with np.errstate(all="ignore"):
-            trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
-            # In SI units larger states are hardly plausible; pressures are larger with any input.
-            if trajectory.finite and (
-                size == SIZES[-1] or np.all(np.abs(trajectory.states) < 30.0)
-            ):
-                return _of_trajectory(nlp, x, part, trajectory)
+        trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
+        # In SI units larger states are hardly plausible; pressures are larger with any input.
+        if trajectory.finite and (size == SIZES[-1] or np.all(np.abs(trajectory.states) < 30.0)):
+            break
+    else:
+        return None
 
-    return None
-
-
-def _of_trajectory(
-    nlp: CompiledProblem, x: Array, part: RecordPart, trajectory: Trajectory
-) -> _Sensitivity:
-    """Return the sensitivity along a simulated trajectory, with unknown initial states.
-
-    An orthogonal basis takes their effect out. By the normal equations of a fit, directions with
-    1e-5 of the effect of the others could not be distinguished from rounding.
-    """
     slopes = sensitivity(part, trajectory, np.eye(len(part.outputs)))
     pairs = zip(*map(part.data.unpadded, (slopes.weighted, slopes.by_initial)), strict=True)
     rows = []
     for stretch in pairs:
         jacobian, by_states = (J.mT.reshape(-1, J.shape[1]) for J in stretch)
+        # An orthogonal basis takes the effect of the initial states out. By the normal equations of
+        # a fit, directions with 1e-5 of the effect of the others could not be distinguished from
+        # rounding.
         rows.append(beside(jacobian, by_states))
 
     scale = nlp.scaling.slope(x)
-    initial = {state: follow * scale for state, follow in slopes.initial.items()}
-    return _Sensitivity(nlp, _directions(x, np.vstack(rows) * scale, slopes.reach * scale), initial)
+    following = {state: follow * scale for state, follow in slopes.initial.items()}
+    directions = _directions(x, np.vstack(rows) * scale, slopes.reach * scale)
+    return _Sensitivity(nlp, directions, following)
 
 
 @one_thread_at_a_time

@@ -5,7 +5,7 @@ from operator import itemgetter
 from typing import Any, Literal
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
-from greybox.files.arrays import Strings
+from greybox.files.arrays import Strings, by_name, without
 from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
 
@@ -89,11 +89,7 @@ def _determined(fit: Any) -> tuple[bool, str]:
 
     # Biases and sizes of noise, which the criterion adds, are no less known for being near zero.
     added = {part.outside(name) for part in fit.parts for name in part.added}
-    errors = {
-        name: error
-        for name, error in zip(judged.names, judged.error, strict=True)
-        if name not in added
-    }
+    errors = without(by_name(judged.names, judged.error), added)
     beyond = [name for name in judged.beyond if name in errors]
     texts = []
     if fit.at_bound:

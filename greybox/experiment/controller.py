@@ -17,7 +17,7 @@ from greybox.files.arrays import (
     by_name,
     unique,
 )
-from greybox.files.text_table import require_kind
+from greybox.files.text_table import checked_items, is_finite_number
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -25,7 +25,7 @@ from greybox.modeling.model import (
     require_signal_names,
     require_usable,
 )
-from greybox.modeling.parameter import Parameters, is_finite_number
+from greybox.modeling.parameter import Parameters
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import column, entries_by_name, traced
 
@@ -204,15 +204,13 @@ def connected(
     TypeError
         If one is not a controller.
     """
-    controllers: list[Controller] = []
-    if controller is not None:
-        controllers += controller if isinstance(controller, Sequence) else [controller]
+    cure = "an instance, as AttitudeController() or LinearLaw(control.tf(...), rate=400)"
+    given = () if controller is None else controller
+    controllers = checked_items("the controller", given, Controller, cure)
     inputs = system.inputs
     driven_by_plant = {*system.outputs, *system.states}
     driven: set[str] = set()
     for k, c in enumerate(controllers):
-        cure = "an instance, as AttitudeController() or LinearLaw(control.tf(...), rate=400)"
-        require_kind("the controller", c, Controller, cure)
         label = type(c).__name__
         first = controllers[0]
         if c.rate != first.rate:
@@ -246,7 +244,7 @@ def connected(
                 "first."
             )
         driven |= provides
-    return tuple(controllers)
+    return controllers
 
 
 def run_controllers(

@@ -10,7 +10,7 @@ from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controllers
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Array, Labels, Values, places_of
+from greybox.files.arrays import Values, places_of
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import lower_and_upper
 
@@ -52,23 +52,16 @@ def drawn_loops(
     plant.require_estimate()
 
     model, fitted = plant.model_of(part), plant.parts[part]
+    names = [*map(fitted.outside, model.parameters)]
+    known = plant.known_directions(plant.names)
+    limits = lower_and_upper(plant.by_name[name] for name in plant.names)
+    beside = np.clip(known.at + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
+    plants = np.vstack([known.at, drawn_values(plant, DRAWS, names), beside])
     has_hold = isinstance(fitted, FittedResponse) and not fitted.data.divided_hold
     return sampled_loop(
         model,
-        _plants(plant, [*map(fitted.outside, model.parameters)]),
+        plants[:, places_of(names, plant.names)],
         controller,
         at=at or fitted.at,
         has_hold=has_hold,
     )
-
-
-def _plants(fit: Fit, names: Labels) -> Array:
-    """Return values (plants, parameters): the estimate, draws from its distribution, others.
-
-    The others differ from the estimate in directions on which the data contain no information.
-    """
-    known = fit.known_directions(fit.names)
-    limits = lower_and_upper(fit.by_name[name] for name in fit.names)
-    beside = np.clip(known.at + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
-    plants = np.vstack([known.at, drawn_values(fit, DRAWS, names), beside])
-    return plants[:, places_of(names, fit.names)]

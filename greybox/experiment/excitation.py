@@ -158,9 +158,12 @@ def sine_schedule(  # noqa: PLR0913 - each is one fact of the test card
     for s in schedule:
         inside = (time >= s.start) & (time < s.end)
         values[inside] += s.amplitude * np.sin(s.low * (time[inside] - s.start))
-    settings = {"pause": pause}
     return Excitation(
-        time, {signal: values}, {signal: unit}, schedule=tuple(schedule), settings=settings
+        time,
+        {signal: values},
+        {signal: unit},
+        schedule=tuple(schedule),
+        settings={"pause": pause},
     )
 
 
@@ -323,8 +326,9 @@ def multisine(
     )
     harmonics_by_name = {name: tuple(own.tolist()) for name, own in assigned.items()}
     settings = {"period": period, "harmonics": harmonics_by_name}
-    units = dict.fromkeys(signals, unit)
-    return Excitation(time, values, units, schedule=schedule, settings=settings)
+    return Excitation(
+        time, values, dict.fromkeys(signals, unit), schedule=schedule, settings=settings
+    )
 
 
 def _phases(harmonics: IntArray) -> Array:

@@ -34,11 +34,12 @@ from greybox.files.arrays import (
     StringPair,
     Strings,
     Values,
+    attributes,
     frozen,
     nans,
 )
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, listed, number, text_table
+from greybox.files.text_table import Printed, listed, number, require_kind, text_table
 from greybox.modeling.model import Model
 
 UNITS = {
@@ -191,9 +192,8 @@ class Margins(Printed):
 
     def to_dict(self) -> Fields:
         """Return the numbers as plain values; None where unknown or infinite."""
-        scalars = ("verdict", "plant", "setpoint", "response", "level", "notes")
         return plain(
-            {name: getattr(self, name) for name in scalars}
+            attributes(self, "verdict", "plant", "setpoint", "response", "level", "notes")
             | {
                 "broken_at": self.signal,
                 "stable": self.is_stable,
@@ -344,7 +344,15 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
         raise ValueError(
             f"tracking is {tracking!r}: give two names, a setpoint and the signal that follows it."
         )
-    setpoint, response = tracking or _tracking(controllers)
+    # The first setpoint, and what its controller measures first.
+    setpoint, response = tracking or next(
+        (
+            (c.outside(c.setpoints[0]), c.outside(c.inputs[0]))
+            for c in controllers
+            if c.setpoints and c.inputs
+        ),
+        ("", ""),
+    )
     unit = _unit(response, model, controllers)
     integrals = _INTEGRALS.get(unit)
     if boundary and integrals is None:
@@ -440,14 +448,6 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
     return replace(answer, margins=tuple(rows), notes=tuple(notes))
 
 
-def _tracking(controllers: Sequence[Controller]) -> StringPair:
-    """Return the first setpoint and what its controller measures first."""
-    for c in controllers:
-        if c.setpoints and c.inputs:
-            return c.outside(c.setpoints[0]), c.outside(c.inputs[0])
-    return "", ""
-
-
 def _unit(signal: str, model: Model, controllers: Sequence[Controller]) -> str:
     """Return the declared unit of a signal of the loop; empty if it has none."""
     units = {c.outside(n): u for c in controllers for n, u in c.units.items()} | dict(model.units)
@@ -493,6 +493,12 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
     intervals).
     """
+    require_kind(
+        "loop",
+        loop,
+        FrequencyResponse,
+        "the FrequencyResponse of a broken loop; gb.margins takes a fit with its controller",
+    )
     require_level(level)
     loop = loop.by_frequency
     points, drawn = np.log(loop.omega), _drawn(loop)

@@ -33,7 +33,7 @@ from greybox.files.arrays import (
     nans,
 )
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, listed, number, text_table
+from greybox.files.text_table import Printed, checked_items, listed, number, text_table
 from greybox.modeling.model import Names, require_known
 from greybox.spectral import spectral_response
 
@@ -119,8 +119,12 @@ class SafeGains(Printed):
 
     def to_dict(self) -> Fields:
         """Return the numbers as plain values."""
-        more = {"verdict": self.verdict, "best": self.best, "promise": PROMISE}
-        return plain(self) | more | {"allowed": self.allowed.tolist()}
+        return plain(self) | {
+            "verdict": self.verdict,
+            "best": self.best,
+            "promise": PROMISE,
+            "allowed": self.allowed.tolist(),
+        }
 
     def __str__(self) -> str:
         rows = []
@@ -207,8 +211,10 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         refuses.
     """
     require_level(level)
-    flights = [fits] if isinstance(fits, Fit) else fits
-    controllers = [controller] if isinstance(controller, Controller) else controller
+    flights = checked_items("a flight", fits, Fit, "the fit of a flight, or several")
+    if not flights or not parts:
+        raise ValueError(f"fits={fits!r:.60} and parts={parts!r:.60}: give at least one of both.")
+    controllers = checked_items("the controller", controller, Controller, "a controller or several")
     # The controller of each gain, and its name; gains with the same name have a prefix.
     counts = Counter(name for c in controllers for name in c.parameters)
     owners = {
@@ -319,15 +325,14 @@ def _judged(
             confidence[k] = math.nan if bad else confidence[k]
             poor += [w for w in bad if w > 0]
 
-    return confidence, bandwidth, _cure(fit.name, poor) if poor else ""
-
-
-def _cure(name: str, poor: Sequence[float]) -> str:
-    """Return which flight would measure the response at these poor crossovers, in rad/s."""
-    return (
-        f"In the conditions of {name!r}, fly sines or a sweep from {min(poor) / SPACING:.2g} to "
-        f"{max(poor) * SPACING:.2g} rad/s, with a larger amplitude where the points were noisy."
+    if not poor:
+        return confidence, bandwidth, ""
+    cure = (
+        f"In the conditions of {fit.name!r}, fly sines or a sweep from "
+        f"{min(poor) / SPACING:.2g} to {max(poor) * SPACING:.2g} rad/s, with a larger amplitude "
+        "where the points were noisy."
     )
+    return confidence, bandwidth, cure
 
 
 def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolArray]:

@@ -316,27 +316,23 @@ def _plants(
     model: Model, system: Dynamics, sensors: Strings, values: Array, at: Values
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return A, B, and C, D of the sensors, and the delays (plants, inputs)."""
-    # One mapped call for all plants: a call for each takes a quarter of the time of margins.
-    count = len(values)
-    blocks = _continuous(model, system, sensors, at).map(count).call([ca.DM(values.T)])
-    A, B, C, D, delay = (
-        block.full().reshape(block.shape[0], count, -1).swapaxes(0, 1) for block in blocks
-    )
-    return A, B, C, D, delay[:, :, 0]
-
-
-def _continuous(model: Model, system: Dynamics, sensors: Strings, at: Values) -> ca.Function:
-    """Return the function from parameters to A, B, and C, D of the sensors, and the delays."""
     x, u, p = system.symbols
     f = system.derivative(x, u, p)
     y = ca.vertcat(*[measured_signal(model.label, system, name, x, u, p) for name in sensors])
-    blocks = [ca.jacobian(e, v) for e in (f, y) for v in (x, u)]
-    matrices = ca.Function("plant", [p, x, u], [*blocks, system.delay(p)])
-    values = ca.MX.sym("p", p.numel())
-    states, inputs = trim_of(model, at).closed().call([values])
+    jacobians = [ca.jacobian(e, v) for e in (f, y) for v in (x, u)]
+    matrices = ca.Function("plant", [p, x, u], [*jacobians, system.delay(p)])
+    q = ca.MX.sym("p", p.numel())
+    states, inputs = trim_of(model, at).closed().call([q])
     # A realized transfer function has states that the model does not declare.
     states = ca.vertcat(states, ca.DM.zeros(x.numel() - states.numel()))
-    return ca.Function("plant", [values], matrices.call([values, states, inputs]))
+    plant = ca.Function("plant", [q], matrices.call([q, states, inputs]))
+    # One mapped call for all plants: a call for each takes a quarter of the time of margins.
+    count = len(values)
+    A, B, C, D, delay = (
+        block.full().reshape(block.shape[0], count, -1).swapaxes(0, 1)
+        for block in plant.map(count).call([ca.DM(values.T)])
+    )
+    return A, B, C, D, delay[:, :, 0]
 
 
 def measured_signal(

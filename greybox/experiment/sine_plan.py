@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
+from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.checked_array import require_band
 from greybox.data.record import Record
@@ -218,8 +218,12 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     amplitudes = np.array([np.full_like(omega, amplitude), *bounds])
     size, limit = amplitudes.min(axis=0), amplitudes.argmin(axis=0)
 
-    nlp, sensitivity = _sensitivities(model, values, omega, (input, output), fixed)
+    exact = frequency_response(model, values, omega, input=input, output=output)
+    nlp = compile_problem(Problem(model, exact, fixed=fixed))
     require_known(wanted, nlp.free, "free parameter", model.label)
+    [part] = nlp.parts_of(ResponsePart)
+    x = array_of(model.values(values), nlp.names)
+    sensitivity = part.sensitivity(x)[:, : len(nlp.free)]
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
     # In units of the wanted errors, the matrices are well scaled and the targets are one.
@@ -274,22 +278,6 @@ def _gains(
             f"the loop of {model.label} is unstable: give gains that stabilize the plant."
         )
     return by_name(signals, loop.gains(excitation, signals, omega)[0].T)
-
-
-def _sensitivities(
-    model: Model,
-    values: Values,
-    omega: Array,
-    signals: StringPair,
-    fixed: Values,
-) -> tuple[CompiledProblem, ComplexArray]:
-    """Return the compiled problem, and the derivatives (n, p) in its free parameters."""
-    exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
-    nlp = compile_problem(Problem(model, exact, fixed=fixed))
-    values = model.values(values)
-    x = array_of(values, nlp.names)
-    [part] = nlp.parts_of(ResponsePart)
-    return nlp, part.sensitivity(x)[:, : len(nlp.free)]
 
 
 def noise_density(

@@ -27,10 +27,10 @@ from greybox.experiment.controller import (
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import in_periods, measured_signal
 from greybox.files.arrays import Array, Labels, Strings, Values, frozen, unique
+from greybox.files.text_table import is_finite_number, require_whole
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.parameter import is_finite_number, require_whole
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, substep_growth
 from greybox.modeling.symbolic_reading import entries_by_name

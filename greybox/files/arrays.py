@@ -47,6 +47,11 @@ def by_name(names: Iterable[Any], values: Iterable[Any]) -> dict[Any, Any]:
     return dict(zip(names, values, strict=True))
 
 
+def attributes(value: Any, *names: str) -> Fields:
+    """Return some attributes by name."""
+    return {name: getattr(value, name) for name in names}
+
+
 def selected(values: Mapping[str, Any], names: Container[str]) -> dict[str, Any]:
     """Return the values whose names are among these, in their own order."""
     return {name: value for name, value in values.items() if name in names}

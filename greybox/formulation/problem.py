@@ -25,10 +25,11 @@ from greybox.files.arrays import (
     Named,
     NamedStrings,
     Values,
+    attributes,
     frozen,
     selected,
 )
-from greybox.files.text_table import as_names, one_line, require_kind
+from greybox.files.text_table import as_names, is_finite_number, one_line, require_kind
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
@@ -47,7 +48,7 @@ from greybox.modeling.model import (
     require_operating_point,
 )
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.parameter import Parameter, Parameters, is_finite_number
+from greybox.modeling.parameter import Parameter, Parameters
 from greybox.modeling.realization import dynamics
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.symbolic_reading import called, require_no_nan
@@ -277,12 +278,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     def _check_names(self) -> None:
         """Require that options name parameters, and that none is two of fixed, free and tied."""
-        kinds = {
-            "fixed": self.fixed_values,
-            "free": self.free,
-            "tied": self.tied,
-        }
-        mappings = {what: getattr(self, what) for what in ("rename", "bounds", "start", "starts")}
+        kinds = {"fixed": self.fixed_values, **attributes(self, "free", "tied")}
+        mappings = attributes(self, "rename", "bounds", "start", "starts")
         for what, names in mappings.items():
             require_kind(what, names, Mapping, "{name of a parameter: ...}")
 
@@ -331,11 +328,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def _restated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `bounds`, `start` and `starts` to one declared parameter."""
         # A parameter that is never estimated would ignore them silently.
-        changes = {
-            what: getattr(self, what)[name]
-            for what in ("bounds", "start", "starts")
-            if name in getattr(self, what)
-        }
+        stated = attributes(self, "bounds", "start", "starts").items()
+        changes = {what: values[name] for what, values in stated if name in values}
         if name in self.tied and changes.keys() - {"bounds"}:
             raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
         if (
@@ -434,8 +428,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """Priors of the parameters, by outside name."""
         # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
         outside = {name: self.outside(name) for name in self.declared}
-        of_model = selected(self._stated, self.model.parameters)
-        return tuple(normal_priors(of_model, self.prior, outside))
+        return tuple(
+            normal_priors(selected(self._stated, self.model.parameters), self.prior, outside)
+        )
 
     @property
     def response(self) -> FrequencyResponse:
@@ -447,8 +442,12 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def signals(self) -> Fields:
         """The input and output of the response, the operating point and the order of the delay."""
         data = self.response
-        pade = delay_order(self.delay)
-        return {"input": data.input, "output": data.output, "at": self.at, "pade": pade}
+        return {
+            "input": data.input,
+            "output": data.output,
+            "at": self.at,
+            "pade": delay_order(self.delay),
+        }
 
     @cached_property
     def sampled_hold(self) -> float:

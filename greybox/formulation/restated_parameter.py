@@ -6,7 +6,8 @@ from typing import Any
 
 from greybox.data.checked_array import number_pair
 from greybox.files.arrays import Interval
-from greybox.modeling.parameter import Parameter, is_finite_number
+from greybox.files.text_table import is_finite_number
+from greybox.modeling.parameter import Parameter
 
 
 def restated(

@@ -52,8 +52,8 @@ class EquationError(TimeCriterion):
 
     def color(self, spectrum: TransientSpectrum) -> dict[str, Parameter]:
         """Return the time constant of gusts, between a sample and the manoeuvre."""
-        time = gust_time((spectrum.step, spectrum.duration), "equation")
-        return {"T_gust": time} if self.gusts else {}
+        ends = spectrum.step, spectrum.duration
+        return {"T_gust": gust_time(ends, "equation")} if self.gusts else {}
 
     def compared(self, model: Model, record: Record) -> Strings:
         """Refuse a record."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, Values
-from greybox.files.text_table import counted, one_line
-from greybox.modeling.parameter import Parameters, is_finite_number, require_whole
+from greybox.files.text_table import counted, is_finite_number, one_line, require_whole
+from greybox.modeling.parameter import Parameters
 
 # Starts of a rule: a million of ten parameters take 80 MB, and their runs ten times as much.
 MOST = 2**20

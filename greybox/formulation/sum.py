@@ -1,7 +1,7 @@
 """Problems that are solved together: costs add, parameters with the same name are shared."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -73,7 +73,7 @@ class Sum(Addable, Generic[Part]):
         _require_data_once(self)
         # Stored for further sums: `a + b + c` must number biases once, over all records.
         vars(self)["_as_added"] = self.parts
-        vars(self)["parts"] = numbered_parts(_with_costs_that_add(self.parts))
+        vars(self)["parts"] = tuple(numbered_parts(_with_costs_that_add(self.parts)))
         if not self.name:
             names = unique(part.name for part in self.as_added)
             if len(names) > 8:  # more names do not fit into a line
@@ -217,8 +217,8 @@ def _record_numbers(data: Sequence[Any]) -> list[int]:
     ]
 
 
-def numbered_parts(parts: Sequence[Any]) -> tuple[Any, ...]:
-    """Return the parts with biases numbered by the record, where several records have one.
+def numbered_parts(parts: Sequence[Any]) -> Iterator[Any]:
+    """Yield the parts with biases numbered by the record, where several records have one.
 
     Equal names of parts are numbered, too: flights of one model are often all named like it. Parts
     of one record share its biases. A bias is not numbered, so that records can share it, if a
@@ -229,7 +229,6 @@ def numbered_parts(parts: Sequence[Any]) -> tuple[Any, ...]:
     names_in_use = set().union(*outside)
 
     numbered: dict[tuple[str, int], str] = {}
-    result = []
     part_names = numbered_where_alike([part.name for part in parts])
     for part, record, part_name in zip(parts, records, part_names, strict=True):
         renamed = {}
@@ -251,6 +250,4 @@ def numbered_parts(parts: Sequence[Any]) -> tuple[Any, ...]:
                     names_in_use.add(new)
                 renamed[name] = numbered[name, record]
         changes = {"name": part_name, "rename": {**part.rename, **renamed}}
-        result.append(part.with_(**changes) if renamed or part_name != part.name else part)
-
-    return tuple(result)
+        yield part.with_(**changes) if renamed or part_name != part.name else part

@@ -18,11 +18,11 @@ from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings, Values, frozen
-from greybox.files.text_table import as_names, number
+from greybox.files.text_table import as_names, is_finite_number, number
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, ParameterFormula, require_known
-from greybox.modeling.parameter import Parameter, is_finite_number
+from greybox.modeling.parameter import Parameter
 
 Inputs = Literal["record", "linear", "held"]
 """How inputs vary between their samples: as the record says, or all of them in one way."""

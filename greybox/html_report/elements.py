@@ -164,9 +164,13 @@ def table(header: Labels, rows: Sequence[Sequence[Cell]]) -> Element:
         tag("th", text, scope="col", class_="number" if right else None)
         for text, right in zip(header, is_number, strict=True)
     ]
-    body = tag("tbody", *(tag("tr", *map(_cell, row, is_number)) for row in rows))
-    sortable = tag("table", tag("thead", tag("tr", *head)), body, class_="sortable")
-    return tag("div", sortable, class_="scroll", tabindex="0")
+    body = tag("tbody", [tag("tr", map(_cell, row, is_number)) for row in rows])
+    return tag(
+        "div",
+        tag("table", tag("thead", tag("tr", head)), body, class_="sortable"),
+        class_="scroll",
+        tabindex="0",
+    )
 
 
 def parameter_table(fit: Fit) -> Element:

@@ -82,6 +82,7 @@ def report(
     cure = "fits, such as gb.fit(problem) returns, or a study"
     results = checked_items("a result", fits, Fit | Study, cure)
     require_kind("comparison", comparison, Comparison | None, "what gb.compare returns")
+    loops = checked_items("margins", margins, Margins, "what gb.margins returns")
 
     # A file from a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
@@ -101,7 +102,6 @@ def report(
         if len(entries) == 1:
             default = entries[0].answer.get("problem", entries[0].label)
         studies = [result for result in results if isinstance(result, Study)]
-        loops = [margins] if isinstance(margins, Margins) else margins
         text = page(entries, comparison, title or default, studies, loops, author)
     write_text(Path(path), text)
 
@@ -216,7 +216,7 @@ def _document(title: str, sections: Sequence[Element], author: str) -> str:
         title=html(tag("title", title)),
         heading=html(tag("h1", title)) + html(tag("p", byline, class_="soft")),
         links=html(tag("ul", links)),
-        main=html(tag("main", *sections)),
+        main=html(tag("main", sections)),
         policy=POLICY.format(_hash(script), _hash(style)),
         script=script,
         style=style,

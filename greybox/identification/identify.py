@@ -15,8 +15,17 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Interval, Labels, Named, Strings, Values, frozen, non_empty
-from greybox.files.text_table import one_line, require_kind
+from greybox.files.arrays import (
+    Interval,
+    Labels,
+    Named,
+    Strings,
+    Values,
+    attributes,
+    frozen,
+    non_empty,
+)
+from greybox.files.text_table import checked_items, one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
 from greybox.identification.orders import select_orders
@@ -150,7 +159,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     # The first log decides the signals of all: two sensors have two responses.
     stated |= {"drop_warned": not all_points, "refined": True}
     settings, choices = choose(recordings[0], **stated)
-    common = {name: getattr(settings, name) for name in ("input", "output", "axis")}
+    common = attributes(settings, "input", "output", "axis")
     used = [settings, *(choose(r, **{**stated, **common})[0] for r in recordings[1:])]
     measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
     result = Identification(tuple(recordings), choices, measurements)
@@ -161,9 +170,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     filters = _filters(measurements[0], through)
     series = [filter_model(known) for known in chain.from_iterable(filters.values())]
     of_parameters = non_empty({"fixed": fixed, "free": free, "bounds": bounds, "start": start})
-    for structure in structures:
-        require_kind("a structure", structure, Structure | Model, "models, as DampedAngle()")
-    listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
+    models = checked_items("a structure", structures, Structure | Model, "models, as DampedAngle()")
+    listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in models]
     if listed:
         names = dict.fromkeys(name for structure in listed for name in structure.model.parameters)
         stated_names = chain.from_iterable(of_parameters.values())

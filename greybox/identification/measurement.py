@@ -5,7 +5,7 @@ Begin with `measure`.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
@@ -28,7 +28,7 @@ from greybox.files.arrays import (
     non_empty,
     unique,
 )
-from greybox.files.text_table import counted, number, one_line
+from greybox.files.text_table import Sentences, counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.identification.systematic_errors import (
@@ -406,8 +406,7 @@ def _chosen(segments: Segments, settings: Settings) -> list[Segment]:
     return chosen
 
 
-def _numbers(text: str, count: int) -> list[int]:
-    result: list[int] = []
+def _numbers(text: str, count: int) -> Iterator[int]:
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
         if not match:
@@ -420,8 +419,7 @@ def _numbers(text: str, count: int) -> list[int]:
                 f"tests={part.strip()!r} must lie between 1 and {count}, the number of tests, and "
                 "a range must not run backwards."
             )
-        result += range(first, last + 1)
-    return result
+        yield from range(first, last + 1)
 
 
 def _require_one_axis(used: Segments) -> None:
@@ -574,26 +572,27 @@ def _about(
     settings: Settings,
 ) -> NamedStrings:
     """Return the origin of a response, for its file."""
-    about = {
-        "log": recording.source,
-        "log sha256": recording.checksum,
-        "signals": ", ".join(f"{name} = {signal}" for name, signal in signals.items()),
-        "converted": ", ".join(_conversions(recording, signals)),
-        "sampling": f"{record.rate:.5g} Hz",
-        "excitation": _excitation(used),
-        "estimate": _kind(signals, used, settings),
-        "filter": "; ".join(
-            f"{name} was logged behind a {known}"
-            for name in (response.input, response.output)
-            for known in record.filters.get(name, ())
-        ),
-        **{name: in_series(known) for name, known in filters.items()},
-        "band": ""
-        if settings.band is None
-        else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
-        **response.about,
-    }
-    return non_empty(about)
+    return non_empty(
+        {
+            "log": recording.source,
+            "log sha256": recording.checksum,
+            "signals": ", ".join(f"{name} = {signal}" for name, signal in signals.items()),
+            "converted": ", ".join(_conversions(recording, signals)),
+            "sampling": f"{record.rate:.5g} Hz",
+            "excitation": _excitation(used),
+            "estimate": _kind(signals, used, settings),
+            "filter": "; ".join(
+                f"{name} was logged behind a {known}"
+                for name in (response.input, response.output)
+                for known in record.filters.get(name, ())
+            ),
+            **{name: in_series(known) for name, known in filters.items()},
+            "band": ""
+            if settings.band is None
+            else f"{settings.band[0]:.5g} to {settings.band[1]:.5g} rad/s",
+            **response.about,
+        }
+    )
 
 
 def _kind(signals: NamedStrings, used: Segments, settings: Settings) -> str:
@@ -620,9 +619,8 @@ def _excitation(used: Segments) -> str:
     return f"{counted(len(used), used[0].kind)}{axis}{size}, {band}, {times}"
 
 
-def _conversions(recording: Recording, signals: NamedStrings) -> list[str]:
-    """Return which signals were converted to SI, and from which unit."""
-    changed = []
+def _conversions(recording: Recording, signals: NamedStrings) -> Sentences:
+    """Yield which signals were converted to SI, and from which unit."""
     for name, signal in signals.items():
         log, field_name = recording.locate(signal)
         unit = log.units.get(field_name, "")
@@ -630,5 +628,4 @@ def _conversions(recording: Recording, signals: NamedStrings) -> list[str]:
         if conversion and conversion.changes:
             cut = unit == "deg" and is_truncated(signal, log[field_name])
             half = f" with half a step of {STEP} {unit}, which the log truncates" if cut else ""
-            changed.append(f"{name} from {unit} to {conversion.si}{half}")
-    return changed
+            yield f"{name} from {unit} to {conversion.si}{half}"

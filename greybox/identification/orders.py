@@ -215,7 +215,7 @@ def _confirmed(selection: Selection) -> Selection:
         return selection
     searched = fit(
         problem_of(chosen.fit),
-        [selected(chosen.fit.estimate, chosen.fit.free), Sobol(STARTS, 0)],
+        [selected(chosen.fit.estimate, chosen.fit.free), Sobol(STARTS)],
         profiles=False,
         progress=False,
     )

@@ -136,8 +136,11 @@ def _thinned(
             "depends on which passes were logged, often by some percent that the standard errors "
             f"do not show; to log every pass, {thinned.cure}."
         )
-        finding = Finding("logging", "warning", thinned.logged, text)
-        return SystematicError("thinned log", np.zeros(len(response)), finding)
+        return SystematicError(
+            "thinned log",
+            np.zeros(len(response)),
+            Finding("logging", "warning", thinned.logged, text),
+        )
     common = thinning_error(thinned, recording, axis, response)
     relative = column_lengths(common)
     text = (

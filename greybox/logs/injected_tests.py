@@ -8,6 +8,7 @@ AutotuneAttitudeControlStatus.msg of https://github.com/PX4/PX4-Autopilot.
 """
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -21,35 +22,30 @@ CHIRP, PHASE = "chirp", "debug[0]"
 AUTOTUNE = "autotune_attitude_control_status"
 
 
-def injected_tests(data: Recording | Record) -> list[Segment]:
-    """Return the tests of Betaflight's chirp mode and of PX4's autotuning."""
+def injected_tests(data: Recording | Record) -> Iterator[Segment]:
+    """Yield the tests of Betaflight's chirp mode and of PX4's autotuning."""
     records = data.records if isinstance(data, Recording) else {data.name: data}
-    tests = []
     for name, record in records.items():
         if CHIRP in record.signals and PHASE in record.signals:
-            tests += _chirps(record)
+            yield from _chirps(record)
         elif name == AUTOTUNE:
-            tests += _autotuning(record)
-    return tests
+            yield from _autotuning(record)
 
 
-def _chirps(record: Record) -> list[Segment]:
-    """Return the runs of Betaflight's chirp mode."""
+def _chirps(record: Record) -> Iterator[Segment]:
+    """Yield the runs of Betaflight's chirp mode."""
     phase = np.nan_to_num(record[PHASE]) / 5000  # counts in a radian
-    tests = []
     for rows in _runs(record.time, phase > 0):
         # Only firmware since 2026 logs the axis: it is the one whose control moves with the chirp.
         turning = np.exp(1j * phase[rows])
         controls = [record.signals.get(f"axisSum[{k}]", 0 * phase)[rows] for k in range(3)]
         axis = AXES[np.argmax([abs(np.mean(control * turning)) for control in controls])]
         low, high, count = _band(record.time[rows], phase[rows])
-        tests.append(_segment(record, rows[:count], CHIRP, axis, "sweep", (low, high)))
-    return tests
+        yield _segment(record, rows[:count], CHIRP, axis, "sweep", (low, high))
 
 
-def _autotuning(record: Record) -> list[Segment]:
-    """Return the stretches in which PX4's autotuning moves the setpoint of one axis."""
-    tests = []
+def _autotuning(record: Record) -> Iterator[Segment]:
+    """Yield the stretches in which PX4's autotuning moves the setpoint of one axis."""
     for k, axis in enumerate(AXES):
         name = f"rate_sp[{k}]"
         values = record.signals.get(name, np.zeros(len(record)))
@@ -57,8 +53,7 @@ def _autotuning(record: Record) -> list[Segment]:
             lasts = float(record.time[rows[-1]] - record.time[rows[0]])
             # The message gives no band: from six periods, the fewest of an estimate, upward.
             band = (12 * math.pi / lasts, math.pi / record.step)
-            tests.append(_segment(record, rows, f"{AUTOTUNE}.{name}", axis, "noise", band))
-    return tests
+            yield _segment(record, rows, f"{AUTOTUNE}.{name}", axis, "noise", band)
 
 
 def _runs(time: Array, active: BoolArray) -> list[IntArray]:

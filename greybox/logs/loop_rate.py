@@ -158,8 +158,7 @@ def low_pass(order: int, cutoff: float, omega: Array) -> ComplexArray:
 
     if cutoff <= 0:
         return np.ones(omega.size, dtype=complex)
-    polynomials = butter(order, math.tau * cutoff, analog=True)
-    return freqs(*polynomials, omega)[1]  # type: ignore[arg-type]
+    return freqs(*butter(order, math.tau * cutoff, analog=True), omega)[1]  # type: ignore[arg-type]
 
 
 def _of_controller(parameters: Values, axis: str, name: str) -> float:

@@ -11,7 +11,7 @@ from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, ArrayPair, Labels, Strings, frozen, nans, unique
-from greybox.files.text_table import as_names, counted, require_kind
+from greybox.files.text_table import as_names, counted, is_finite_number, require_kind
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 
@@ -250,8 +250,8 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
         )
     first = max(start, *(source.time[0] for source in sources.values()))
     last = min(end, *(source.time[-1] for source in sources.values()))
-    if not (math.isfinite(rate) and rate > 0):
-        raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
+    if not (is_finite_number(rate) and rate > 0):
+        raise ValueError(f"rate {rate!r} must be a finite number of Hz above 0.")
 
     # A rate in rad/s or a step in ms would make a record of interpolated samples.
     fastest = 1 / min(source.step for source in sources.values())
@@ -287,20 +287,18 @@ def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
         if source.is_filtered(rate):
             time, values = _low_passed(time, values, source.step, rate)
         elif source.is_held:
-            result[inside] = _held_mean(time, values, times, 1 / rate)
+            # The mean over each coming step, without a shift in time: a difference of the
+            # integral, which is linear between the samples.
+            step = 1 / rate
+            ends = np.append(time[1:], time[-1] + step)
+            integral = np.append(0.0, np.cumsum(values * (ends - time)))
+            bounds = np.append(time[0], ends)
+            after, before = (np.interp(t, bounds, integral) for t in (times + step, times))
+            result[inside] = (after - before) / step
             continue
         result[inside] = CubicSpline(time, values)(times)
 
     return result
-
-
-def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
-    """Return the mean of a held signal over each coming step, without a shift in time."""
-    ends = np.append(time[1:], time[-1] + step)
-    # The mean over a step is a difference of the integral, which is linear between the samples.
-    integral = np.append(0.0, np.cumsum(values * (ends - time)))
-    bounds = np.append(time[0], ends)
-    return (np.interp(grid + step, bounds, integral) - np.interp(grid, bounds, integral)) / step
 
 
 def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:

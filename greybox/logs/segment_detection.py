@@ -1,7 +1,7 @@
 """Finds the tests in a flight: those of System Identification mode, and sines and sweeps."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
@@ -94,7 +94,7 @@ def find_segments(
             data, records={name: record for name, record in data.items() if record.has_time}
         )
     # The autopilot's statements about its own tests are exact; a search in the setpoint is not.
-    segments = _system_identification(data)
+    segments = [*_system_identification(data)]
     if not (message or setpoint):
         segments += injected_tests(data)
     if message or (fields and isinstance(data, Record)):
@@ -113,18 +113,16 @@ def find_segments(
     return tuple(sorted(checked, key=lambda s: (s.start, s.axis)))
 
 
-def _system_identification(data: Recording | Record) -> list[Segment]:
-    """Return the runs of System Identification mode, one for each valid SIDS message."""
+def _system_identification(data: Recording | Record) -> Iterator[Segment]:
+    """Yield the runs of System Identification mode, one for each valid SIDS message."""
     if not isinstance(data, Recording) or "SIDS" not in data:
-        return []
+        return
     settings = data["SIDS"]
-    runs = []
     # A run lasts until the next one begins, if nothing ends it before.
     for k, (start, end) in enumerate(pairwise([*settings.time.tolist(), math.inf])):
         run = {name: float(values[k]) for name, values in settings.signals.items()}
         if all(0 < run.get(name, 0) < math.inf for name in ("Ax", "FSt", "FSp", "TR")):
-            runs.append(_one_run(data, start + SYSTEMID_DELAY, end, run))
-    return runs
+            yield _one_run(data, start + SYSTEMID_DELAY, end, run)
 
 
 def _one_run(data: Recording, start: float, until: float, setting: Values) -> Segment:
@@ -168,7 +166,7 @@ def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, st
 
 def _announced(
     data: Recording | Record, message: str, fields: NamedStrings | None
-) -> list[Segment]:
+) -> Iterator[Segment]:
     record = data[message] if isinstance(data, Recording) else data
     chosen = dict(fields) if fields else {k: v for k, v in ANNOUNCED.items() if v in record.signals}
     if not set(chosen) <= {*ANNOUNCED, "frequency"} or not {"omega", "frequency"} & set(chosen):
@@ -181,17 +179,13 @@ def _announced(
     columns = {key: record[name] for key, name in chosen.items()}
     if "frequency" in columns:
         columns["omega"] = math.tau * columns.pop("frequency")
-    segments = []
     for rows in _tests(record.time, columns):
         value: Fields = {key: float(x[rows[0]]) for key, x in columns.items()}
         start, end = record.time[rows[[0, -1]]].tolist()
         axis = f"{value.pop('axis'):g}" if "axis" in value else ""
         value.pop("segment", None)
         unit = record.units.get(chosen.get("amplitude", ""), "")
-        segments.append(
-            Segment(start, end, axis=axis, unit=unit, source=message or "record", **value)
-        )
-    return segments
+        yield Segment(start, end, axis=axis, unit=unit, source=message or "record", **value)
 
 
 def _tests(time: Array, columns: NamedArrays) -> list[IntArray]:

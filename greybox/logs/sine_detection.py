@@ -1,6 +1,7 @@
 """Finds sines and sweeps in one signal by its zero crossings."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -156,9 +157,8 @@ def _crossings(time: Array, values: Array, corners: IntArray) -> ArrayPair:
     return np.array(times), np.abs(np.diff(values[corners]))
 
 
-def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
-    """Return the first and one past the last of crossings that form a line and have one height."""
-    runs = []
+def _runs(crossings: Array, swings: Array) -> Iterator[tuple[int, int]]:
+    """Yield the first and one past the last of crossings that form a line and have one height."""
     start = 0
     end = 3  # the fewest from which a line can be extrapolated and checked
     while end <= crossings.size:
@@ -170,13 +170,11 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
             continue
 
         if end - start >= CROSSINGS:
-            runs.append((start, end))
+            yield start, end
             start = end - 1
         else:
             start += 1
         end = start + 3
-
-    return runs
 
 
 def _continues(crossings: Array, swings: Array) -> bool:
@@ -270,8 +268,18 @@ def _sweep(
     """
     step = median_step(time)
 
+    def follows(k: int, way: int) -> bool:
+        """Return whether a smooth change of frequency predicts the next crossing, one way."""
+        # In half periods per second; the first is next to the predicted crossing.
+        frequency = 1 / np.abs(np.diff(crossings[k - way * np.arange(KNOWN_PERIODS + 1)]))
+        predicted = 1 / max(float(NEXT @ frequency), 0.5 * frequency[0])
+        error = abs(abs(crossings[k + way] - crossings[k]) - predicted)
+        # 1/2 on the way from a rest, whose middle is not that of the sweep.
+        ratio = swings[k + way] / swings[k]
+        return bool(error < OFF_SWEEP * predicted + step and SWING[0] < ratio < SWING[1])
+
     def end(k: int, way: int) -> int:
-        while 0 <= k + way < crossings.size and _follows(crossings, swings, k, way, step):
+        while 0 <= k + way < crossings.size and follows(k, way):
             k += way
         return k
 
@@ -300,18 +308,6 @@ def _end_frequency(crossings: Array) -> FloatPair:
     frequency = math.pi / np.abs(np.diff(crossings))
     beyond = float(BEYOND @ frequency)
     return float(np.clip(beyond, 0.5 * frequency[0], frequency[0])), float(frequency[0])
-
-
-def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
-    """Return whether a smooth change of frequency predicts the next crossing after k, one way."""
-    crossings_used = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
-    # In half periods per second; the first is next to the predicted crossing.
-    frequency = 1 / np.abs(np.diff(crossings_used))
-    predicted = 1 / max(float(NEXT @ frequency), 0.5 * frequency[0])
-    error = abs(abs(crossings[k + way] - crossings[k]) - predicted)
-    # 1/2 on the way from a rest, whose middle is not that of the sweep.
-    ratio = swings[k + way] / swings[k]
-    return bool(error < OFF_SWEEP * predicted + step and SWING[0] < ratio < SWING[1])
 
 
 def _first_half_wave(time: Array, values: Array, corners: IntArray, crossings: Array) -> float:

@@ -17,8 +17,8 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
+from greybox.files.text_table import require_whole
 from greybox.modeling.one_thread import once, one_thread_at_a_time
-from greybox.modeling.parameter import require_whole
 from greybox.modeling.realization import Dynamics
 
 

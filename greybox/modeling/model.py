@@ -112,6 +112,7 @@ KINDS: dict[Any, str] = {
 
 NO_EFFECT = {
     "algebraic": "write it into the formulas.",
+    "delays": "multiply the response by gb.exp(-p.T * s).",
     "parameters": "declare each by its name, a1 = gb.Parameter(2.0).",
 }
 """Attributes that a user may expect and that nothing reads, with what has their effect."""
@@ -121,14 +122,17 @@ def require_effect(cls: type, base: type) -> None:
     """Raise TypeError for attributes of another kind than in `base`, or with almost such a name."""
     declared = {name: getattr(base, name) for name in dir(base) if not name.startswith("_")}
     data = [name for name, value in declared.items() if isinstance(value, DATA)]
+    declared |= declared_parameters(cls)
     for name, value in vars(cls).items():
         for kind, words in KINDS.items():
             if isinstance(declared.get(name), kind):
                 require_kind(f"{cls.__name__}.{name}", value, kind | property, words)
+        # The class body cannot give `parameters`, which are collected from it.
+        is_unread = name not in declared or name == "parameters"
         # Names such as input2 or limits_of_u are a user's own.
-        is_unread = name not in declared and name.isalpha() and isinstance(value, DATA)
-        near = nearest(name, data, likeness=0.85) if is_unread else None
-        if near or name in NO_EFFECT:
+        is_word = is_unread and name.isalpha() and isinstance(value, DATA)
+        near = nearest(name, data, likeness=0.85) if is_word else None
+        if near or (is_unread and name in NO_EFFECT and base is not Model):
             cure = NO_EFFECT.get(name, f"did you mean {near!r}?")
             raise TypeError(f"{cls.__name__}.{name} has no effect: {cure}")
 

@@ -5,6 +5,7 @@ import inspect
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from greybox.files.safe_files import require_file
 from greybox.modeling.model import Model
@@ -38,9 +39,7 @@ def module_from_file(path: str | Path) -> ModuleType:
             f"{path} has the name of another Python module, {path.stem!r}: rename the file."
         )
 
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
+    spec: Any = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     # Dataclasses look up their module by name while it runs, so it is registered before.
     sys.modules[path.stem] = module

@@ -16,12 +16,13 @@ from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, 
 
 
 def reference(model: Model) -> Fields:
-    """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}``."""
+    """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}`` and names."""
     positional, named = model.arguments
     return {
         "class": f"{type(model).__module__}:{type(model).__qualname__}",
         "arguments": [_plain(value) for value in positional],
         "keywords": {name: _plain(value) for name, value in named.items()},
+        "parameters": [*model.parameters],
     }
 
 
@@ -35,6 +36,8 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
     ------
     LookupError
         If it is neither, or does not take the stored arguments.
+    ValueError
+        If it has other parameters.
     """
     module_name, _, class_name = stored["class"].partition(":")
     missing = (
@@ -52,17 +55,25 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
             "gb.load(path, models=[...])."
         )
 
-    if isinstance(model, Model):
-        return model
     try:
-        arguments = [_alive(value, given) for value in stored["arguments"]]
-        keywords = {name: _alive(value, given) for name, value in stored["keywords"].items()}
-        return model(*arguments, **keywords)
+        if not isinstance(model, Model):
+            arguments = [_alive(value, given) for value in stored["arguments"]]
+            keywords = {name: _alive(value, given) for name, value in stored["keywords"].items()}
+            model = model(*arguments, **keywords)
+        # Files of earlier versions do not name the parameters.
+        different = {*stored.get("parameters", model.parameters)} ^ {*model.parameters}
     # A crafted file may nest models without end, or give them any arguments.
     except (TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise LookupError(
             f"{missing} as it was: {error}; give the model itself, gb.load(path, models=[...])"
         ) from None
+    if different:
+        raise ValueError(
+            f"the model {printable(class_name)} and the fitted one differ in their parameters "
+            f"({printable(', '.join(sorted(map(str, different))))}): give the fitted one, "
+            "gb.load(path, models=[...])."
+        )
+    return model
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:

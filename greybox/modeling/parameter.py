@@ -3,14 +3,13 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from greybox.data.checked_array import number_pair
 from greybox.files.arrays import Array, FloatPair, Interval
-from greybox.files.text_table import number, require_kind, text_table
+from greybox.files.text_table import is_finite_number, number, require_kind, text_table
 
 
 @dataclass(frozen=True)
@@ -161,19 +160,6 @@ def parameter_table(parameters: Parameters) -> str:
         rows.append([name, number(p.start), bounds, p.unit, "fixed" if p.fixed else "", p.about])
     header = ["parameter", "start", "bounds", "unit", "", "meaning"]
     return text_table(header, rows, (0, 3, 4, 5))
-
-
-def is_finite_number(value: Any) -> bool:
-    """Return whether a value is a finite real number, of Python or of numpy."""
-    return isinstance(value, Real) and math.isfinite(value)
-
-
-def require_whole(name: str, value: Any, least: int, most: float = math.inf) -> None:
-    """Raise ValueError for anything but a whole number within these limits."""
-    is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not is_whole or not least <= value <= most:
-        limits = f"of at least {least}" if math.isinf(most) else f"from {least} to {most}"
-        raise ValueError(f"{name} is {value!r}: give a whole number {limits}.")
 
 
 def normal_prior(value: object, what: str) -> FloatPair:

@@ -181,8 +181,8 @@ def rational(
     denominator = np.atleast_1d(np.poly(system.poles)).real
     markov = [d, *(c @ np.linalg.matrix_power(system.A, j) @ b for j in range(len(b)))]
     numerator = np.convolve(denominator, markov)[: len(denominator)]
-    result = Rational(numerator.tolist(), denominator.tolist())
-    return result * exp(Rational([-1.0, 0.0], pade=pade) * system.delays[i])
+    delay = exp(Rational([-1.0, 0.0], pade=pade) * system.delays[i])
+    return Rational(numerator.tolist(), denominator.tolist()) * delay
 
 
 def as_rational(value: Any) -> Rational:

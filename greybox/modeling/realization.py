@@ -89,8 +89,7 @@ class Dynamics:
         """Return the same dynamics with these of its outputs."""
         rows = [self.outputs.index(name) for name in outputs]
         values = self.output(*self.symbols)[rows]
-        output = ca.Function("output", self.symbols, [values])
-        return replace(self, outputs=outputs, output=output)
+        return replace(self, outputs=outputs, output=ca.Function("output", self.symbols, [values]))
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":
         """Return the same dynamics with inputs that act later by these seconds (m,)."""

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, frozen
-from greybox.files.text_table import counted, one_line, require_kind
-from greybox.modeling.parameter import require_whole
+from greybox.files.text_table import counted, one_line, require_kind, require_whole
 
 # Five times the number that a strong kink needs, see `Sine`.
 MOST_HARMONICS = 50

@@ -7,9 +7,10 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array, IntArray, Values, frozen
+from greybox.files.text_table import is_finite_number
 from greybox.modeling.model import Model, Names, require_operating_point
 from greybox.modeling.one_thread import once
-from greybox.modeling.parameter import is_finite_number, start_values
+from greybox.modeling.parameter import start_values
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
     column,

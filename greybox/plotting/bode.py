@@ -1,7 +1,7 @@
 """The Bode diagram: magnitude, phase, coherence, and the errors of fits."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, ArrayPair, Fields, Labels, StringPair
+from greybox.files.text_table import Sentences
 from greybox.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import (
@@ -128,7 +129,7 @@ def _figure(
         "ω, rad/s",
         panels,
         subject=title(fits) or "Bode diagram",
-        caption=_caption(responses, panels, level),
+        caption=" ".join(_caption(responses, panels, level)),
         bands="" if level is None else f"{100 * level:g} % band",
         is_logarithmic=True,
     )
@@ -174,15 +175,13 @@ def _error_panels(
 
 def _caption(
     responses: Sequence[DrawnResponse], panels: Sequence[Panel], level: float | None
-) -> str:
-    sentences = []
+) -> Sentences:
     if level is not None and any(drawn.band is not None for drawn in responses):
-        sentences.append(f"Shaded: {100 * level:g} % confidence band of the fitted response.")
+        yield f"Shaded: {100 * level:g} % confidence band of the fitted response."
     if any(drawn.response.variance is not None for drawn in responses):
-        sentences.append(BARS)
+        yield BARS
     if panels[-1].label.startswith("Error"):
-        sentences.append("Errors are measured less fitted values.")
-    return " ".join(sentences)
+        yield "Errors are measured less fitted values."
 
 
 def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
@@ -219,8 +218,8 @@ def error_bars(data: FrequencyResponse, values: Array) -> list[Fields]:
 # --- phases
 
 
-def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
-    """Return the phase (n,) of each response in degrees; those of one pair lie next to each other.
+def phases(responses: Sequence[DrawnResponse]) -> Iterator[Array]:
+    """Yield the phase (n,) of each response in degrees; those of one pair lie next to each other.
 
     Curves must come before measured responses.
     """
@@ -228,7 +227,6 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
     # that follow: each is shown within half a turn of its curve.
     first: dict[StringPair, ArrayPair] = {}
     curves: dict[str | StringPair, ArrayPair] = {}
-    degrees = []
     for drawn in responses:
         alone = _unwrapped(drawn.response)
         phase = _moved(alone, first.setdefault(drawn.pair, alone))
@@ -240,9 +238,7 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
         # Each value within half a turn of the guide.
         own = np.degrees(np.angle(drawn.response.response))
         distance = interpolated(drawn.response.omega, *phase) - own
-        degrees.append(own + 360 * np.round(distance / 360))
-
-    return degrees
+        yield own + 360 * np.round(distance / 360)
 
 
 def _unwrapped(response: FrequencyResponse) -> ArrayPair:

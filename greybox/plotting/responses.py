@@ -1,7 +1,7 @@
 """The curves and points in diagrams of frequency responses: their names, colors and styles."""
 
 import contextlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -122,7 +122,7 @@ def title(items: Sequence[Fit | FrequencyResponse]) -> str:
     """
     fits = [item for item in items if isinstance(item, Fit)]
     names = [fit.name if fit.converged else f"{fit.name}: no start converged" for fit in fits]
-    text = _joined(names or [item.name for item in items if item.name])
+    text = ", ".join(unique(names or [item.name for item in items if item.name]))
     return text if len(text) <= 64 else text[:63].rstrip() + "…"
 
 
@@ -192,10 +192,7 @@ def _lies_on(curve: FrequencyResponse, longer: FrequencyResponse) -> bool:
 
 def _label(item: Fit | FrequencyResponse) -> str:
     if isinstance(item, Fit):
-        return f"fit of {_joined(part.label for part in item.parts)}"
+        models = unique(part.label for part in item.parts)
+        return f"fit of {', '.join(models)}"
     require_drawable(item, FrequencyResponse, "a Fit or a FrequencyResponse")
     return item.name or "data"
-
-
-def _joined(names: Iterable[str]) -> str:
-    return ", ".join(unique(names))

@@ -1,6 +1,6 @@
 """The costs that the starts reached."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -47,7 +47,7 @@ def starts_figure(fit: Fit) -> Figure:
     is_logarithmic = bool(costs) and costs[0] > 0 and costs[-1] > 30 * costs[0]
     limits = _limits(costs, is_logarithmic)
 
-    series = _minima(fit, converged)
+    series = [*_minima(fit, converged)]
     if failed:
         low, high = limits
         # Failed runs have no cost that could be compared: they are drawn near the top.
@@ -79,8 +79,8 @@ def starts_figure(fit: Fit) -> Figure:
     )
 
 
-def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
-    """Return the costs of the sorted runs by minimum."""
+def _minima(fit: Fit, converged: Sequence[Run]) -> Iterator[Series]:
+    """Yield the costs of the sorted runs by minimum."""
     # Five colors can be distinguished; nobody needs to distinguish twenty minima.
     groups = [
         (f"minimum {k}: {len(minimum.runs)} × cost {minimum.cost:.5g}", minimum.runs)
@@ -92,25 +92,19 @@ def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
         minima = counted(len(further), "further minimum", "further minima")
         groups.append((f"{counted(len(runs), 'run')} in {minima}", runs))
 
-    series = []
     for color, (name, indices) in enumerate(groups):
         members = [(k, run) for k, run in enumerate(converged, 1) if run.index in indices]
-        series.append(
-            Series(
-                name,
-                "points",
-                *np.array([(k, run.cost) for k, run in members], dtype=float).reshape(-1, 2).T,
-                color=color if color < COLORED else GRAY,
-                style=color % COLORED,
-                notes=[
-                    f"start {run.index}, cost {run.cost:.6g}, "
-                    f"{counted(run.iterations, 'iteration')}"
-                    for _, run in members
-                ],
-            )
+        yield Series(
+            name,
+            "points",
+            *np.array([(k, run.cost) for k, run in members], dtype=float).reshape(-1, 2).T,
+            color=color if color < COLORED else GRAY,
+            style=color % COLORED,
+            notes=[
+                f"start {run.index}, cost {run.cost:.6g}, {counted(run.iterations, 'iteration')}"
+                for _, run in members
+            ],
         )
-
-    return series
 
 
 def _limits(costs: Sequence[float], is_logarithmic: bool) -> Interval:

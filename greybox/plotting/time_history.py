@@ -163,8 +163,14 @@ def _history(item: Fit | Prediction, record: int) -> History:
     require_drawable(item, Fit, "a Fit or a Prediction")
     part = chosen(item.records, record, "record")
     label = f"fit of {part.label}"
-    pieces = part.data.independent_pieces
-    return History(label, part.data, part.simulated, part.outputs, part.input_names, pieces)
+    return History(
+        label,
+        part.data,
+        part.simulated,
+        part.outputs,
+        part.input_names,
+        part.data.independent_pieces,
+    )
 
 
 def _along(data: Record) -> Array:

@@ -199,10 +199,8 @@ def equation_error(
     for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):
         of = rows.equation == k
         share = explained(rows.target[of], errors[of])
-        count = int(of.sum())
-        band_hz = band / math.tau
-        left, names = equation.left, equation.parameters
-        used.append(UsedEquation(left, names, share, count, band_hz, float(residuals[k])))
+        numbers = share, int(of.sum()), band / math.tau, float(residuals[k])
+        used.append(UsedEquation(equation.left, equation.parameters, *numbers))
     return EquationErrorEstimate(
         name=f"{model.label}, {record.name or 'record'}",
         estimate=estimate,

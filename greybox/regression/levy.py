@@ -22,9 +22,8 @@ from greybox.files.arrays import (
     positive_or_one,
     real_and_imaginary,
 )
-from greybox.files.text_table import Printed, counted, number, text_table
+from greybox.files.text_table import Printed, counted, number, require_whole, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
-from greybox.modeling.parameter import require_whole
 from greybox.modeling.rational import factored, upper_half
 from greybox.regression.poles_and_zeros import NearPair, near_pairs, root_text
 
@@ -188,14 +187,13 @@ def levy(
     numerator.flags.writeable = False
     denominator.flags.writeable = False
 
-    model = ratio(numerator, denominator, data.omega)
     return RationalFit(
         numerator,
         denominator,
         integrators=int(integrator),
         data=data,
         iterations=iterations,
-        cost=evaluate(RelativeError(), model, data),
+        cost=evaluate(RelativeError(), ratio(numerator, denominator, data.omega), data),
         condition=float(np.abs(np.linalg.cond(matrix))),  # LAPACK's zero may be negative
     )
 

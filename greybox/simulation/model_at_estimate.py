@@ -17,6 +17,7 @@ from greybox.files.arrays import (
     places_of,
     selected,
 )
+from greybox.files.text_table import is_finite_number
 from greybox.formulation.time_criteria import (
     Inputs,
     OutputError,
@@ -25,7 +26,7 @@ from greybox.formulation.time_criteria import (
     between_samples,
 )
 from greybox.modeling.model import Model, require_known
-from greybox.modeling.parameter import Parameters, is_finite_number
+from greybox.modeling.parameter import Parameters
 from greybox.modeling.realization import Dynamics, dynamics
 
 
@@ -152,8 +153,7 @@ def model_at(
         raise TypeError(f"model is {model!r:.80}: give an instance such as LinearTilt(), or a Fit.")
     fit = model if is_fit else values
     if isinstance(fit, Estimate):
-        of_model = None if is_fit else model
-        return fit.at_estimate(of_model, inputs=inputs, part=part, record=record)
+        return fit.at_estimate(None if is_fit else model, inputs=inputs, part=part, record=record)
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
     assert isinstance(model, Model)

@@ -24,8 +24,7 @@ from greybox.files.arrays import (
     frozen,
     nans,
 )
-from greybox.files.text_table import Printed, counted, number, text_table, titled
-from greybox.modeling.parameter import is_finite_number
+from greybox.files.text_table import Printed, counted, is_finite_number, number, text_table, titled
 from greybox.statistics.metrics import fit_percent, rms
 
 AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is reported

@@ -25,6 +25,7 @@ from greybox.files.arrays import (
     frozen,
     nans,
     places_of,
+    positive_or_one,
     real_root,
 )
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta, repeated
@@ -184,8 +185,7 @@ class Simulator:
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
             by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
         error, unknown = _standard_errors(by_value[0], variance[0], model)
-        errors = by_name([name + ERROR for name in self._outputs], error.T)
-        return signals, errors, unknown
+        return signals, by_name([name + ERROR for name in self._outputs], error.T), unknown
 
     def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
         """Estimate the state of every window from its lead-in, and simulate the window from there.
@@ -412,18 +412,14 @@ def _standard_errors(
             "...a,ab,...b->...", by_value, np.nan_to_num(covariance), by_value
         )
         if undetermined.any():
-            depends = _depends(by_value, model.q[model.uncertain]) & undetermined
+            effect = np.abs(by_value) * positive_or_one(np.abs(model.q[model.uncertain]))
+            every = (*range(effect.ndim - 2), -1)
+            # Of every output; smaller effects are rounding errors.
+            largest = np.nanmax(effect, axis=every, initial=0.0)
+            depends = ~(effect <= 1e-9 * largest[:, None]) & undetermined
             variance = np.where(depends.any(axis=-1), np.nan, variance)
             involved = depends.reshape(-1, undetermined.size).any(axis=0)
             unknown = tuple(model.names[i] for i in model.uncertain[involved])
 
     # Rounding may make a variance negative.
     return real_root(variance), unknown
-
-
-def _depends(by_value: Array, q: Array) -> BoolArray:
-    """Return which samples of an output depend on which values (..., k, a), beyond rounding."""
-    effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
-    largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
-    # Smaller effects are rounding errors.
-    return ~(effect <= 1e-9 * largest[:, None])

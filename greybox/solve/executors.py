@@ -43,8 +43,8 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from greybox.files.arrays import Array, Fields
+from greybox.files.text_table import require_whole
 from greybox.modeling.one_thread import Stored
-from greybox.modeling.parameter import require_whole
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.local_solver import Runner
 from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Memory, Outcome, Outcomes

@@ -7,7 +7,6 @@ The P(kω) are interpolated from the measured response itself.
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,26 +49,19 @@ def harmonics_of(
     return Harmonics(omega, complex(amplitudes[1, 0]), amplitudes[0, 1:], amplitudes[1, 1:], beside)
 
 
-def unexplained(
-    omega: Array, response: ComplexArray, measured: Sequence[tuple[complex, Harmonics]]
-) -> Array:
-    """Return the unexplained harmonics of each test, as a share of the control's sine.
+def unexplained(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics) -> float:
+    """Return the unexplained harmonics of a test, as a share of the control's sine.
+
+    NaN with a single frequency or a single period.
 
     Parameters
     ----------
     omega, response : (n,) arrays
         The measured response, from the lowest frequency up.
-    measured : sequence of (amplitude of the control, Harmonics)
-
-    Returns
-    -------
-    (tests,) array
-        NaN with a single frequency or a single period.
+    u : float
+        The amplitude of the control.
+    harmonics : Harmonics
     """
-    return np.array([_share(omega, response, abs(u), harmonics) for u, harmonics in measured])
-
-
-def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics) -> float:
     # One frequency has no neighbor between which the plant is interpolated.
     if omega.size < 2 or not harmonics.control.size or not harmonics.beside.shape[2] or u == 0:
         return math.nan

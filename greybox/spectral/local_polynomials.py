@@ -233,7 +233,15 @@ def tiled_points(
     one: they resolve what both may differ in.
     """
     narrowest = _narrowest(lines, math.sqrt(low * high))
-    edges = _edges(low, high, max(round(points / NODES), 1), narrowest)
+    # Equal ratios, as the gain and phase of a plant vary with log frequency.
+    ratio = (high / low) ** (1 / max(round(points / NODES), 1))
+    edges = [low]
+    while edges[-1] < high * (1 - 1e-9):
+        edges.append(max(edges[-1] * ratio, edges[-1] + narrowest))
+    # A last band that is too narrow joins the one before.
+    if len(edges) > 2 and high - edges[-2] < narrowest:
+        edges.pop()
+    edges[-1] = max(high, low + narrowest)
     bands = [
         band for first, last in pairwise(edges) for band in _halved(lines, first, last, narrowest)
     ]
@@ -280,20 +288,6 @@ def _narrowest(lines: Lines, omega: float) -> float:
         if all(fit is not None and fit.transients.shape[1] <= 0.5 * fit.rows.size for fit in fits):
             return 2 * half
         half_lines += 1
-
-
-def _edges(low: float, high: float, count: int, least: float) -> Array:
-    """Return the edges of bands of equal ratio that are nowhere narrower than `least`."""
-    # Equal ratios, as the gain and phase of a plant vary with log frequency.
-    ratio = (high / low) ** (1 / count)
-    edges = [low]
-    while edges[-1] < high * (1 - 1e-9):
-        edges.append(max(edges[-1] * ratio, edges[-1] + least))
-    # A last band that is too narrow joins the one before.
-    if len(edges) > 2 and high - edges[-2] < least:
-        edges.pop()
-    edges[-1] = max(high, edges[0] + least)
-    return np.array(edges)
 
 
 def fit_band(

@@ -107,9 +107,9 @@ def finite_frequency(
     left_out = []
     for segment in segments:
         try:
-            point, harmonics_beside = _point(time, signals, segment, settle)
+            point, harmonics = _point(time, signals, segment, settle)
             points.append(point)
-            measured.append((point.u, harmonics_beside))
+            measured.append(harmonics)
         except UnusableSegmentError as reason:
             left_out.append((segment, str(reason)))
     if not points:
@@ -125,8 +125,11 @@ def finite_frequency(
         return tuple(averaged([p for p in points if p.omega == omega]) for omega in frequencies)
 
     responses = np.array([p.response for p in means(points)])
-    shares = unexplained(np.array(frequencies), responses, measured)
-    points = [with_unexplained(p, float(share)) for p, share in zip(points, shares, strict=True)]
+    shares = [
+        unexplained(np.array(frequencies), responses, abs(p.u), harmonics)
+        for p, harmonics in zip(points, measured, strict=True)
+    ]
+    points = [with_unexplained(p, share) for p, share in zip(points, shares, strict=True)]
     merged = means(points)
     response = _response(merged, record, input, output)
     # Sines were flown one after another; only distortion is alike at neighboring frequencies.

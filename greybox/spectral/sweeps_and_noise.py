@@ -11,6 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, SPACING, response_of_hold
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray, Interval, Labels, NamedStrings
+from greybox.files.text_table import require_whole
 from greybox.spectral.estimated_points import HZ, measured_in, response_at, without_incoherent
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches
@@ -94,6 +95,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     KeyError
         For a signal that a record does not hold.
     """
+    require_whole("points", points, 2)
     instruments = conditioned.values() if isinstance(conditioned, Mapping) else conditioned
     signals = [input, output, instrument or input, *conditioned, *instruments]
     if signals.count(output) > 1:
@@ -110,7 +112,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         # remain of each resonance.
         seconds = float(measured_in(stretches, input, output)["about"].get(HOLD, 0.0))
         sampled = near and (lambda w: near(w) * response_of_hold(w, seconds))
-        estimated = tiled_points(lines, *ends, max(points, 2), sampled)
+        estimated = tiled_points(lines, *ends, points, sampled)
     else:
         grid = finite_numbers("omega", omega)
         if not grid.size:

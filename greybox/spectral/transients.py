@@ -73,8 +73,8 @@ def transient_spectrum(
     }
     spectrum = TransientSpectrum(
         omega,
-        {name: transforms[name] for name in inputs},
-        {name: transforms[name] for name in outputs},
+        selected(transforms, inputs),
+        selected(transforms, outputs),
         duration,
         step,
         {

@@ -30,12 +30,12 @@ from greybox.files.text_table import (
     alternatives,
     counted,
     number,
+    require_whole,
     some,
     text_table,
     titled,
 )
 from greybox.modeling.one_thread import cached_property
-from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
@@ -201,30 +201,33 @@ class Bootstrap(Printed):
         error = self.standard_error
         bias = self.bias
         intervals = self.interval(level)
-        answer = {
-            "problem": self.name,
-            "about": self.about,
-            "seed": self.seed,
-            "replicates": len(self.values),
-            "failed": self.failed,
-            "statuses": Counter(status for status in self.statuses if status),
-            "level": level,
-            "quantities": {
-                q.name: {
-                    "unit": q.unit,
-                    "estimate": q.value,
-                    "standard_error": error[q.name],
-                    "fit_standard_error": q.standard_error,
-                    "bias": bias[q.name],
-                    "interval": _ends(intervals[q.name]),
-                }
-                for q in self.quantities
-            },
-            "warnings": self.warnings,
-            "notes": self.notes,
-            "seconds": self.seconds,
-        }
-        return plain(answer)
+        return plain(
+            {
+                "problem": self.name,
+                "about": self.about,
+                "seed": self.seed,
+                "replicates": len(self.values),
+                "failed": self.failed,
+                "statuses": Counter(status for status in self.statuses if status),
+                "level": level,
+                "quantities": {
+                    q.name: {
+                        "unit": q.unit,
+                        "estimate": q.value,
+                        "standard_error": error[q.name],
+                        "fit_standard_error": q.standard_error,
+                        "bias": bias[q.name],
+                        "interval": None
+                        if any(map(math.isnan, intervals[q.name]))
+                        else intervals[q.name],
+                    }
+                    for q in self.quantities
+                },
+                "warnings": self.warnings,
+                "notes": self.notes,
+                "seconds": self.seconds,
+            }
+        )
 
 
 def tail(level: float, dof: float) -> float:
@@ -232,10 +235,6 @@ def tail(level: float, dof: float) -> float:
     from scipy.special import ndtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
     return float(ndtr(-t_quantile(level, dof)))
-
-
-def _ends(interval: Interval) -> Interval | None:
-    return None if any(map(math.isnan, interval)) else interval
 
 
 def interval_text(ends: Sequence[float | None] | None) -> str:

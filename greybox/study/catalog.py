@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.experiment.controller import Controller
@@ -95,7 +95,7 @@ def find_model(text: str) -> Model:
     ValueError, FileNotFoundError
         If it does not exist or is not a model.
     """
-    match = re.fullmatch(r"(?P<place>[^()]+?)(?P<arguments>\(.*\))?", text)
+    match = re.fullmatch(r"(?P<place>[^()]+?)(\((?P<arguments>.*)\))?", text)
     if match is None:
         raise ValueError(
             f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel."
@@ -104,7 +104,14 @@ def find_model(text: str) -> Model:
     module, name = _locate("models", match["place"])
     models = {model.__name__: model for model in models_of(module)}
     model = _named(name, models, f"there is no model {text!r}; {match['place'].split(':')[0]} has")
-    return model(*_arguments(match["arguments"] or "()", text))
+    try:
+        # The arguments are literals: nothing of what a user pastes here is executed.
+        arguments = ast.literal_eval(f"[{match['arguments'] or ''}]")
+    except (SyntaxError, ValueError):
+        raise ValueError(
+            f"the arguments in model {text!r} are not understood: write plain values, e.g. (4, 1)."
+        ) from None
+    return model(*arguments)
 
 
 def find_controller(text: str) -> type[Controller]:
@@ -121,8 +128,9 @@ def find_controller(text: str) -> type[Controller]:
         for key, value in vars(module).items()
         if isinstance(value, type) and issubclass(value, Controller) and value is not Controller
     }
-    place = text.partition(":")[0]
-    return _named(name, controllers, f"there is no controller {text!r}; {place} has")
+    return _named(
+        name, controllers, f"there is no controller {text!r}; {text.partition(':')[0]} has"
+    )
 
 
 def _named(name: str, classes: Mapping[str, type[Named]], refusal: str) -> type[Named]:
@@ -143,13 +151,3 @@ def _locate(kind: str, text: str) -> tuple[ModuleType, str]:
         return module_from_file(match[1]), match[2] or ""
     place, _, name = text.partition(":")
     return shipped_module(kind, place), name
-
-
-def _arguments(text: str, whole: str) -> list[Any]:
-    try:
-        # The arguments are literals: nothing of what a user pastes here is executed.
-        return list(ast.literal_eval(f"[{text[1:-1]}]"))
-    except (SyntaxError, ValueError):
-        raise ValueError(
-            f"the arguments in model {whole!r} are not understood: write plain values, e.g. (4, 1)."
-        ) from None

@@ -6,7 +6,7 @@ Begin with `grid`.
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from glob import escape, glob
 from pathlib import Path
 from typing import Any
@@ -84,8 +84,8 @@ def members_of(choices: Named, folder: Path) -> list[Member]:
     return members
 
 
-def combined(choices: Named, folder: Path) -> list[Fields]:
-    """Return all combinations of the values of keys; their names have the values that differ.
+def combined(choices: Named, folder: Path) -> Iterator[Fields]:
+    """Yield all combinations of the values of keys; their names have the values that differ.
 
     Data of a combination are a list of files, by their paths from the folder, and of values.
     """
@@ -108,14 +108,12 @@ def combined(choices: Named, folder: Path) -> list[Fields]:
     place = os.path.commonpath([Path(path).parent for path in paths]) if paths else ""
     first = next((key for key in ("name", "problem", "data") if key in axes), "model")
     varied = [key for key in axes if len(axes[key]) > 1 and key != first]
-    combinations = []
     for values in itertools.product(*axes.values()):
         chosen = by_name(axes, values)
         head = _label(first, chosen.get(first, ""), place)
         varied_text = ", ".join(_label(key, chosen[key], place) for key in varied)
         name = f"{head}: {varied_text}" if varied_text else head
-        combinations.append({**chosen, "name": name, "held": held})
-    return combinations
+        yield {**chosen, "name": name, "held": held}
 
 
 def _values(key: str, value: Any, folder: Path) -> list[Any]:

@@ -129,8 +129,7 @@ def _rows_of_shared_samples(fits: Fits) -> list[Row]:
             shared = residuals[:, np.isfinite(residuals).all(axis=0)]
             costs += shared.shape[1] / 2 * np.log(np.mean(shared**2, axis=1))
             count += shared.shape[1]
-    unknowns = [*map(count_unknowns, fits)]
-    return [*information_rows(costs.tolist(), unknowns, [count] * len(fits))]
+    return [*information_rows(costs.tolist(), [*map(count_unknowns, fits)], [count] * len(fits))]
 
 
 def _best(table: Table) -> Counter[str]:

@@ -267,13 +267,13 @@ OVERVIEW = (
 def _overview(members: Sequence[StudyMember]) -> str:
     rows = []
     for member in members:
-        row = _rows(member)[0]
+        row = next(_rows(member))
         row["cost"] = number(row["cost"], 6) if member.status == "done" else None
         rows.append(["" if row[name] is None else str(row[name]) for name in OVERVIEW])
     return text_table(OVERVIEW, rows, left=(0, 1, 2, 3, 4))
 
 
-def _rows(member: StudyMember) -> list[Fields]:
+def _rows(member: StudyMember) -> Iterator[Fields]:
     answer = member.answer
     is_done = member.status == "done"
     numbers = ("cost", "converged", "agreeing", "minima", "held_out")
@@ -291,12 +291,10 @@ def _rows(member: StudyMember) -> list[Fields]:
 
     values = {**answer.get("derived", {}), **answer.get("estimate", {})}
     intervals, units = answer.get("interval", {}), answer.get("unit", {})
-    rows = []
     for name, error in (answer["standard_error"] if is_done else {"": None}).items():
         low, high = intervals.get(name, (None, None))
         row = {"parameter": name, "value": values.get(name), "standard_error": error}
-        rows.append({**common, **row, "low": low, "high": high, "unit": units.get(name, "")})
-    return rows
+        yield {**common, **row, "low": low, "high": high, "unit": units.get(name, "")}
 
 
 def _alike(members: Sequence[StudyMember]) -> list[list[StudyMember]]:

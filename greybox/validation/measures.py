@@ -69,8 +69,7 @@ def common_likelihood(fits: Fits, *, comparable: bool) -> Likelihoods | None:
     # proportional to the response.
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
-    least = (_least_cost(fit, criterion) for fit in fits)
-    return Likelihoods(criterion, tuple(fits), tuple(least))
+    return Likelihoods(criterion, tuple(fits), tuple(_least_cost(fit, criterion) for fit in fits))
 
 
 @one_thread_at_a_time  # also frees what it compiles
@@ -166,21 +165,17 @@ def _row(measure: str, values: Sequence[float], unit: str = "") -> Row:
     return Row("fit", "", measure, unit, tuple(map(finite, values)))
 
 
-def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> list[Row]:
-    """Return the measures of every output over all windows of all records of a `kind` of data."""
-    rows = []
+def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> Iterator[Row]:
+    """Yield the measures of every output over all windows of all records of a `kind` of data."""
     estimated = [sum(len(p.own) for p in of_fit) for of_fit in predictions]
     if any(estimated):
         text = "values estimated from the records"
-        rows.append(Row(kind, "", text, "", tuple(map(finite, estimated))))
+        yield Row(kind, "", text, "", tuple(map(finite, estimated)))
     for output in unique(name for p in predictions[0] for name in p.outputs):
         pairs = zip(predictions, fits, strict=True)
         measures = [_measures(output, of_fit, fit) for of_fit, fit in pairs]
-        rows += [
-            Row(kind, output, *key, tuple(finite(values[key]) for values in measures))
-            for key in measures[0]
-        ]
-    return rows
+        for key in measures[0]:
+            yield Row(kind, output, *key, tuple(finite(values[key]) for values in measures))
 
 
 def _measures(output: str, predictions: Sequence[Prediction], fit: Fit) -> dict[StringPair, float]:

@@ -94,10 +94,9 @@ class StepwiseSelection(Printed):
         if not self.terms:
             return f"None of {tried} is supported: no term lowers the cost by more than chance."
         text = (
-            f"{listed(self.terms)} of {tried} {'is' if len(self.terms) == 1 else 'are'} supported"
+            f"{listed(self.terms)} of {tried} {'is' if len(self.terms) == 1 else 'are'} supported: "
+            f"cost {number(self.fit.cost, 6)} instead of {number(self.without.cost, 6)} without."
         )
-        costs = [number(fit.cost, 6) for fit in (self.fit, self.without)]
-        text = f"{text}: cost {costs[0]} instead of {costs[1]} without."
         if self.doubtful:
             text += (
                 " If errors of neighboring points are correlated like the residuals, "
@@ -253,8 +252,7 @@ class _Fits:
         problem = with_terms(self.problem, terms, self.absent)
         free = {name for name, p in problem.parameters.items() if not p.fixed}
         start = {} if near is None else selected(near.estimate, free)
-        starts = [start, Sobol(self.starts, 0)]
-        return fit_problem(problem, starts, profiles=profiles, progress=False)
+        return fit_problem(problem, [start, Sobol(self.starts)], profiles=profiles, progress=False)
 
     def trial(self, step: int, term: str, terms: Terms, limit: float) -> Trial:
         """Test a term that is added to these terms, or removed from them."""

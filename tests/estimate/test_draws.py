@@ -121,6 +121,9 @@ def test_mistakes_are_named(fit, tmp_path):
     for count in (0, -1, 2.5):
         with pytest.raises(ValueError, match=f"count is {count}: give a whole number"):
             gb.draws(fit, count)
+    for seed in (-1, 0.5):
+        with pytest.raises(ValueError, match=f"seed is {seed}: give a whole number"):
+            gb.draws(fit, 3, seed)
 
 
 def test_directions_without_information_are_refused():

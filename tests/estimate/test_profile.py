@@ -266,6 +266,9 @@ def test_what_follows_from_constants_alone_has_no_profile():
     assert_allclose(found["area"].interval, 0.09 * np.array(found["K"].interval), rtol=1e-3)
     with pytest.raises(ValueError, match="has no quantity to profile 'bandwidth'"):
         gb.profile(fit, "bandwidth")
+    for names in (3, ["K", 3]):
+        with pytest.raises(TypeError, match="a name is 3: give names of parameters"):
+            gb.profile(fit, names)
 
 
 def test_the_figure_has_a_panel_for_each(yaw):

@@ -484,6 +484,21 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
         gb.load(tmp_path / "a.h5", models=[5])
 
 
+def test_a_model_of_the_right_name_with_other_parameters_is_refused(tmp_path):
+    """The names that differ are said, whichever of the two models has them."""
+    gb.save(LAG, tmp_path / "a.h5")
+    for names, words in (
+        (["K", "tau"], r"\(T, tau\)"),
+        (["K"], r"\(T\)"),
+        (["K", "T", "c"], r"\(c\)"),
+    ):
+        declared = {name: gb.Parameter(1.0) for name in names}
+        wrong = type("Lag", (gb.TransferFunction,), {"response": lambda self, s, p: p.K} | declared)
+        with pytest.raises(ValueError, match=f"Lag and the fitted one differ in .* {words}: give"):
+            gb.load(tmp_path / "a.h5", models=[Integrator, wrong])
+    assert gb.load(tmp_path / "a.h5", models=[Integrator, Lag]).model_of().label == "Lag"
+
+
 @pytest.mark.parametrize("name", ["evil_side_effect", "greybox.cli.main"])
 def test_nothing_that_a_file_names_is_imported(tmp_path, monkeypatch, name):
     """Not from the working directory, the standard library or greybox, nor what is already loaded."""

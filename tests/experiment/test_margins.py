@@ -402,6 +402,8 @@ def test_signals_that_are_not_in_the_loop_are_refused(fit):
         gb.margins(fit, RateLoop(), broken_at="theta")
     with pytest.raises(ValueError, match="level"):
         gb.margins(fit, RateLoop(), level=95)
+    with pytest.raises(TypeError, match=r"loop is <Fit .*: give the FrequencyResponse of a broken"):
+        gb.experiment.measured_margins(fit)
     for tracking in ("q", ("reference",)):
         with pytest.raises(ValueError, match="give two names"):
             gb.margins(fit, RateLoop(), tracking=tracking)

@@ -221,6 +221,19 @@ def test_what_cannot_be_tried_is_refused(gains, message):
         gb.safe_gains(fitted(0), RateLoop(), gains)
 
 
+@pytest.mark.parametrize(
+    ("fits", "parts", "message"),
+    [
+        ([], (0,), r"fits=\[\] and parts=\(0,\): give at least one of both"),
+        (None, (), r"parts=\(\): give at least one of both"),
+        (3, (0,), "a flight is 3: give the fit of a flight"),
+    ],
+)
+def test_no_flight_is_refused(fits, parts, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        gb.safe_gains(fitted(0) if fits is None else fits, RateLoop(), ["K_P"], parts=parts)
+
+
 @pytest.mark.parametrize("requirement", ["phase_margin", "gain_margin", "delay"])
 @pytest.mark.parametrize("value", [-0.01, np.nan])
 def test_requirements_below_zero_are_refused(requirement, value):

@@ -78,6 +78,9 @@ def test_what_cannot_be_reported_is_told(fit, tmp_path):
         gb.report(gb.Record([0.0, 1.0], {"u": [1.0, 2.0]}), tmp_path / "x.html")
     with pytest.raises(TypeError, match=r"comparison is 3: give what gb\.compare returns"):
         gb.report(fit, tmp_path / "x.html", comparison=3)
+    for margins in (3, [3]):
+        with pytest.raises(TypeError, match=r"margins is 3: give what gb\.margins returns"):
+            gb.report(fit, tmp_path / "x.html", margins=margins)
     with pytest.raises(ValueError, match=r"x\.pdf is not the name of a page: .* ends in \.html"):
         gb.report(fit, tmp_path / "x.pdf")
     assert list(tmp_path.iterdir()) == []

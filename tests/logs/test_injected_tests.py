@@ -59,7 +59,7 @@ def test_other_debug_fields_are_no_chirp(tmp_path):
     path.write_text("\n".join([head, *map(",".join, other)]) + "\n")
     log = gb.read(path)
     assert "chirp" not in log["log"].signals
-    assert not injected_tests(log)
+    assert not [*injected_tests(log)]
 
 
 def test_an_autotuning_of_px4_is_measured_without_options():

@@ -160,6 +160,7 @@ def test_a_value_in_the_place_of_a_declared_parameter_is_refused(value):
         (gb.StateSpace, "delay", {"u": "T"}, "has no effect: did you mean 'delays'"),
         (gb.StateSpace, "unit", {"y": "m"}, "has no effect: did you mean 'units'"),
         (gb.TransferFunction, "outputs", ("y",), "has no effect: did you mean 'output'"),
+        (gb.TransferFunction, "delays", {"u": "T"}, r"has no effect: multiply .* gb\.exp"),
         (gb.TransferFunction, "Derived", {"a": len}, "has no effect: did you mean 'derived'"),
         (gb.StateSpace, "output", None, "is None: give a function"),
         (gb.StateSpace, "states", "x", "is 'x': give a tuple of names"),
@@ -176,6 +177,8 @@ def test_attributes_that_cannot_have_the_effect_of_their_name_are_refused(base, 
 def test_other_attributes_are_a_users_own():
     own = {"delay": 0.02, "input2": "w", "state_names_in_log": ("x",), "united": True, "notes": ""}
     assert type("Own", (gb.TransferFunction,), own).delay == 0.02
+    delayed = type("Own", (gb.TransferFunction,), {"delays": gb.Parameter(0.02)})
+    assert [*delayed.parameters] == ["delays"]
 
 
 def test_signals_are_picked_by_name_or_because_they_are_the_only_ones():

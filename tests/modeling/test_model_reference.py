@@ -126,6 +126,8 @@ def nested(depth):
         reference(Polynomial(4, 1)) | {"arguments": [{"model": reference(Rotor())}, 1]},
         reference(Polynomial(4, 1)) | {"keywords": {"radius": "wide"}},
         reference(Rotor()) | {"arguments": [1]},
+        reference(Rotor()) | {"parameters": 3},
+        reference(Rotor()) | {"parameters": [["T_rotor"]]},
         nested(5000),
     ],
 )

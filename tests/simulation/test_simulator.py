@@ -15,7 +15,6 @@ from greybox.simulation.prediction import cut
 from greybox.simulation.simulator import (
     DIVERGED,
     Simulator,
-    _depends,
     _standard_errors,
     diverged,
     with_implied_states,
@@ -86,8 +85,15 @@ def test_what_an_output_depends_on_is_told_from_rounding():
     slopes[0, 1, 0, 0] = 5.0
     slopes[1, 2, 0, 1] = 1e-12
     slopes[1, 0, 1, 1] = 1e-12
-    found = _depends(slopes, np.array([1.0, 0.0]))
-    assert np.argwhere(found).tolist() == [[0, 1, 0, 0], [1, 0, 1, 1]]
+    model = SimpleNamespace(
+        covariance=np.full((2, 2), np.nan),
+        uncertain=np.array([0, 1]),
+        q=np.array([1.0, 0.0]),
+        names=("a", "b"),
+    )
+    error, unknown = _standard_errors(slopes, np.ones((2, 3, 2)), model)
+    assert np.argwhere(np.isnan(error)).tolist() == [[0, 1, 0], [1, 0, 1]]
+    assert unknown == ("a", "b")
 
 
 class Known:

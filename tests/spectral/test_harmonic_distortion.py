@@ -104,19 +104,17 @@ def test_what_is_unexplained_is_beyond_the_errors_of_the_plant_and_the_noise():
     assert np.all(np.abs(e) > 3 * noise)
     allowed = np.where(at > 4, 0.5, 0.1) * np.abs(control) + 0.005 * 0.5 * at
     expected = np.sqrt(np.sum((np.abs(e) - allowed) ** 2)) / 0.8
-    assert harmonic_distortion.unexplained(omega, response, [(0.8j, found)]) == pytest.approx(
-        [expected]
-    )
+    share = harmonic_distortion.unexplained(omega, response, 0.8, found)
+    assert share == pytest.approx(expected)
     # Noise three times as large hides all but the first.
     hidden = np.abs(e) / 3 / np.abs(1j * at - 1)
     loud = np.abs(np.array([0.9, 1.1, 1.1]) * hidden)[:, None, None] * np.ones((3, 2, 2))
     alone = (abs(e[0]) - allowed[0]) / 0.8
-    assert harmonic_distortion.unexplained(
-        omega, response, [(0.8, found._replace(beside=loud))]
-    ) == pytest.approx([alone])
+    share = harmonic_distortion.unexplained(omega, response, 0.8, found._replace(beside=loud))
+    assert share == pytest.approx(alone)
     for u, some in ((0.0, found), (0.8, found._replace(beside=beside[:, :, :0]))):
-        assert np.isnan(harmonic_distortion.unexplained(omega, response, [(u, some)])).all()
-    assert np.isnan(harmonic_distortion.unexplained(omega[:1], response[:1], [(0.8, found)])).all()
+        assert math.isnan(harmonic_distortion.unexplained(omega, response, u, some))
+    assert math.isnan(harmonic_distortion.unexplained(omega[:1], response[:1], 0.8, found))
 
 
 def test_a_plant_is_read_off_along_straight_lines_of_its_logarithm():

@@ -246,6 +246,8 @@ def test_drift_and_trim_do_not_matter():
         (lambda r: spectral_response(r, band=(1e-3, 1e-2)), "not the band from 0.001"),
         (lambda r: spectral_response(r, band=(5.0, 1.0)), "band=5 1 must be two frequencies"),
         (lambda r: spectral_response(r, band="1 5"), "band '1 5' must be a pair of numbers"),
+        (lambda r: spectral_response(r, points=0), "points is 0: give a whole number of at least"),
+        (lambda r: spectral_response(r, points="9"), "points is '9': give a whole number"),
         (lambda r: spectral_response(r, "v"), "no signal 'v'"),
         (lambda r: spectral_response(r, "still"), "still does not change"),
         (lambda r: spectral_response(r, "missing"), "missing, theta are never all present"),

@@ -10,9 +10,8 @@ import casadi as ca
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.files.arrays import Array, frozen
-from greybox.files.text_table import counted, require_kind
+from greybox.files.text_table import counted, require_kind, require_whole
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta
-from greybox.modeling.parameter import require_whole
 
 
 @frozen

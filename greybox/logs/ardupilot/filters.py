@@ -7,6 +7,7 @@ FTNS at https://ardupilot.org/copter/docs/logmessages.html.
 """
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def named_filters(recording: Recording, axis: str = "") -> KnownFilters:
     filters: KnownFilters = {}
     if parameters.get("INS_GYRO_FILTER", 0) > 0:
         filters["gyro-filter"] = (LowPass(parameters["INS_GYRO_FILTER"]),)
-        notches = _harmonic_notches(recording)
+        notches = tuple(_harmonic_notches(recording))
         filters |= {"gyro-notch": notches} if notches else {}
     controller = CONTROLLERS.get(axis, "")
     for name, end in CONTROLLER_FILTERS.items():
@@ -48,19 +49,17 @@ def named_filters(recording: Recording, axis: str = "") -> KnownFilters:
     return filters
 
 
-def _harmonic_notches(recording: Recording) -> tuple[Notch, ...]:
+def _harmonic_notches(recording: Recording) -> Iterator[Notch]:
     parameters = recording.parameters
-    notches: list[Notch] = []
     for number, begin in enumerate(("INS_HNTCH_", "INS_HNTC2_")):
         if parameters.get(f"{begin}ENABLE", 0) > 0:
-            notches += _one_harmonic_notch(
+            yield from _one_harmonic_notch(
                 recording, number, {k: parameters.get(f"{begin}{k}", 0) for k in KEYS}
             )
     if parameters.get("INS_NOTCH_ENABLE", 0) > 0:  # the static notch of firmware before 4.1
         center, width, depth = (parameters.get(f"INS_NOTCH_{k}", 0) for k in ("FREQ", "BW", "ATT"))
-        notches += [Notch(center, _quality(center, width), depth)] if center > width / 2 > 0 else []
-
-    return tuple(notches)
+        if center > width / 2 > 0:
+            yield Notch(center, _quality(center, width), depth)
 
 
 KEYS = ("MODE", "FREQ", "BW", "ATT", "HMNCS", "REF", "OPTS")

@@ -31,7 +31,7 @@ from typing import NamedTuple
 from greybox.data.record import Recording
 from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import printable
+from greybox.files.text_table import is_finite_number, printable
 from greybox.logs.named_columns import in_si
 
 HEAD = 4096  # bytes by which a format is recognized
@@ -135,8 +135,8 @@ def read(
     >>> log
     <Recording 'sitl_pitch.BIN', 7 messages, MODE, ATT, RATE, EV, ARM, VER, SINE>
     """
-    if rate is not None and not rate > 0:
-        raise ValueError(f"rate={rate} must be a number of Hz above 0.")
+    if rate is not None and not (is_finite_number(rate) and rate > 0):
+        raise ValueError(f"rate={rate!r} must be a number of Hz above 0.")
     path = require_file(path)
     names = (messages,) if isinstance(messages, str) else messages
     kind = _format(path)

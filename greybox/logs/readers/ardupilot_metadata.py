@@ -55,15 +55,16 @@ def metadata(groups: Iterable[Messages]) -> Fields:
     # Older firmware has no VER message.
     firmware = next(filter(vehicle_in, (*column(by_name.get("VER"), "FWS"), *texts)), "")
     vehicle = vehicle_in(firmware)
-    about = {
-        "vehicle": vehicle,
-        "firmware": firmware,
-        "parameters": dict(zip(names, values, strict=False)),
-        "parameter_changes": parameter_changes(zip(_times(parm), names, values, strict=False)),
-        "texts": tuple(zip(_times(msg), texts, strict=False)),
-        "modes": _modes(by_name.get("MODE"), vehicle),
-    }
-    return non_empty(about)
+    return non_empty(
+        {
+            "vehicle": vehicle,
+            "firmware": firmware,
+            "parameters": dict(zip(names, values, strict=False)),
+            "parameter_changes": parameter_changes(zip(_times(parm), names, values, strict=False)),
+            "texts": tuple(zip(_times(msg), texts, strict=False)),
+            "modes": _modes(by_name.get("MODE"), vehicle),
+        }
+    )
 
 
 def column(group: Messages | None, *names: str) -> Sequence[Any]:

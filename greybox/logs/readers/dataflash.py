@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.record import Recording
 from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name
 from greybox.files.progress import bar
-from greybox.files.text_table import counted
+from greybox.files.text_table import Sentences, counted
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import (
@@ -172,33 +172,26 @@ def clock_column(layout: Layout) -> str:
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 
-def _missing(present: set[str], messages: MessageNames) -> Labels:
-    """Return findings on requested or necessary messages that are missing."""
+def _missing(present: set[str], messages: MessageNames) -> Sentences:
+    """Yield findings on requested or necessary messages that are missing."""
     # A missing RATE has a finding of its own, with the cure.
     names = ", ".join(sorted(present - {*ABOUT}))
-    findings = [
-        f"there is no message {name}; the log has {names or 'none'}."
-        for name in messages or ()
-        if name not in (*present, "RATE")
-    ]
+    for name in messages or ():
+        if name not in (*present, "RATE"):
+            yield f"there is no message {name}; the log has {names or 'none'}."
     if "RATE" not in present and ("ATT" in present if messages is None else "RATE" in messages):
-        findings.append(ardupilot_metadata.NO_RATE)
-
-    return findings
+        yield ardupilot_metadata.NO_RATE
 
 
-def _damage(positions: Index) -> Labels:
-    findings = []
+def _damage(positions: Index) -> Sentences:
     if positions.damage:
         skipped = sum(end - start for start, end in positions.damage)
-        findings.append(
+        yield (
             f"{skipped} bytes in {counted(len(positions.damage), 'place')}, the first at byte "
             f"{positions.damage[0][0]}, are damaged and were skipped."
         )
     if positions.cut:
-        findings.append(
+        yield (
             f"the last message ({positions.cut}) is cut off: the file was truncated, or the power "
             "was lost."
         )
-
-    return findings

@@ -40,6 +40,7 @@ from greybox.files.arrays import (
     without,
 )
 from greybox.files.progress import bar
+from greybox.files.text_table import Sentences
 from greybox.logs.readers import time_stamps
 from greybox.logs.readers.ardupilot_metadata import mode_name, unit, vehicle_in
 from greybox.logs.readers.controller_outputs import with_holds
@@ -204,13 +205,14 @@ def metadata(kinds: Mapping[str, Kind], times: NamedArrays, beats: Heartbeats) -
         written = kinds["STATUSTEXT"].texts["text"]
         texts = tuple(zip(times["STATUSTEXT"].tolist(), written, strict=True))
     firmware = _firmware(beats, [text for _, text in texts])
-    about = {
-        **firmware,
-        "parameters": _parameters(kinds.get("PARAM_VALUE"), beats),
-        "texts": texts,
-        "modes": _modes(beats, times, firmware.get("vehicle", "")),
-    }
-    return non_empty(about)
+    return non_empty(
+        {
+            **firmware,
+            "parameters": _parameters(kinds.get("PARAM_VALUE"), beats),
+            "texts": texts,
+            "modes": _modes(beats, times, firmware.get("vehicle", "")),
+        }
+    )
 
 
 def heartbeats(kinds: Mapping[str, Kind]) -> Heartbeats:
@@ -308,7 +310,15 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
     messages = bare(messages)
     checksum = checksum_of(path)
     packets = Packets(mapped(path))
-    kinds, first_received = _kinds(packets, messages)
+    kinds: dict[str, Kind] = {}
+    first_received = 0.0  # µs
+    for number, (received, packet) in enumerate(packets):
+        name = packet.get_type()
+        if name not in kinds:
+            is_stored = messages is None or name in (*ABOUT, *messages)
+            kinds[name] = Kind(type(packet), is_stored)
+        first_received = first_received or received
+        kinds[name].append(number, received, packet)
     if not kinds:
         raise ValueError(
             f"{path} holds no MAVLink packet that can be read; copy it from the ground station "
@@ -326,7 +336,7 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         name for name in kinds if (name not in ABOUT[1:] if messages is None else name in messages)
     ]
     untimed = sorted(name for name in wanted if not np.isfinite(kinds[name].sent).any())
-    received = (
+    without_stamps = (
         [f"these carry no time stamp and are given their time of reception: {', '.join(untimed)}."]
         if untimed
         else []
@@ -348,26 +358,11 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         *_damage(packets),
         *restarted,
         *(f"there is no message {name}; the log has {present}." for name in missing),
-        *received,
+        *without_stamps,
         *problems,
     )
 
     return Recording(by_name, path.name, checksum, about, findings)
-
-
-def _kinds(packets: Packets, messages: MessageNames) -> tuple[dict[str, Kind], float]:
-    """Return the packets by the name of their kind, and when the first was received, µs."""
-    kinds: dict[str, Kind] = {}
-    first_received = 0.0
-    for number, (received, packet) in enumerate(packets):
-        name = packet.get_type()
-        if name not in kinds:
-            is_stored = messages is None or name in (*ABOUT, *messages)
-            kinds[name] = Kind(type(packet), is_stored)
-        first_received = first_received or received
-        kinds[name].append(number, received, packet)
-
-    return kinds, first_received
 
 
 def _clocks(kinds: Mapping[str, Kind]) -> tuple[Array, dict[int, list[float]]]:
@@ -437,15 +432,8 @@ def _address(sender: int) -> str:
     return f"{sender >> 8}:{sender & 0xFF}"
 
 
-def _damage(packets: Packets) -> list[str]:
-    findings = []
+def _damage(packets: Packets) -> Sentences:
     if packets.skipped:
-        findings.append(
-            f"{packets.skipped} bytes in {packets.places} places are damaged and were skipped."
-        )
+        yield f"{packets.skipped} bytes in {packets.places} places are damaged and were skipped."
     if packets.unknown:
-        findings.append(
-            f"{packets.unknown} packets of kinds that pymavlink does not know were left out."
-        )
-
-    return findings
+        yield f"{packets.unknown} packets of kinds that pymavlink does not know were left out."

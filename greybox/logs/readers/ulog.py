@@ -102,14 +102,15 @@ def _about(facts: Named) -> Fields:
     release, commit = facts["firmware"]
     written = [(0.0, name, value) for name, value in facts["initial"].items()]
     written += [(ticks / 1e6, name, value) for ticks, name, value in facts["changes"]]
-    about = {
-        "vehicle": facts["vehicle"],
-        "firmware": f"{release} ({commit})" if release and commit else release or commit,
-        "parameters": {name: float(value) for _, name, value in written},
-        "parameter_changes": parameter_changes(written),
-        "texts": tuple((ticks / 1e6, text) for ticks, text in facts["texts"]),
-    }
-    return non_empty(about)
+    return non_empty(
+        {
+            "vehicle": facts["vehicle"],
+            "firmware": f"{release} ({commit})" if release and commit else release or commit,
+            "parameters": {name: float(value) for _, name, value in written},
+            "parameter_changes": parameter_changes(written),
+            "texts": tuple((ticks / 1e6, text) for ticks, text in facts["texts"]),
+        }
+    )
 
 
 def with_angles(name: str, record: Record) -> Record:

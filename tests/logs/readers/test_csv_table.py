@@ -208,9 +208,9 @@ def test_dates_are_times(saved, end):
     assert recording["flight"]["u"].tolist() == list(range(95, 101))
 
 
-@pytest.mark.parametrize("rate", [0, -5.0, float("nan")])
+@pytest.mark.parametrize("rate", [0, -5.0, float("nan"), float("inf"), "50"])
 def test_a_rate_that_is_none_is_named(tmp_path, rate):
     path = tmp_path / "bench.csv"
     path.write_text("u,y\n1,2\n3,4\n")
-    with pytest.raises(ValueError, match=f"rate={rate} must be a number of Hz above 0"):
+    with pytest.raises(ValueError, match=f"rate={rate!r} must be a number of Hz above 0"):
         read(path, rate=rate)
