@@ -48,8 +48,9 @@ outputs, where short segments lead from it.
 
 **Where Newton steps fail**, delays at which the cost jumps are held. A run that no step decreases
 has converged if some combination of the linearizations beside it has a gradient of zero: the
-minimum lies at a kink. At whole samples of delays, all other unknowns settle first. A run without Kalman gains that fails begins once more at its start, with
-simulated nodes. `settings` has the limits of a run.
+minimum lies at a kink. At whole samples of delays, all other unknowns settle first. A run without
+Kalman gains that fails begins once more at its start, with simulated nodes. `settings` has the
+limits of a run.
 `greybox.solve.multistart` has the search over the runs.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is
