@@ -61,7 +61,7 @@ def colored_errors(
 
     noise = np.linalg.inv(weight.T @ weight)
     effect = colored_information(weighted, directions, residuals, noise, initial, shocks)
-    numbers = sum(int(np.count_nonzero(e)) for e in residuals)
+    numbers = sum(map(np.count_nonzero, residuals))
 
     # The share of these residuals that the parameters absorb, and of white ones of equal variance.
     paid = effect.taken_of_white
@@ -74,8 +74,8 @@ def colored_errors(
     remaining = max(independent - initial_states - paid, 0.5)
     if not effect.corrected:
         larger *= (remaining + paid) / remaining
-    lengths = [e.shape[1] for e in residuals]
-    slowest = max(float(effect.correlation_times.max()), 1e-300)
+    samples = sum(e.shape[1] for e in residuals)
+    slowest = max(effect.correlation_times.max(), 1e-300)
     dof = 1 / (1 / remaining + effect.uncertainty / 2)
     # With less than one, spectra that are hardly possible would decide the interval.
     # At least two correlation times per degree of freedom: the spectrum of an exponential
@@ -85,14 +85,12 @@ def colored_errors(
     # with 16 kinds of errors, contained the truth in 96 to 100 % of records shorter than 16
     # correlation times, and in 92 to 96 % of longer ones. With a limit for the shortest records
     # only, intervals of equal experiments differed by factors of two to six.
-    dof = max(min(dof, sum(lengths) / slowest / 2.0), 1.0)
+    dof = max(min(dof, samples / slowest / 2), 1.0)
 
     return ColoredErrors(
         meat=larger * effect.meat,
         dof=dof,
-        spectrum=None
-        if effect.spectrum is None
-        else effect.spectrum.mixed(np.sqrt(larger) * mixing),
+        spectrum=effect.spectrum and effect.spectrum.mixed(np.sqrt(larger) * mixing),
         process_noise=effect.process_noise,
         slow_errors=effect.slow_errors,
     )

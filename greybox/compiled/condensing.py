@@ -221,7 +221,9 @@ def solve_continuity(
         multiplier[first] = multiplier[second] + A_second @ gap
         pairs.append((first, second, A_first, gap))
         coupled[paired] = coupled[paired + 1]
-        remaining, coupled = (np.delete(each, paired + 1) for each in (remaining, coupled))
+        left = np.ones(len(remaining), bool)
+        left[paired + 1] = False
+        remaining, coupled = remaining[left], coupled[left]
 
     chain = (values[remaining] for values in (H, A, x, multiplier))
     x[remaining], multiplier[remaining] = _solved_bands(coupled, variance, *chain)

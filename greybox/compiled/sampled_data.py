@@ -149,8 +149,8 @@ class SampledData:
             # Around the samples, they would overlap with inputs that return the noise at once, and
             # show a direct effect of these.
             firsts = np.arange(0, values.shape[1], factor)
-            sums = (np.nan_to_num(values), 1.0 * np.isfinite(values))
-            return np.divide(*[np.add.reduceat(each, firsts, axis=1) for each in sums])
+            both = np.array([np.nan_to_num(values), np.isfinite(values)])
+            return np.divide(*np.add.reduceat(both, firsts, axis=2))
 
         return replace(
             self,
@@ -224,8 +224,8 @@ class SampledData:
             at = np.arange(len(stretch)) - shift[:, None].astype(int)
             places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
             values = np.take_along_axis(stretch.inputs[:, None, :], places, axis=2)
-            around.append(values.reshape(3 * len(shift), len(stretch)))
-            whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
+            around.append(values.reshape(-1, len(stretch)))
+            whole.append(np.repeat(shift[:, None], len(stretch), axis=1))
 
         return self.padded(whole), self.padded(around)
 
@@ -388,7 +388,7 @@ def _stretch(
         )
 
     times = time if off > JITTER else None
-    moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
+    moving = [lead for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
     masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size)
     compared = outputs.copy()
     compared[:, :masked] = np.nan

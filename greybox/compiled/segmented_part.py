@@ -199,7 +199,7 @@ class SegmentedPart(Part):
             return False
         present = np.isfinite(self.data.measured)
         stretches = self.data.unpadded(np.where(present, self.residuals(trajectory), np.nan))
-        tests = (whiteness([rows[k] for rows in stretches]) for k in range(len(self.outputs)))
+        tests = map(whiteness, zip(*stretches, strict=True))
 
         # One of a hundred records with white residuals is not recognized.
         return all(test.p_value > 0.01 / len(self.outputs) for test in tests)

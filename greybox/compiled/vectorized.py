@@ -32,7 +32,7 @@ _UFUNCS: dict[str, Callable[..., Any]] = {
     for name in (
         *("ADD", "POW", "EXP", "LOG", "SQRT", "SIN", "COS", "TAN", "SINH", "COSH", "TANH", "HYPOT"),
         *("ASIN", "ACOS", "ATAN", "ATAN2", "ASINH", "ACOSH", "ATANH", "FLOOR", "CEIL", "FMOD"),
-        *("FABS", "SIGN", "COPYSIGN", "FMIN", "FMAX", "LOG1P", "EXPM1"),
+        *("SIGN", "COPYSIGN", "FMIN", "FMAX", "LOG1P", "EXPM1"),
     )
 }
 _UFUNCS |= {
@@ -48,6 +48,7 @@ _UFUNCS |= {
     "LE": np.less_equal,
     "EQ": np.equal,
     "NE": np.not_equal,
+    "FABS": np.abs,  # ten times as fast as `np.fabs`
     "NOT": np.logical_not,
     "AND": np.logical_and,
     "OR": np.logical_or,

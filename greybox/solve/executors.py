@@ -410,7 +410,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-_libraries = cache(ThreadpoolController)  # finding them takes 1 ms
+_libraries = cache(ThreadpoolController)  # finding them takes 5 ms
 
 
 @contextmanager

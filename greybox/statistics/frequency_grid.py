@@ -110,7 +110,8 @@ class FrequencyGrid:
             product = np.empty((k, k, len(self.starts)), dtype=complex)
             # One by one: all products together would fill the memory of long records.
             for i, j in np.ndindex(k, k):
-                values = np.vecdot(b[j], a[i], axis=0)  # pyright: ignore[reportCallIssue]
+                terms = (x * y.conj() for x, y in zip(a[i], b[j], strict=True))
+                values: Any = sum(terms, np.zeros(len(self.weight), complex))
                 product[i, j] = self.banded(values)
                 if i == j and order >= 0:
                     of_lags[:, i] = np.fft.irfft(2 * values.real, self.size)[: order + 1]

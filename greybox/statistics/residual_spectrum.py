@@ -463,7 +463,7 @@ class ResidualSpectra:
         # A state that no output shows has no process noise that could be estimated.
         for H in filtered.swapaxes(0, 1):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
-            power = float((np.abs(H) ** 2 @ self.grid.weight).mean())
+            power = (np.abs(H) ** 2 @ self.grid.weight).mean()
             if power > TINY:
                 spectrum /= power
                 parts.append((self.grid.banded(spectrum), self._left(spectrum)))
@@ -586,9 +586,9 @@ class ResidualSpectra:
         Pᵀ. The errors of other data of the fit are assumed to have the same color. The first are
         the autocovariances up to this order.
         """
-        grid, p = self.grid, len(self._bread)
+        grid, p = self.grid, self.directions.shape[1]
         # White errors have no memory, and need no transform.
-        is_white = not np.diff(spectrum).any()
+        is_white = np.all(spectrum == spectrum[..., :1])
         colored = [
             filtered(np.real(spectrum[..., :1]), A)
             if is_white
@@ -597,23 +597,19 @@ class ResidualSpectra:
         ]
         covariances = [products(A, C) for (A, *_), C in zip(self._stretches, colored, strict=True)]
         meat = sum(covariance[:p, :p] for covariance in covariances)
-        factor = np.trace(meat) / max(float(np.trace(self._bread)), TINY)
-        middle = meat + factor * (np.eye(p) - self._bread)
+        bread = sum(products(A, taken)[:p, :p] for A, _, _, taken, _ in self._stretches)
+        middle = meat + np.trace(meat) / max(np.trace(bread), TINY) * (np.eye(p) - bread)
 
-        pairs = []
-        stretches = zip(self._stretches, colored, covariances, strict=True)
-        for (_, _, first, taken, present), C, covariance in stretches:
-            # The errors of a stretch's initial states are correlated with those of the parameters,
-            # which other stretches determine, too.
+        # The errors of a stretch's initial states are correlated with those of the parameters,
+        # which other stretches determine, too.
+        for covariance in covariances:
             covariance[:p, :p] = middle
-            half = (C - covariance.T @ taken / 2) * present
-            pairs.append((first, np.fft.rfft(half, grid.size)))
-
+        stretches = zip(self._stretches, colored, covariances, strict=True)
+        pairs = (
+            (first, np.fft.rfft((C - covariance.T / 2 @ taken) * present, grid.size))
+            for (_, _, first, taken, present), C, covariance in stretches
+        )
         return grid.covariances(pairs, order)
-
-    @cached_property
-    def _bread(self) -> Array:
-        return self.grid.score_covariance(self.transforms(), self.white)
 
     @cached_property
     def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array, Array]]:
@@ -622,13 +618,13 @@ class ResidualSpectra:
         Those of the initial states follow those of the parameters. The last are the samples that
         are present. Records that are corrected are short enough to store them.
         """
-        noise, root = self.white[..., 0], np.sqrt(self.counts)[:, None, None]
+        noise, root = self.white[..., 0], np.sqrt(self.counts)[:, None]
         stretches = []
         for J, X, e in zip(self.weighted, self.initial, self.residuals, strict=True):
             A = np.hstack([self.directions.T @ J, X]) * self.deviation[:, None, None]
             transform = np.fft.rfft(A, self.grid.size)
-            first, taken = (np.tensordot(noise, each, 1) for each in (transform, A))
-            stretches.append((A, transform, first / root, taken, (e != 0)[:, None] / root))
+            first, taken = np.tensordot(noise / root, transform, 1), np.tensordot(noise, A, 1)
+            stretches.append((A, transform, first, taken, ((e != 0) / root)[:, None]))
         return stretches
 
 
