@@ -195,7 +195,8 @@ def solve_continuity(
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
-    H = hessian * size * size[:, None] + RIDGE * np.eye(n)
+    H = hessian * size * size[:, None]
+    H[~np.append(False, coupled[:-1])] += RIDGE * np.eye(n)
     A = np.where(linked, transition * size / size[:, None], 0.0)
     x = stationarity * size[:, None]
     multiplier = np.where(linked, continuity / size[:, None], 0.0)
