@@ -24,9 +24,10 @@ from greybox.files.arrays import (
     all_finite,
     diagonal,
     of_diagonal,
+    positive_or_one,
 )
 
-# Curvature, relative to that of the outputs, that holds states which no output shows.
+# Curvature, relative to that of the outputs, that holds first states which no output shows.
 RIDGE = 1e-10
 
 # Nodes times states from which a chain is halved: for fewer, the banded system takes less time.
@@ -49,8 +50,8 @@ def condense(
     """Return the quadratic model in the solver's variables, with all nodes eliminated.
 
     Continuity is exact where its `variance` (n,) is zero. `damping` holds the free nodes, relative
-    to their curvature (Levenberg-Marquardt). `largest` (stretches, n) are the variances beyond which
-    initial states are held, if given.
+    to their curvature (Levenberg-Marquardt). `largest` (n,) are the variances beyond which initial
+    states are held, if given.
     """
     held = np.zeros(1)
     if largest is not None:
@@ -115,25 +116,25 @@ def _held_curvature(b: Linearization, variance: Array, data: SampledData, larges
     """Return the curvature (s, n, n) that holds what the outputs hardly show of the first nodes.
 
     It is zero, (1,), if they show all. What they hardly show are directions whose variances
-    at known parameters exceed four times the `largest` (stretches, n).
+    at known parameters exceed four times the `largest` (n,).
     """
     # Along such a direction, the linearization does not reach to where its step leads: runs would
     # creep for thousands of steps, and gain what fits the noise.
-    size = np.sqrt(largest)[:, None]
+    size = np.sqrt(positive_or_one(largest))  # those of delays are known
     begins = data.begins_stretch
     # What the first segments show is enough for most models.
-    shown = np.linalg.eigvalsh(b.node_hessian[begins] * size * size.mT)
+    shown = np.linalg.eigvalsh(b.node_hessian[begins] * size * size[:, None])
     if shown.min(initial=1.0) > 0.25:
         return np.zeros(1)
     curvature = np.zeros_like(b.node_hessian)
-    forces = np.zeros_like(b.node_hessian)
-    forces[begins] = diagonal(1 / size[:, 0])
+    forces = begins[:, None, None] * np.diag(1 / size)
     x, _ = solve_continuity(
         b.node_hessian, b.transition, data.coupled, forces, np.zeros_like(forces), variance
     )
-    values, directions = np.linalg.eigh(x[begins] / size.mT)
+    covariance = x[begins] / size[:, None]
+    values, directions = np.linalg.eigh(covariance)
     # A state that decays within a sample has about the largest variance, and is free.
-    directions *= (values > 4)[:, None] / size.mT
+    directions *= (values > 4)[:, None] / size[:, None]
     # A step along them is shortened to less than 1e-8 of itself.
     curvature[begins] = 1e8 * directions @ directions.mT
     return curvature
@@ -195,8 +196,11 @@ def solve_continuity(
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
     H = hessian * size * size[:, None]
+    # All later nodes follow from the first ones. Where a mean over the segments is too large for
+    # the first ones, it would hold what the outputs show.
     begins = ~np.append(False, coupled[:-1])
-    H[begins] += RIDGE * diagonal((size / first_sizes(hessian, transition, begins)) ** 2)
+    first = np.maximum(size, state_sizes(hessian[begins], transition[begins]))
+    H[begins] += RIDGE * np.diag((size / first) ** 2)
     A = np.where(linked, transition * size / size[:, None], 0.0)
     x = stationarity * size[:, None]
     multiplier = np.where(linked, continuity / size[:, None], 0.0)
@@ -275,23 +279,6 @@ def _solved_bands(
 
 
 @np.errstate(all="ignore")
-def first_sizes(hessian: Array, transition: Array, begins: BoolArray) -> Array:
-    """Return the changes (stretches, n) of the first states that change the outputs by one.
-
-    They are those of `state_sizes` at the beginning of a stretch alone: where the transitions
-    change by decades along a record, as in kinetics, means over the segments would hold initial
-    states that the outputs show.
-    """
-    curvature, first = of_diagonal(hessian), np.flatnonzero(begins)
-    result = curvature[begins]
-    for later in range(result.shape[1], -1, -1):
-        at = np.minimum(first + later, len(curvature) - 1)
-        passed_on = transition[at].mT ** 2 @ result[:, :, None]
-        result = np.maximum(curvature[at], passed_on[:, :, 0])
-    return _sizes(result)
-
-
-@np.errstate(all="ignore")
 def state_sizes(hessian: Array, transition: Array) -> Array:
     """Return the change (n,) of each state that changes the outputs by one, at once or later.
 
@@ -311,10 +298,6 @@ def state_sizes(hessian: Array, transition: Array) -> Array:
         # An unstable state counts no more than what the outputs show at once.
         share = min(curvature.max() / max(later.max(), 1e-300), 1.0)
         curvature = np.maximum(curvature, share * later)
-    return _sizes(curvature)
-
-
-def _sizes(curvature: Array) -> Array:
     # Square roots and products of these stay within double range; what has overflowed counts as 1.
     usable = (curvature > 1e-200) & (curvature < 1e200)
     return 1 / np.sqrt(np.where(usable, curvature, 1.0))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.condensing import condense, first_sizes, solve_continuity, state_sizes
+from greybox.compiled.condensing import condense, solve_continuity, state_sizes
 from greybox.compiled.part import ASSUMED_ERROR, Condensed, Part, Trajectory
 from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
@@ -264,8 +264,9 @@ class SegmentedPart(Part):
 
     def continuity_variance(self, linearization: Linearization) -> Array:
         """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
+        samples = self.data.segment_length * len(self.outputs)
         sizes = state_sizes(linearization.node_hessian, linearization.transition)
-        variance = JUMP**2 * self.data.segment_length * len(self.outputs) * sizes**2
+        variance = JUMP**2 * samples * sizes**2
         # With gaps, the states of a delay would be another input.
         variance[self.driven :] = 0
         return variance
@@ -283,11 +284,16 @@ class SegmentedPart(Part):
         variance = np.zeros(self.states) if continuity_variance is None else continuity_variance
         largest = None
         if weight is not None and self.unknown_initial_states:
-            # Jumps as large, in units of the errors that the weight stands for.
+            # The same jumps in units of the errors that the weight stands for.
             signals = (weight * self.covariance.spread[..., None, :]) ** 2
-            size = signals.sum(axis=(-1, -2)).mean() * self.data.segment_length
-            b, begins = linearization, self.data.begins_stretch
-            largest = 9 * size * first_sizes(b.node_hessian, b.transition, begins) ** 2
+            size = signals.sum(axis=(-1, -2)).mean() / len(self.outputs)
+            # Where transitions change by decades along a record, as in kinetics, their means would
+            # hold initial states that the outputs show.
+            begins = self.data.begins_stretch
+            H, A = linearization.node_hessian[begins], linearization.transition[begins]
+            first = linearization._replace(node_hessian=H, transition=A)
+            variances = map(self.continuity_variance, (linearization, first))
+            largest = ASSUMED_ERROR**2 * size * np.maximum(*variances)
         return condense(
             linearization, trajectory, variance, damping, self.data, self.segments, largest
         )
