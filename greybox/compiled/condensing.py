@@ -27,7 +27,7 @@ from greybox.files.arrays import (
     positive_or_one,
 )
 
-# Curvature, relative to that of the outputs, that holds states which no output shows.
+# Curvature, relative to that of the outputs, that holds first states which no output shows.
 RIDGE = 1e-10
 
 # Nodes times states from which a chain is halved: for fewer, the banded system takes less time.
@@ -195,7 +195,12 @@ def solve_continuity(
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
     size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
-    H = hessian * size * size[:, None] + RIDGE * np.eye(n)
+    H = hessian * size * size[:, None]
+    # All later nodes follow from the first ones. Where a mean over the segments is too large for
+    # the first ones, it would hold what the outputs show.
+    begins = ~np.append(False, coupled[:-1])
+    first = np.maximum(size, state_sizes(hessian[begins], transition[begins]))
+    H[begins] += RIDGE * np.diag((size / first) ** 2)
     A = np.where(linked, transition * size / size[:, None], 0.0)
     x = stationarity * size[:, None]
     multiplier = np.where(linked, continuity / size[:, None], 0.0)

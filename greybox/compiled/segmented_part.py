@@ -287,7 +287,13 @@ class SegmentedPart(Part):
             # The same jumps in units of the errors that the weight stands for.
             signals = (weight * self.covariance.spread[..., None, :]) ** 2
             size = signals.sum(axis=(-1, -2)).mean() / len(self.outputs)
-            largest = ASSUMED_ERROR**2 * size * self.continuity_variance(linearization)
+            # Where transitions change by decades along a record, as in kinetics, their means would
+            # hold initial states that the outputs show.
+            begins = self.data.begins_stretch
+            H, A = linearization.node_hessian[begins], linearization.transition[begins]
+            first = linearization._replace(node_hessian=H, transition=A)
+            variances = map(self.continuity_variance, (linearization, first))
+            largest = ASSUMED_ERROR**2 * size * np.maximum(*variances)
         return condense(
             linearization, trajectory, variance, damping, self.data, self.segments, largest
         )

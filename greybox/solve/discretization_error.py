@@ -143,7 +143,7 @@ def refine_discretization(
 
 
 def _cheap_growth(nlp: CompiledProblem, error: DiscretizationError) -> int:
-    """Return the factor on the steps that leaves an invisible error; one if it is not cheap."""
+    """Return the factor on the steps that leaves an invisible error, as far as it is cheap."""
     # The errors of implicit steps are limited where they are made.
     if nlp.method.scheme.implicit or error.largest <= INVISIBLE_SHIFT:
         return 1
@@ -155,7 +155,7 @@ def _cheap_growth(nlp: CompiledProblem, error: DiscretizationError) -> int:
     )
     # Such a simulation takes some 10 ms. Records of fewer than 1000 samples that need it take up to
     # twice the time.
-    return growth if growth * operations <= 5e6 else 1
+    return max(min(growth, 5_000_000 // max(operations, 1)), 1)
 
 
 def without_aliases(search: Multistart, solver: LocalSolver) -> Multistart:

@@ -137,6 +137,22 @@ def test_states_that_outputs_show_ever_later_follow_the_first_node():
         wanted = system["transition"][j] @ wanted - system["continuity"][j]
 
 
+def test_the_ridge_holds_first_nodes_alone(monkeypatch):
+    """Where a transition grows by decades, it would outweigh what the outputs show of later nodes.
+
+    The first state then has a tiny size in the mean over the segments.
+    """
+    system = made(6, 2, 2, [1, 1, 1, 1, 1, 0])
+    system["hessian"] = np.tile(np.diag([1.0, 1e18]), (6, 1, 1))
+    system["transition"][:, 1, 0] = 0
+    system["transition"][5, 1, 0] = 1e9
+    system["stationarity"][:, 1] = system["continuity"][:, 1] = 0
+    wanted = solve_continuity(**system)
+    monkeypatch.setattr(condensing, "RIDGE", 1e-10)
+    for values, expected in zip(solve_continuity(**system), wanted, strict=True):
+        assert_allclose(values[:, 0], expected[:, 0], rtol=1e-6)
+
+
 def test_a_singular_system_says_so():
     system = made(3, 2, 1, [1, 1, 0], definite=False)
     with pytest.raises(np.linalg.LinAlgError):

@@ -103,3 +103,42 @@ def test_stiff_kinetics_with_times_over_eight_decades():
     assert len(fit.minima[0].runs) == 3
     for name, value in truth.items():
         assert abs(fit.estimate[name] - value) < 3.5 * fit.standard_error[name]
+
+
+class E5(gb.StateSpace):
+    """Stiff kinetics whose concentrations fall by thirty decades (Hairer and Wanner, IV.10)."""
+
+    states, inputs, outputs = ("a", "b", "c", "d"), (), ("a", "b")
+    A = gb.Parameter(7e-10, bounds=(8e-11, 8e-9), unit="1/s", scale="log")
+    B = gb.Parameter(2.3e4, bounds=(2e3, 2e5), unit="1/s", scale="log")
+    a_0 = gb.Parameter(1.0, bounds=(0.5, 2), fixed=True)
+
+    def derivative(self, x, u, p):
+        begun, fed, ended, returned = p.A * x.a, p.B * x.a * x.c, 2e6 * x.b * x.c, 1130 * x.d
+        return (-begun - fed, begun - ended, begun - fed - ended + returned, fed - returned)
+
+    def output(self, x, u, p):
+        return (x.a, x.b)
+
+
+def test_an_initial_state_is_estimated_like_a_parameter_where_transitions_change_by_decades():
+    time = np.append(0, np.geomspace(1e2, 1e11, 40))  # s
+    sigma = {"a": 0.01, "b": 1e-9}
+    empty = gb.Record(time, dict.fromkeys("ab", 0 * time))
+    exact = gb.simulate(E5(), {"A": 7.9e-10, "B": 1.9e4}, empty, initial={"a": 1.0})
+    noise = np.random.default_rng(0).normal(size=(2, time.size))
+    measured = {n: exact[n] + sigma[n] * e for n, e in zip("ab", noise, strict=True)}
+    zero = dict.fromkeys("bcd", 0.0)
+    state, parameter = (
+        gb.fit(
+            gb.Problem(
+                E5(), gb.Record(time, measured), gb.OutputError(sigma, initial=initial), free=free
+            ),
+            starts=1,
+        )
+        for initial, free in ((zero, ()), (zero | {"a": lambda p: p.a_0}, ("a_0",)))
+    )
+    assert_allclose(state.cost, parameter.cost, atol=1e-6)
+    assert_allclose(state.records[0].initial["a"], parameter.estimate["a_0"], rtol=1e-5)
+    for name in "AB":
+        assert_allclose(state.estimate[name], parameter.estimate[name], rtol=1e-4)

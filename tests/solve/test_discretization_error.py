@@ -72,6 +72,44 @@ def test_a_short_record_has_the_estimate_of_an_exact_integration():
     assert_allclose([fit.estimate["K"], fit.estimate["tau"]], reference, rtol=1e-6)
 
 
+def test_many_states_are_integrated_as_finely_as_is_cheap():
+    """Ten modes of a beam: what exact steps would need costs more than they are allowed."""
+    order = np.arange(1, 11)
+    shape = {"y1": np.sin(order), "y2": np.sin(2.4 * order)}
+
+    class Beam(gb.StateSpace):
+        states = (*(f"q{k}" for k in order), *(f"v{k}" for k in order))
+        inputs, outputs = ("F",), tuple(shape)
+        w = gb.Parameter(3.1, bounds=(2, 5), unit="rad/s")
+        z = gb.Parameter(0.012, bounds=(0.001, 0.1))
+
+        def derivative(self, x, u, p):
+            pole = [p.w * float(k) ** 1.1 for k in order]
+            q, v = ([getattr(x, f"{name}{k}") for k in order] for name in "qv")
+            forces = (
+                5 * u.F - w**2 * a - 2 * p.z * w * b for w, a, b in zip(pole, q, v, strict=True)
+            )
+            return (*v, *forces)
+
+        def output(self, x, u, p):
+            q = [getattr(x, f"q{k}") for k in order]
+            return tuple(
+                sum(float(c) * a for c, a in zip(row, q, strict=True)) for row in shape.values()
+            )
+
+    time = np.arange(0, 20, 0.05)  # s
+    random = np.random.default_rng(0)
+    force = gb.Record(time, {"F": np.repeat(random.normal(size=80), 5)}, hold={"F": math.inf})
+    motion = gb.simulate(Beam(), {"w": 3.0, "z": 0.01}, force)
+    noisy = {name: motion[name] + 0.01 * random.normal(size=400) for name in shape}
+    rest = gb.OutputError(initial=dict.fromkeys(Beam.states, 0.0))
+    problem = gb.Problem(Beam(), force.with_signals(**noisy), rest)
+    fine = gb.MultipleShooting(integrator=gb.RungeKutta(32))
+    usual, exact = (gb.fit(problem, starts=1, method=method) for method in (None, fine))
+    shift = [(usual.estimate[n] - exact.estimate[n]) / exact.standard_error[n] for n in "wz"]
+    assert_allclose(shift, 0, atol=2e-3)
+
+
 def test_runs_and_minima_tell_the_same_when_substeps_were_refined():
     """What the fit says of its runs is what a fit with as many substeps from the start says."""
     problem = gb.Problem(Swing(), swung(n=200), gb.OutputError(inputs="held"))
