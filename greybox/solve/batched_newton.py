@@ -156,12 +156,14 @@ class BatchedNewton:
         smoothing: float | None = None,
         given: Array | None = None,
         bounds: ArrayPair | None = None,
+        last: int = LAST,
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
         A `smoothing` replaces those of the levels. A search ends where its projected gradient is at
-        most the `tolerance`, relative to the cost where that is above one. The columns of `given`
-        (g, m) are the data of each search, and `bounds`, (p, m) or (p, 1), replace the problem's.
+        most the `tolerance`, relative to the cost where that is above one, or when it has passed
+        the `last` level. The columns of `given` (g, m) are the data of each search, and `bounds`,
+        (p, m) or (p, 1), replace the problem's.
         """
         m = z.shape[1]
         data = np.repeat(self._data, m, axis=1) if given is None else given
@@ -185,7 +187,8 @@ class BatchedNewton:
         searches = _Searches(np.arange(m), numbers, np.ones(m, bool), data)
         self._advance(searches, tolerance, smoothing)
         for _ in range(max_iterations):
-            ended = searches.live & (searches.numbers[END] != 0)
+            _, _, level, switched, _, end, *_ = searches.numbers
+            ended = searches.live & ((end != 0) | (level + switched > last))
             # For few searches `any` takes ten times as long.
             if np.count_nonzero(ended):
                 self._end(searches, ended, ends)

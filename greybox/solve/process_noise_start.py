@@ -31,8 +31,11 @@ TOGETHER = 8
 class ProcessNoise:
     """The mean squared error with process noise, with gradient and Gauss-Newton Hessian."""
 
-    def __init__(self, responses: Any, points: Array) -> None:
-        """Take `SharedResponses`; the noise is scaled by the states' derivatives at z (p, k)."""
+    def __init__(self, responses: Any, points: Array, step: int = 1) -> None:
+        """Take `SharedResponses`; the noise is scaled by the states' derivatives at z (p, k).
+
+        With a `step` of two every second frequency counts.
+        """
         # System, frequencies, measured responses, weights and sizes of the derivatives.
         self._terms = []
         self._numbers = 0
@@ -40,7 +43,7 @@ class ProcessNoise:
             # States follow from outputs that are measured at one frequency: where responses have
             # frequencies of their own, they are interpolated at as many as the longest has.
             longest = max(len(at) for _, (*_, at) in system.pairs)
-            omega = system.omega[evenly_spread(len(system.omega), longest)]
+            omega = system.omega[evenly_spread(len(system.omega), longest)][::step]
             # By frequency, input and output; weights are zero where nothing is measured.
             measured = np.zeros((len(omega), system.inputs, system.outputs), complex)
             for part, (output, input, at) in system.pairs:

@@ -1,10 +1,10 @@
 """The solver of large problems whose responses share one solve a frequency.
 
 All starts but the first of a batch, except those of sine tests, get short delays and move to a
-minimum with process noise; then all are improved together by Newton's method. The cost is that of
-`greybox.compiled.shared_response`, whose gradient is exact: a minimum counts where it vanishes, and
-IPOPT need not confirm it. Constraints do not guide the search: most bounds of tied parameters hold
-where it ends, and IPOPT continues where one does not.
+minimum with process noise, where most of them meet; then all are improved together by Newton's
+method. The cost is that of `greybox.compiled.shared_response`, whose gradient is exact: a minimum
+counts where it vanishes, and IPOPT need not confirm it. Constraints do not guide the search: most
+bounds of tied parameters hold where it ends, and IPOPT continues where one does not.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.shared_response import SineTest
 from greybox.files.arrays import Array, Named
-from greybox.solve.batched_newton import BARRIERS, BatchedNewton, Ends, continued
+from greybox.solve.batched_newton import BARRIERS, LAST, BatchedNewton, Ends, continued
 from greybox.solve.minima import Minimum
 from greybox.solve.process_noise_start import ProcessNoise
 from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
@@ -31,8 +31,8 @@ class SharedSolver(ResponseSolver):
     # All five agree on the minimum of a helicopter. Where four of five, or of eight, sufficed, one
     # of twelve fits of three axes in wide boxes ended at another one, with five none.
     promising = (5, 8, 5)
-    # More do not become cheaper, but the first of every batch starts without process noise.
-    together = 32
+    # Starts that meet continue once: with 32 a start takes half as long again. More delay progress.
+    together = 128
     fewest = 1  # a fit of the mirror from one start took three times as long by IPOPT
     polished_to = 1e-11  # as the equations of periodic motions: beyond, steps are rounding
 
@@ -60,18 +60,20 @@ class SharedSolver(ResponseSolver):
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
         near = self._in_phase(z[:, 1:])
         columns, iterations = np.arange(near.shape[1]), 0
-        # Noise over the derivatives of the states, with relative errors of one in the responses,
-        # for every second pair of starts: those with much noise and those with less miss different
-        # minima of two flexible modes.
-        ratios = np.array([30.0, 3.0])[columns // 2 % 2]
-        # Starts behind a strong barrier meet. Behind a weak one fewer reach the minimum of five
-        # helicopters, after more iterations: 291 of 400 with every second start there, 312 with
-        # every fourth. But only there, and with less noise, do those of a rate with delays of many
-        # turns.
-        noise = ProcessNoise(self._shared, z)
-        search = BatchedNewton(noise, *self.nlp.bounds, barriers=BARRIERS[[0, 0, 0, 1]])
-        for stage in (1.0, 0.1, 0.01):
-            # With one ratio of process noise, five of seven starts take 3 to 36 iterations.
+        # Noise over the derivatives of the states, with relative errors of one in the responses:
+        # starts with more and with less noise miss different minima of two flexible modes. Behind a
+        # strong barrier starts meet. Behind a weak one fewer reach the minimum of five helicopters,
+        # after more iterations, but only there, and with less noise, do those of a rate with delays
+        # of many turns: a quarter of the first 32 starts.
+        kinds = columns // 2 % 2
+        kinds[3:32:4] = 2
+        # Behind the first barrier, where most of the starts meet, every second frequency suffices.
+        whole, half = (ProcessNoise(self._shared, z, step) for step in (1, 2))
+        # With one ratio of process noise, five of seven starts take 3 to 36 iterations.
+        stages = (1.0, 0), (1.0, LAST), (0.1, LAST), (0.01, LAST)
+        for stage, last in stages if near.size else ():
+            noise, apart = (whole, 1e-4) if last else (half, 1e-2)
+            search = BatchedNewton(noise, *self.nlp.bounds, barriers=BARRIERS[kinds // 2])
             ends = search.minimize(
                 near,
                 max_iterations=40,
@@ -79,21 +81,24 @@ class SharedSolver(ResponseSolver):
                 # minimum, with 1e-5 a tenth more time is spent.
                 tolerance=1e-4,
                 from_near=stage < 1,
-                given=stage * ratios[None],
+                given=stage * np.where([kinds], 3.0, 30.0),
+                last=last,
             )
             iterations += ends.iterations[columns]
-            # Starts that meet continue once, from the same three digits: each ends as it would
-            # alone.
-            unit = 2.0**43 * np.spacing(ends.z)
-            digits = np.round(ends.z / unit) * unit
-            (ratios, *near), column = np.unique([ratios, *digits], axis=1, return_inverse=True)
-            # numpy 2.0.0 returns a row.
-            near, columns = np.array(near), column.ravel()[columns]
-        # Some starts take 250 iterations, and their time would be that of the whole fit.
-        limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
-        # Without a barrier: the first start may be a minimum of a similar problem.
-        near = np.column_stack([z[:, 0], near])
-        ends = super().improved(near, **limits, from_near=True)
+            # Starts meet if they are no farther apart than such ends are from a minimum, in units
+            # of the start box, or agree to three digits. They continue once.
+            close = np.isclose(ends.z[:, None], ends.z[..., None], rtol=1e-3, atol=apart)
+            meet = close.all(axis=0) & (kinds == kinds[:, None])
+            firsts, column = np.unique(meet.argmax(axis=1), return_inverse=True)
+            near, kinds, columns = ends.z[:, firsts], kinds[firsts], column[columns]
+        # Some starts take 250 iterations, and their time would be that of the whole fit. Without a
+        # barrier: the first start may be a minimum of a similar problem.
+        limits = {
+            "max_iterations": min(self.limits["max_iterations"], 100),
+            "from_near": True,
+            **limits,
+        }
+        ends = super().improved(np.column_stack([z[:, 0], near]), **limits)
         ends = Ends._make(values[..., [0, *1 + columns]] for values in ends)
         ends.iterations[1:] += iterations
         # The Hessian lacks what large residuals add, so that searches for a wrong model take up to
@@ -102,9 +107,7 @@ class SharedSolver(ResponseSolver):
         if ends.at_minimum[lowest]:
             return ends
         limits["max_iterations"] = 4 * self.limits["max_iterations"]
-        return continued(
-            ends, super().improved(ends.z[:, lowest], **limits, from_near=True), lowest
-        )
+        return continued(ends, super().improved(ends.z[:, lowest], **limits), lowest)
 
     def _in_phase(self, z: Array) -> Array:
         """Return z (p, m) with delays of less than half a turn at the highest frequency.

@@ -142,6 +142,12 @@ def test_a_search_passes_through_the_levels_one_after_the_other():
         np.array([[0.9], [0.3]]), max_iterations=1, tolerance=1e-10, from_near=True
     )
     assert_allclose(last.z[:, 0], SMOOTHINGS[3] * np.array([0.5, 1.0]), atol=1e-12)
+    for level in range(3):
+        ends = solver.minimize(
+            np.array([[0.9], [0.3]]), max_iterations=50, tolerance=1e-10, last=level
+        )
+        assert_allclose(ends.z[:, 0], SMOOTHINGS[level] * np.array([0.5, 1.0]), atol=1e-12)
+        assert ends.iterations.tolist() == [2 * level + 1]
 
 
 def test_when_time_is_up_searches_stay_where_they_are():
