@@ -81,10 +81,9 @@ def regressors(
     )
     filtered = []
     for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):
-        is_derivative = equation.kind == "derivative"
         target = (
             derivatives[equation.target]
-            if is_derivative
+            if equation.kind == "derivative"
             else without_holes(time, record[equation.target])
         )
         columns = np.column_stack([target, base[k], slopes[k]])

@@ -191,7 +191,7 @@ def stepwise(
         current = current | {best.term}
         seen.add(current)
         while len(current) > 1:
-            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in absent if n in current]
+            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in selected(absent, current)]
             idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
             worst = max(idle, key=lambda t: t.p_value, default=None)
             trials += [replace(t, done=t is worst) for t in tried]
@@ -201,7 +201,7 @@ def stepwise(
             seen.add(current)
     return StepwiseSelection(
         candidates=tuple(absent),
-        terms=tuple(name for name in absent if name in current),
+        terms=tuple(selected(absent, current)),
         fit=fits.made(current, fits.cache[current], profiles=True),
         without=without,
         trials=tuple(trials),
@@ -283,7 +283,7 @@ class _Fits:
         """Return the p-values of terms that only a test for independent errors finds."""
         fit = self.cache[terms]
         p_values = {}
-        for term in (name for name in self.absent if name in terms):
+        for term in selected(self.absent, terms):
             small = self.fitted(terms - {term}, fit)
             test = self._tested(term, small, fit)
             # The term may have taken up the correlated errors: those of the fit without it count.
@@ -296,8 +296,8 @@ class _Fits:
         rivals: dict[str, dict[str, float]] = {}
         fit = self.cache[terms]
         scale = cost_scale(fit)
-        for term in (name for name in self.absent if name in terms):
-            for rival in (name for name in self.absent if name not in terms):
+        for term in selected(self.absent, terms):
+            for rival in without(self.absent, terms):
                 swapped = self.fitted(terms - {term} | {rival}, fit)
                 above = 2 * (swapped.cost - fit.cost) / scale
                 if swapped.converged and above < EQUAL_AIC:
