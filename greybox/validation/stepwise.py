@@ -11,7 +11,7 @@ correction of Bonferroni.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from greybox.compiled.compiled_problem import AnyProblem, require_problem
@@ -184,7 +184,11 @@ def stepwise(
             for n in bar(absent, desc="trying terms")
             if n not in current
         ]
-        best = _best([t for t in tried if t.p_value < t.limit])
+        better = [t for t in tried if t.p_value < t.limit]
+        _, cost = min(((t.p_value, t.cost) for t in better), default=(1.0, 0.0))
+        # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
+        # test sees. Of equal costs, the first in the list counts.
+        best = next((t for t in better if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
             break
@@ -303,14 +307,6 @@ class _Fits:
                 if swapped.converged and above < EQUAL_AIC:
                     rivals.setdefault(term, {})[rival] = above
         return rivals
-
-
-def _best(trials: Sequence[Trial]) -> Trial | None:
-    """Return the addition with the smallest p-value; of equal costs the first in the list."""
-    _, cost = min(((t.p_value, t.cost) for t in trials), default=(1.0, 0.0))
-    # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
-    # test sees.
-    return next((t for t in trials if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
 
 
 def with_terms(problem: AnyProblem, terms: Terms, absent: Values) -> AnyProblem:
