@@ -6,7 +6,7 @@ from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import HELD_OUT, held_out_records, saved_fit
-from greybox.files.arrays import attributes
+from greybox.files.arrays import attributes, unique
 from greybox.files.safe_files import write_text
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _comparison(options: argparse.Namespace) -> Comparison:
-    paths = [*dict.fromkeys(options.results)]
+    paths = unique(options.results)
     # Stems are short; files with the same name in several folders need their paths.
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))

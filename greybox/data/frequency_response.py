@@ -360,13 +360,8 @@ class FrequencyResponse(Printed):
         ModuleNotFoundError
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
-        about = attributes(self, "input", "output", "name", "source")
-        return frame_of(
-            self.columns,
-            self.omega,
-            "omega_rad_s",
-            {**about, "units": dict(self.units), "about": dict(self.about)},
-        )
+        about = attributes(self, "input", "output", "name", "source", "units", "about")
+        return frame_of(self.columns, self.omega, "omega_rad_s", about)
 
     def __str__(self) -> str:
         pair = f"{self.input or 'input'} -> {self.output or 'output'}"

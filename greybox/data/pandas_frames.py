@@ -21,10 +21,11 @@ def frame_of(
     index_name: str,
     attributes: Named,
 ) -> Frame:
-    """Return a data frame with an index of this name; `attributes` go to its `attrs`."""
+    """Return a data frame with an index of this name; copies of `attributes` are its `attrs`."""
     pd = required("pandas", "pandas", "to_pandas()")
     frame = pd.DataFrame(dict(columns), index=pd.Index(index, name=index_name))
-    frame.attrs.update(non_empty(attributes))
+    for name, value in non_empty(attributes).items():
+        frame.attrs[name] = dict(value) if isinstance(value, Mapping) else value
     return frame
 
 

@@ -29,6 +29,7 @@ from greybox.files.arrays import (
     NamedStrings,
     Strings,
     Values,
+    attributes,
     frozen,
     selected,
     unique,
@@ -313,12 +314,7 @@ class Record(Printed):
         ModuleNotFoundError
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
-        about = {
-            "units": dict(self.units),
-            "hold": dict(self.hold),
-            "name": self.name,
-            "source": self.source,
-        }
+        about = attributes(self, "units", "hold", "name", "source")
         return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
 
     def rows(self, rows: IntArray | slice) -> "Record":

@@ -88,8 +88,7 @@ class Controller(ABC):
         super().__init_subclass__(**kwargs)
         parameters = declared_parameters(cls)
         cls.parameters = MappingProxyType(parameters)
-        for base in (Names, Controller):
-            require_usable(parameters, cls.__name__, base)
+        require_usable(parameters, cls.__name__, Controller)
         require_signal_names(cls, "states", "inputs", "setpoints", "outputs")
         twice = {*cls.inputs} & {*cls.setpoints}
         if twice:

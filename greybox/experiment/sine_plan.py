@@ -4,9 +4,8 @@ Begin with `plan_sines`.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,10 +20,8 @@ from greybox.experiment.sampled_loop import sampled_loop
 from greybox.files.arrays import (
     Array,
     BoolArray,
-    ComplexArray,
     IntArray,
     Interval,
-    Labels,
     StringPair,
     Strings,
     Values,
@@ -42,21 +39,6 @@ from greybox.spectral.uniform_stretches import uniform_stretches
 
 # A quiet flight has at least this number of periods of the lowest frequency.
 QUIET_PERIODS = 4
-
-
-class _Card(NamedTuple):
-    """The least periods of a sine, the time that it needs to settle, and the pause after it, s."""
-
-    periods: int
-    lead_in: float
-    pause: float
-
-    def flown(self, omega: Array, seconds: Array) -> tuple[Array, float]:
-        """Return durations (n,) of whole periods of at least these seconds, and the flight time."""
-        period = HZ / omega
-        duration = np.maximum(np.ceil(seconds / period - 1e-9), self.periods) * period
-        settling = np.ceil(self.lead_in / period - 1e-9) * period
-        return duration, float(np.sum(duration + settling + self.pause)) + self.pause
 
 
 @frozen
@@ -213,7 +195,15 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)
     values = {**values, **fixed}
-    gains = _gains(model, values, omega, (input, *limits), excitation, controller, rate)
+    row = np.array([[*model.values(values).values()]])
+    signals = (input, *limits)
+    loop = sampled_loop(model, row, controller, measured=signals, rate=rate)
+    if controller is not None and not loop.is_stable[0]:
+        raise ValueError(
+            f"the loop of {model.label} is unstable: give gains that stabilize the plant."
+        )
+    # From the excitation, with the sampling of the controller.
+    gains = by_name(signals, loop.gains(excitation, signals, omega)[0].T)
     bounds = [limit / np.abs(gains[name]) for name, limit in limits.items()]
     amplitudes = np.array([np.full_like(omega, amplitude), *bounds])
     size, limit = amplitudes.min(axis=0), amplitudes.argmin(axis=0)
@@ -234,8 +224,14 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     matters = np.array([name in wanted for name in nlp.free])
     require_determined(information.mean(axis=0), nlp.free)
 
-    card = _Card(periods, lead_in, pause)
-    chosen, duration = _fewest(omega, information, matters, card)
+    def flown(omega: Array, seconds: Array) -> tuple[Array, float]:
+        """Return durations (n,) of whole periods of at least these seconds, and the flight time."""
+        period = HZ / omega
+        duration = np.maximum(np.ceil(seconds / period - 1e-9), periods) * period
+        settling = np.ceil(lead_in / period - 1e-9) * period
+        return duration, float(np.sum(duration + settling + pause)) + pause
+
+    chosen, duration = _fewest(omega, information, matters, flown)
     if not duration.size:
         raise ValueError(
             "no flight in this band reaches the wanted errors of "
@@ -253,31 +249,12 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         limited_by=tuple((excitation, *limits)[k] for k in limit[chosen]),
         standard_error=by_name(nlp.free, errors.tolist()),
         wanted=dict(wanted),
-        flight_time=card.flown(omega[chosen], duration)[1],
+        flight_time=flown(omega[chosen], duration)[1],
         signal=excitation,
         unit=unit,
         rate=rate,
         settings={"lead_in": lead_in, "pause": pause},
     )
-
-
-def _gains(
-    model: Model,
-    values: Values,
-    omega: Array,
-    signals: Labels,
-    excitation: str,
-    controller: Controllers | None,
-    rate: float,
-) -> dict[str, ComplexArray]:
-    """Return the gains (n,) from excitation to signals, with the sampling of the controller."""
-    row = np.array([[*model.values(values).values()]])
-    loop = sampled_loop(model, row, controller, measured=signals, rate=rate)
-    if controller is not None and not loop.is_stable[0]:
-        raise ValueError(
-            f"the loop of {model.label} is unstable: give gains that stabilize the plant."
-        )
-    return by_name(signals, loop.gains(excitation, signals, omega)[0].T)
 
 
 def noise_density(
@@ -324,7 +301,10 @@ def noise_density(
 
 
 def _fewest(
-    omega: Array, information: Array, matters: BoolArray, card: _Card
+    omega: Array,
+    information: Array,
+    matters: BoolArray,
+    flown: Callable[[Array, Array], tuple[Array, float]],
 ) -> tuple[IntArray, Array]:
     """Return the places of the sines that make the flight shortest, and their durations, s.
 
@@ -339,7 +319,7 @@ def _fewest(
         second = np.tensordot(share, information[chosen], 1)
         if np.linalg.cond(second) > 1e14:
             break
-        duration, total = card.flown(omega[chosen], share * time_needed(second, matters))
+        duration, total = flown(omega[chosen], share * time_needed(second, matters))
         if total > 1.5 * best[0]:
             break
         if total < best[0]:

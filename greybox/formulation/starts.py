@@ -48,8 +48,8 @@ class Sobol(Starts):
 
     def __post_init__(self) -> None:
         """Check number and seed."""
-        for name, least in (("number", 1), ("seed", 0)):
-            require_whole(f"{name} of starts", getattr(self, name), least)
+        require_whole("number of starts", self.number, 1)
+        require_whole("seed of starts", self.seed, 0)
 
     def __str__(self) -> str:
         return f"{self.number} by Sobol, seed {self.seed}"

@@ -203,20 +203,6 @@ def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     return tuple(parts)
 
 
-def _record_numbers(data: Sequence[Any]) -> list[int]:
-    """Return the number of every record among the distinct ones, from 1; 0 for other data."""
-    numbers: dict[Any, int] = {}
-    return [
-        # Two stretches of one log have the same checksum, but not the same times.
-        numbers.setdefault(
-            (item.checksum, len(item), item.time[0], item.time[-1]), len(numbers) + 1
-        )
-        if isinstance(item, Record)
-        else 0
-        for item in data
-    ]
-
-
 def numbered_parts(parts: Sequence[Any]) -> Iterator[Any]:
     """Yield the parts with biases numbered by the record, where several records have one.
 
@@ -224,7 +210,14 @@ def numbered_parts(parts: Sequence[Any]) -> Iterator[Any]:
     of one record share its biases. A bias is not numbered, so that records can share it, if a
     part renames it (also to its own name) or fixes it at an earlier fit, which has that name.
     """
-    records = _record_numbers([part.data for part in parts])
+    distinct: dict[Any, int] = {}
+    records = [
+        # Two stretches of one log have the same checksum, but not the same times.
+        distinct.setdefault((data.checksum, len(data), *data.span), len(distinct) + 1)
+        if isinstance(data, Record)
+        else 0
+        for data in (part.data for part in parts)
+    ]
     outside = [{part.outside(name) for name in part.declared} for part in parts]
     names_in_use = set().union(*outside)
 

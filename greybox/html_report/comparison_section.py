@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.result import Fits
-from greybox.files.arrays import Named
+from greybox.files.arrays import Named, unique
 from greybox.files.grouping import grouped
 from greybox.html_report.elements import COLUMNS, Cell, figure_grid, number_cell, table, tag
 from greybox.html_report.fit_section import Entry
@@ -69,7 +69,7 @@ def _overview_row(entry: Entry) -> list[Cell]:
 def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
     """Yield a table of all estimates, with a column for every parameter."""
     estimated = [e for e in entries if e.answer.get("converged") and e.answer["standard_error"]]
-    names = dict.fromkeys(name for entry in estimated for name in entry.answer["standard_error"])
+    names = unique(name for entry in estimated for name in entry.answer["standard_error"])
     if names:
         yield tag("h3", "Estimates with standard errors")
     # If there are more estimates than fit on a page, structures have tables of their own.

@@ -188,17 +188,13 @@ def page(
     sections.append(_section("Comparison", content))
     if len(entries) > 12:  # tables are printed across the paper
         sections[-1].set("class", "many")
-    sections += [
-        _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None
-    ]
+    for entry in entries:
+        if entry.fit is not None:
+            inside = [(tag("h3", name), content) for name, content in fit_section(entry)]
+            summary = tag("summary", tag("h2", entry.label))
+            details = tag("details", summary, inside, open=len(entries) <= OPEN)
+            sections.append(tag("section", details, id=entry.anchor))
     return _document(title, [*sections, *appended], author)
-
-
-def _details(entry: Entry, *, is_open: bool) -> Element:
-    """Return the section of one of several results."""
-    inside = [(tag("h3", name), content) for name, content in fit_section(entry)]
-    summary = tag("summary", tag("h2", entry.label))
-    return tag("section", tag("details", summary, inside, open=is_open), id=entry.anchor)
 
 
 def _section(title: str, content: Child) -> Element:

@@ -173,7 +173,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     models = checked_items("a structure", structures, Structure | Model, "models, as DampedAngle()")
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in models]
     if listed:
-        names = dict.fromkeys(name for structure in listed for name in structure.model.parameters)
+        names = (name for structure in listed for name in structure.model.parameters)
         stated_names = chain.from_iterable(of_parameters.values())
         require_known(stated_names, names, "parameter", "the list of structures")
         candidates = [_candidate(s, responses, series, of_parameters, starts, seed) for s in listed]

@@ -611,7 +611,7 @@ def _excitation(used: Segments) -> str:
         return ""
     low, high = min(s.band[0] for s in used), max(s.band[1] for s in used)
     sizes = [s.amplitude for s in used if math.isfinite(s.amplitude)]
-    ends = dict.fromkeys(number(size, 3) for size in (min(sizes), max(sizes))) if sizes else ()
+    ends = unique(number(size, 3) for size in (min(sizes), max(sizes))) if sizes else ()
     size = f", amplitude {' to '.join(ends)} {used[0].unit}".rstrip() if ends else ""
     axis = f" of {used[0].axis}" if used[0].axis else ""
     times = f"{min(s.start for s in used):.2f} to {max(s.end for s in used):.2f} s"

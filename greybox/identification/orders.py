@@ -160,7 +160,7 @@ def select_orders(
     """
     responses = [data] if isinstance(data, FrequencyResponse) else list(data)
     linear = linear or linear_fits(responses, through, orders_of(n, m, integrators, delay=delay))
-    names = dict.fromkeys(chain.from_iterable(fit.start for fit in linear.values()))
+    names = chain.from_iterable(fit.start for fit in linear.values())
     require_known(chain.from_iterable(stated.values()), names, "parameter", "the grid")
     least = min(fit.bic for fit in linear.values())
     # Only structures near the least BIC are fitted again, and of one size the best two: for random

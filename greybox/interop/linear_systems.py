@@ -38,9 +38,8 @@ class GivenModel:
     ) -> tuple[list[float], list[float]]:
         """Return numerator and denominator, highest power of s first."""
         # Order 0 leaves the delay out: the ratio is then exact for the model without delay.
-        order = pade or None
         ratio = rational(
-            self.model, self.values, input=input, output=output, at=self.at, pade=order
+            self.model, self.values, input=input, output=output, at=self.at, pade=pade or None
         )
         if pade != 0:
             self._require_no_delay({input: float(ratio.delay)})

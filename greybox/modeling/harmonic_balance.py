@@ -118,7 +118,7 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
             "omit the amplitude."
         )
 
-    names = dict.fromkeys((input, *model.outputs, *model.states))
+    names = (input, *model.outputs, *model.states)
     require_known([sine.signal], names, "signal for a sine", model.label)
     sine.amplitudes(omega)
 

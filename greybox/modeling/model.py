@@ -63,10 +63,10 @@ ParameterFormula = Callable[[Any], Any]
 """A user's function of parameters by name."""
 
 
-def require_usable(names: Iterable[str], owner: str, base: type = Names) -> None:
-    """Raise ValueError for a name that would hide an attribute of `base`."""
+def require_usable(names: Iterable[str], owner: str, *bases: type) -> None:
+    """Raise ValueError for a name that would hide an attribute of `Names` or of these `bases`."""
     for name in names:
-        if hasattr(base, name):
+        if any(hasattr(base, name) for base in (Names, *bases)):
             raise ValueError(
                 f"{owner} cannot have a parameter or signal called {name!r}: choose another name."
             )
@@ -163,8 +163,7 @@ class Model(ABC):
         super().__init_subclass__(**kwargs)
         parameters = declared_parameters(cls)
         bases = [base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE)]
-        for base in (Names, *bases):
-            require_usable(parameters, cls.__name__, base)
+        require_usable(parameters, cls.__name__, *bases)
         require_effect(cls, bases[0])
         cls.parameters = MappingProxyType(parameters)
 

@@ -64,7 +64,9 @@ class Parameter:
 
     def __post_init__(self) -> None:
         """Check the types, and the numbers against one another."""
-        self._require_types()
+        require_kind("unit", self.unit, str, "a text")
+        require_kind("about", self.about, str, "a text")
+        require_kind("fixed", self.fixed, bool | np.bool_, "True or False")
         low, high = number_pair(self.bounds, "bounds")
         if not low < high:
             raise ValueError(
@@ -103,11 +105,6 @@ class Parameter:
 
         if self.prior is not None:
             normal_prior(self.prior, "prior")
-
-    def _require_types(self) -> None:
-        for name in ("unit", "about"):
-            require_kind(name, getattr(self, name), str, "a text")
-        require_kind("fixed", self.fixed, bool | np.bool_, "True or False")
 
     @property
     def box(self) -> Interval:

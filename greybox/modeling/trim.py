@@ -147,7 +147,32 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
     derivative = ca.substitute(derivative, z, point)
     residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
     guess, rows = _presolve(model, at, residual)
-    return _rootfinder(model, w, p, point, derivative, guess, rows)
+    options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
+    equations = ca.vertcat(*[derivative[k] for k in rows])
+    newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
+    size = ca.sqrt(ca.sumsqr(derivative)) / (1 + ca.sqrt(ca.sumsqr(w)))
+    is_root = ca.Function("is_root", [w, p], [size < TOLERANCE])
+
+    parameters = ca.MX.sym("p", p.numel())
+    direct = newton(x0=guess, p=parameters)["x"]
+    start = ca.DM(start_values(model.parameters))
+    # If this does not converge, the parameters move from their start values in ten steps.
+    root = ca.MX(ca.DM(guess))
+    for step in range(1, 11):
+        root = newton(x0=root, p=start + (parameters - start) * step / 10)["x"]
+
+    in_steps = ca.Function("in_steps", [parameters], [root])
+    root = ca.if_else(is_root(direct, parameters), direct, in_steps(parameters), True)
+
+    # Two more steps give the derivatives, see `Trimmed`. Without a root the point becomes infinite,
+    # so that the run fails instead of using it.
+    step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
+    full = ca.substitute(point, w, step(step(w, p), p)) / is_root(w, p)
+    n = len(model.states)
+    return Trimmed(
+        ca.Function("root", [parameters], [root]),
+        ca.Function("trim", [p, w], [full[:n], full[n:]], {"cse": True}),
+    )
 
 
 def _presolve(model: StateSpace, at: Values, residual: ca.Function) -> tuple[Array, list[int]]:
@@ -197,40 +222,3 @@ def _pivots(jacobian: ca.DM) -> tuple[Array, IntArray]:
     result: Any = qr(np.nan_to_num(np.asarray(jacobian)).T, pivoting=True, mode="economic")
     _, triangle, order = result
     return np.abs(np.diag(triangle)), order
-
-
-def _rootfinder(
-    model: StateSpace,
-    w: ca.SX,
-    p: ca.SX,
-    point: ca.SX,
-    derivative: ca.SX,
-    guess: Array,
-    rows: list[int],
-) -> Trimmed:
-    options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
-    equations = ca.vertcat(*[derivative[k] for k in rows])
-    newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
-    size = ca.sqrt(ca.sumsqr(derivative)) / (1 + ca.sqrt(ca.sumsqr(w)))
-    is_root = ca.Function("is_root", [w, p], [size < TOLERANCE])
-
-    parameters = ca.MX.sym("p", p.numel())
-    direct = newton(x0=guess, p=parameters)["x"]
-    start = ca.DM(start_values(model.parameters))
-    # If this does not converge, the parameters move from their start values in ten steps.
-    root = ca.MX(ca.DM(guess))
-    for step in range(1, 11):
-        root = newton(x0=root, p=start + (parameters - start) * step / 10)["x"]
-
-    in_steps = ca.Function("in_steps", [parameters], [root])
-    root = ca.if_else(is_root(direct, parameters), direct, in_steps(parameters), True)
-
-    # Two more steps give the derivatives, see `Trimmed`. Without a root the point becomes infinite,
-    # so that the run fails instead of using it.
-    step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
-    full = ca.substitute(point, w, step(step(w, p), p)) / is_root(w, p)
-    n = len(model.states)
-    return Trimmed(
-        ca.Function("root", [parameters], [root]),
-        ca.Function("trim", [p, w], [full[:n], full[n:]], {"cse": True}),
-    )

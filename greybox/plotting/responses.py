@@ -111,7 +111,7 @@ def by_pair(responses: Sequence[DrawnResponse]) -> list[list[DrawnResponse]]:
     """Return the responses of each input-output pair."""
     # In the order of the data, which is the one that a user knows.
     measured_first = sorted(responses, key=lambda drawn: not drawn.is_measured)
-    pairs = dict.fromkeys(drawn.pair for drawn in measured_first)
+    pairs = unique(drawn.pair for drawn in measured_first)
     return [[drawn for drawn in responses if drawn.pair == pair] for pair in pairs]
 
 

@@ -101,8 +101,8 @@ def history_figure(
             )
 
     # Models may have different outputs and inputs: every signal has one panel for all of them.
-    outputs = dict.fromkeys(name for history in drawn for name in history.outputs)
-    inputs = dict.fromkeys(name for history in drawn for name in history.inputs)
+    outputs = unique(name for history in drawn for name in history.outputs)
+    inputs = unique(name for history in drawn for name in history.inputs)
     panels = []
     for output in outputs:
         panels += _output_panels(by_name(names, drawn), output, columns)

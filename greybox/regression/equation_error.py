@@ -14,7 +14,6 @@ import numpy as np
 from greybox.data.record import Record, require_time
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     Labels,
     NamedStrings,
     Strings,
@@ -36,7 +35,7 @@ from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter, Parameters, lower_and_upper, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.regression.least_squares import Rows, undetermined
+from greybox.regression.least_squares import undetermined
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import regressors
 from greybox.spectral.uniform_stretches import check_uniform
@@ -181,7 +180,13 @@ def equation_error(
     between = by_name(system.inputs, between_samples(inputs, system.inputs, record))
     rows, bands = regressors(equations, record, start, between)
     low, high = lower_and_upper(unknown[n] for n in equations.linear)
-    values, errors = _solved(rows, len(bands), low, high)
+    # The equations are weighted by the sizes of their residuals, known only after a solution: at
+    # first, nothing is explained. Weights and estimate determine one another; each pass changes the
+    # weights less.
+    values, errors = np.zeros(low.size), rows.target
+    for _ in range(5 if len(bands) > 1 else 2):
+        values = rows.solution(1 / rows.spread(errors, len(bands)), low, high)
+        errors = rows.errors(values)
     groups = [tuple(equations.linear[k] for k in group) for group in undetermined(rows.slopes)]
     lost = {name for group in groups for name in group}
     pairs = zip(equations.linear, values.tolist(), strict=True)
@@ -243,19 +248,6 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
         f"no equation of {model.label} can be used ({reasons}); the record has "
         f"{', '.join(record.signals)}: add the missing states under their names."
     )
-
-
-def _solved(rows: Rows, count: int, low: Array, high: Array) -> ArrayPair:
-    """Return the unknowns (k,) of `count` equations within their bounds, and the residuals (n,)."""
-    # The equations are weighted by the sizes of their residuals, known only after a solution: at
-    # first, nothing is explained. Weights and estimate determine one another; each pass changes the
-    # weights less.
-    values = np.zeros(low.size)
-    errors = rows.target
-    for _ in range(5 if count > 1 else 2):
-        values = rows.solution(1 / rows.spread(errors, count), low, high)
-        errors = rows.errors(values)
-    return values, errors
 
 
 def explained(target: Array, errors: Array) -> float:

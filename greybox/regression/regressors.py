@@ -81,14 +81,21 @@ def regressors(
     )
     filtered = []
     for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):
-        is_derivative = equation.kind == "derivative"
         target = (
             derivatives[equation.target]
-            if is_derivative
+            if equation.kind == "derivative"
             else without_holes(time, record[equation.target])
         )
         columns = np.column_stack([target, base[k], slopes[k]])
-        filtered.append(_filtered(time, columns, band, lateness))
+        # The filter is less accurate near the ends of a stretch, and at its beginning delayed
+        # inputs are not known.
+        edge, late = math.ceil(reach(band) / step), math.ceil(lateness / step)
+        parts = [columns[:0]]
+        for rows in stretches(time, columns.sum(axis=1)):
+            if rows.stop - rows.start >= 2 * edge + late + FEWEST:
+                part = low_pass(columns[rows], step, band)
+                parts.append(part[edge + late : len(part) - edge])
+        filtered.append(np.vstack(parts))
 
     columns = np.vstack(filtered)
     if not len(columns):
@@ -101,22 +108,6 @@ def regressors(
         )
     equation = np.repeat(np.arange(len(base)), [len(rows) for rows in filtered])
     return Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:]), bands
-
-
-def _filtered(time: Array, columns: Array, band: float, lateness: float) -> Array:
-    """Return columns (n, k) of an equation, filtered, without the ends of every stretch."""
-    step = median_step(time)
-    # The filter is less accurate near the ends of a stretch, and at its beginning delayed inputs
-    # are not known.
-    edge = math.ceil(reach(band) / step)
-    late = math.ceil(lateness / step)
-    result = [columns[:0]]
-    for rows in stretches(time, columns.sum(axis=1)):
-        if rows.stop - rows.start < 2 * edge + late + FEWEST:
-            continue
-        part = low_pass(columns[rows], step, band)
-        result.append(part[edge + late : len(part) - edge])
-    return np.vstack(result)
 
 
 def acting(time: Array, values: Array) -> Array:

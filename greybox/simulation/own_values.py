@@ -10,7 +10,7 @@ Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identificatio
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +27,7 @@ from greybox.files.arrays import (
     places_of,
     selected,
     unique,
+    without,
 )
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
@@ -96,26 +97,17 @@ def with_own_values(
     values = by_name(estimate.names, zip(estimate.values.tolist(), errors, strict=True))
     rows = np.unique(estimate.windows.rows)
     numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in windows.outputs)
-    note = _note(values, parameters, numbers, title)
-    return replace(estimate.model, covariance=covariance), values, (note, *notes)
-
-
-def _note(
-    values: Mapping[str, FloatPair],
-    parameters: Parameters,
-    numbers: int,
-    record: str,
-) -> str:
     texts = []
     for name, pair in values.items():
         unit = parameters[name].unit
         number = " ± ".join(with_error(*pair))
         texts.append(f"{name} = {number} {'' if unit == '1' else unit}".rstrip())
-    return (
-        f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
+    note = (
+        f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {title} "
         f"itself: {counted(len(texts), 'value')} from {counted(numbers, 'number')}, "
         "for which the record is not held out."
     )
+    return replace(estimate.model, covariance=covariance), values, (note, *notes)
 
 
 @frozen
@@ -197,7 +189,7 @@ def _determined(
         lost = _not_determined(estimate, parameters) if parameters else ""
         if not lost:
             return estimate
-        parameters = {name: p for name, p in parameters.items() if name != lost}
+        parameters = without(parameters, (lost,))
 
 
 def _with_biases(model: ModelAtEstimate, own: Labels) -> ModelAtEstimate:

@@ -132,10 +132,10 @@ def simulate(
         name: nans(len(record)) for name in unique((*outputs, *errors, *estimated.system.states))
     }
     simulator = Simulator(estimated, outputs, integrator)
-    unknown: dict[str, None] = {}
+    unknown: list[str] = []
     for stretch, start in zip(stretches, states, strict=True):
         signals, of_outputs, without_error = simulator.free_run(stretch, start, fitted_initial)
-        unknown |= dict.fromkeys(without_error)
+        unknown += without_error
         bad = diverged(signals)
         if bad.any():
             when = np.argmax(bad)
@@ -153,7 +153,7 @@ def simulate(
         for n in columns
         if (signal := n.removesuffix(ERROR)) in record.units
     }
-    remark = f", {_not_known(tuple(unknown), estimated)}" if unknown else ""
+    remark = f", {_not_known(unique(unknown), estimated)}" if unknown else ""
     # A user who simulates a fit expects the motion of the record, which hardly ever begins at rest.
     if estimated.covariance is not None and not fitted_initial:
         zero = [name for name in estimated.system.states if name not in (initial or {})]

@@ -36,9 +36,9 @@ class EstimatedPoints(NamedTuple):
 
 
 def response_at(
-    points: EstimatedPoints, names: tuple[str, str, str], stretches: Sequence[UniformStretch]
+    points: EstimatedPoints, stretches: Sequence[UniformStretch], input: str, output: str, name: str
 ) -> FrequencyResponse:
-    """Return the points that could be estimated; `names` are those of input, output and response.
+    """Return the response at the points that could be estimated; `name` is its name.
 
     Points where the instrument is too weak are left out, and `about` says so.
 
@@ -50,7 +50,6 @@ def response_at(
     omega, response, variance, dof, coherence, weak = points
     # A response without a variance has no weight in a likelihood.
     good = np.isfinite(variance)
-    input, output, name = names
     if not good.any():
         if weak.any():
             raise ValueError(

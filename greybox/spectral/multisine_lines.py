@@ -66,7 +66,7 @@ def periodic_response(
     amplitude = column_lengths(spectra[:, 2])
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
     points = _estimates((1 + lines) * (HZ / period), *np.moveaxis(spectra[:, :, lines], 1, 0))
-    return without_incoherent(response_at(points, (input, output, name), stretches))
+    return without_incoherent(response_at(points, stretches, input, output, name))
 
 
 def period_spectra(

@@ -131,12 +131,28 @@ def finite_frequency(
     ]
     points = [with_unexplained(p, share) for p, share in zip(points, shares, strict=True)]
     merged = means(points)
-    response = _response(merged, record, input, output)
+    values = np.array([p.response for p in merged])
+    errors = np.array([p.standard_error for p in merged])
+    # Data without noise have at least errors of rounding.
+    variance = np.maximum(errors, 1e-12 * np.abs(values)) ** 2
+    has_variance = all_finite(variance)
+    response = FrequencyResponse(
+        np.array([p.omega for p in merged]),
+        values,
+        input,
+        output,
+        variance=variance if has_variance else None,
+        dof=np.array([p.dof for p in merged]) if has_variance else None,
+        name=record.name,
+        source=record.source,
+        stretches=tuple(Stretch(record.checksum, p.start, p.end) for p in points),
+        units={name: unit for name in (input, output) if (unit := record.units.get(name))},
+        about=hold_of_response(input, output, [(record.hold, record.step)]),
+    )
     # Sines were flown one after another; only distortion is alike at neighboring frequencies.
     if not np.any(shares):
         response = response.with_independent_errors()
-    stretches = [Stretch(record.checksum, p.start, p.end) for p in points]
-    return FiniteFrequency(replace(response, stretches=stretches), merged, tuple(left_out))
+    return FiniteFrequency(response, merged, tuple(left_out))
 
 
 def _point(
@@ -261,27 +277,3 @@ def saturation(u: Array) -> float:
     if np.diff(np.unique(u)).min(initial=reach) > RESOLUTION * reach:
         return math.nan
     return float(at_limit(u).mean())
-
-
-def _response(
-    points: tuple[FrequencyPoint, ...], record: Record, input: str, output: str
-) -> FrequencyResponse:
-    omega = np.array([p.omega for p in points])
-    values = np.array([p.response for p in points])
-    # Least standard error over the response, for data without noise.
-    rounding = 1e-12
-    errors = np.array([p.standard_error for p in points])
-    variance = np.maximum(errors, rounding * np.abs(values)) ** 2
-    has_variance = all_finite(variance)
-    return FrequencyResponse(
-        omega,
-        values,
-        input,
-        output,
-        variance=variance if has_variance else None,
-        dof=np.array([p.dof for p in points]) if has_variance else None,
-        name=record.name,
-        source=record.source,
-        units={name: unit for name in (input, output) if (unit := record.units.get(name))},
-        about=hold_of_response(input, output, [(record.hold, record.step)]),
-    )

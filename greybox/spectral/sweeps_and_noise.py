@@ -126,7 +126,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
             )
         estimated = points_at(lines, grid)
 
-    response = response_at(estimated, (input, output, name), stretches)
+    response = response_at(estimated, stretches, input, output, name)
     response = replace(response, about={**response.about, SPACING: f"{lines.spacing:.6g}"})
     return response if omega is not None else without_incoherent(response)
 

@@ -337,7 +337,26 @@ def bootstrap(
     lines = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
     function = quantity_function(nlp, [q.name for q in lines])
 
-    outcomes, interrupted = _made(runner, replicates, executor, folder, progress)
+    outcomes: Outcomes = []
+    # A replicate is its number: workers draw the data themselves, so that the result does not
+    # depend on how many there are.
+    rows = ((k, np.array([float(k)])) for k in range(replicates))
+    runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
+    lock = nullcontext() if folder is None else locked(Path(folder))
+    progress_bar = bar(is_shown=progress is True, total=replicates, unit="replicate")
+    with lock, listening(), progress_bar:
+        try:
+            memory = Memory(runs, runner)
+            with responding(Response.STOP):
+                for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
+                    outcomes.append(outcome)
+                    progress_bar.update()
+                    if callable(progress):
+                        progress(len(outcomes), replicates)
+            interrupted = take_interrupt()
+        finally:
+            if runs is not None:
+                runs.write()
     if not outcomes:
         raise KeyboardInterrupt
     points = [
@@ -405,36 +424,6 @@ def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
     trajectories = solver.profile(x, search.nodes).trajectories
     draws = record_draws(_accuracy(nlp, x, trajectories), seed)
     return RecordReplicates(nlp, draws, x, search.nodes)
-
-
-def _made(
-    runner: Replicates,
-    replicates: int,
-    executor: Executor | None,
-    folder: str | Path | None,
-    progress: bool | ProgressReport,
-) -> tuple[Outcomes, bool]:
-    """Make the replicates; return their outcomes by number, and whether Ctrl-C ended them."""
-    outcomes: Outcomes = []
-    # A replicate is its number: workers draw the data themselves, so that the result does not
-    # depend on how many there are.
-    rows = ((k, np.array([float(k)])) for k in range(replicates))
-    runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
-    lock = nullcontext() if folder is None else locked(Path(folder))
-    progress_bar = bar(is_shown=progress is True, total=replicates, unit="replicate")
-    with lock, listening(), progress_bar:
-        try:
-            memory = Memory(runs, runner)
-            with responding(Response.STOP):
-                for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
-                    outcomes.append(outcome)
-                    progress_bar.update()
-                    if callable(progress):
-                        progress(len(outcomes), replicates)
-            return outcomes, take_interrupt()
-        finally:
-            if runs is not None:
-                runs.write()
 
 
 def replicate_warnings(statuses: Strings, dof: float) -> Iterator[str]:

@@ -55,7 +55,10 @@ def read_data(
     path = require_file(path)
     if prepare:
         return prepared(read(path, columns=columns, rate=rate), **prepare)
-    names = _header(path)
+    # Only the beginning of a table has its header: a log may have gigabytes.
+    with path.open("rb") as file:
+        head = file.read(65536)
+    names = None if b"\0" in head else read_delimited(path, head).header
     is_response = _is_response(names, columns or {})
     if rate and is_response:
         raise ValueError(f"rate={rate:g} is for a table of signals, and {path} is something else.")
@@ -78,14 +81,6 @@ def read_data(
         )
 
     return _record_of(read(path, columns=columns, rate=rate), path, model)
-
-
-def _header(path: Path) -> Strings | None:
-    """Return the names in the header of a table, or None if the file is not text."""
-    # Only the beginning: a log may have gigabytes.
-    with path.open("rb") as file:
-        head = file.read(65536)
-    return None if b"\0" in head else read_delimited(path, head).header
 
 
 def _is_response(names: Strings | None, columns: NamedStrings) -> bool:

@@ -56,9 +56,7 @@ def latex_number(value: float | None, error: float | None = None) -> str:
     if value is None:
         return "--"
     texts = with_error(value, error or 0.0)
-    powers = [re.sub(r"e([+-]\d+)", _power, text) for text in texts]
+    powers = [
+        re.sub(r"e([+-]\d+)", lambda e: rf" \cdot 10^{{{int(e[1])}}}", text) for text in texts
+    ]
     return f"${powers[0]}$" if texts[1] == "-" else rf"${powers[0]} \pm {powers[1]}$"
-
-
-def _power(exponent: re.Match[str]) -> str:
-    return rf" \cdot 10^{{{int(exponent[1])}}}"

@@ -207,7 +207,7 @@ def _with_criterion(problem: AnyProblem, name: Any) -> AnyProblem:
     criterion = CRITERIA_BY_NAME[name]
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
     kinds = tuple(served.values())
-    usable = {c.name: 0 for kind, of in KINDS.values() if problem.parts_with(kind) for c in of}
+    usable = unique(c.name for kind, of in KINDS.values() if problem.parts_with(kind) for c in of)
     if name not in usable:
         raise ValueError(
             f"criterion={name} is for {' and '.join(served)} and {problem.name} has none: use one "

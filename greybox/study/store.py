@@ -306,7 +306,11 @@ class StoredRuns(RunStorage):
             runs = {}
             for number, text, checksum, key in rows:
                 _require_whole(self._folder, checksum, text, self._name, number, key)
-                runs[int(number)] = _stored_run(text)
+                start, outcome = read(json.loads(text), tuple[Array, Outcome])
+                is_sound = outcome.stage in (SCREENED, IMPROVED, POLISHED)
+                if not (is_sound and start.ndim == outcome.estimate.ndim == 1):
+                    raise ValueError
+                runs[int(number)] = start, outcome
         except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
             raise RunStorageError(_damaged(self._folder)) from error
         if any(row[-1] != fingerprint for row in rows):
@@ -415,17 +419,6 @@ def folder_beside(path: Path) -> Path:
     return path.with_name(f"{path.name}.runs")
 
 
-def _stored_run(text: str) -> tuple[Array, Outcome]:
-    start, outcome = read(json.loads(text), tuple[Array, Outcome])
-    if (
-        start.ndim != 1
-        or outcome.estimate.ndim != 1
-        or outcome.stage not in (SCREENED, IMPROVED, POLISHED)
-    ):
-        raise ValueError
-    return start, outcome
-
-
 def _require_whole(folder: Path, checksum: int, *values: Any) -> None:
     """Raise ValueError if values are damaged, which end with the place where they are stored."""
     # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
@@ -441,11 +434,24 @@ def _checksum(*values: bytes | str | float | None) -> int:
 
 @contextmanager
 def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connection]:
-    """Open the database of a study for one transaction."""
+    """Open the database of a study for one transaction; refuse that of another program."""
     path = folder / DATABASE
     try:
         with _opened(path, "rwc" if create else "rw") as connection, connection:
-            _require_layout(connection, path, create=create)
+            tables = _tables(connection)
+            if create and not tables:
+                # A small member fills one and a half of the usual pages; the rest would be empty.
+                connection.execute("PRAGMA page_size = 1024")
+                connection.execute("BEGIN")
+                for statement in TABLES:
+                    connection.execute(statement)
+            elif tables != TABLES[:2]:
+                raise ValueError(
+                    _damaged(folder)
+                    if _is_ours(connection)
+                    else f"{path} is not a study, or was made by another version of greybox: "
+                    "update greybox, or begin another study."
+                )
             yield connection
     except sqlite3.Error as error:
         if _is_damage(error):
@@ -474,24 +480,6 @@ def _is_damage(error: sqlite3.Error) -> bool:
         not isinstance(error, sqlite3.OperationalError)
         or error.sqlite_errorcode == sqlite3.SQLITE_ERROR
     )
-
-
-def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool) -> None:
-    """Make the tables of a new database; refuse another program's, or one of a later version."""
-    tables = _tables(connection)
-    if create and not tables:
-        # A small member fills one and a half of the usual pages, and leaves the rest empty.
-        connection.execute("PRAGMA page_size = 1024")
-        connection.execute("BEGIN")
-        for statement in TABLES:
-            connection.execute(statement)
-    elif tables != TABLES[:2]:
-        raise ValueError(
-            _damaged(path.parent)
-            if _is_ours(connection)
-            else f"{path} is not a study, or was made by another version of greybox: "
-            "update greybox, or begin another study."
-        )
 
 
 def _is_ours(connection: sqlite3.Connection) -> bool:

@@ -86,8 +86,8 @@ class Study(Printed):
 
     def _values(self, name: str) -> Strings:
         """Return the different values of a factor; ValueError if no member has it."""
-        names = dict.fromkeys(key for member in self.members for key in member.factors)
         if self.members:
+            names = (key for member in self.members for key in member.factors)
             require_known([name], names, "factor", "the study")
         return unique(m.factors[name] for m in self.members if name in m.factors)
 
@@ -118,7 +118,7 @@ class Study(Printed):
         """Return the rows of `to_pandas` as comma-separated values."""
         text = io.StringIO()
         rows = self.table
-        writer = csv.DictWriter(text, dict.fromkeys(name for row in rows for name in row))
+        writer = csv.DictWriter(text, unique(name for row in rows for name in row))
         writer.writeheader()
         writer.writerows(rows)
         return text.getvalue()
@@ -218,7 +218,19 @@ def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
     """
     members = tuple(replace(member, models=models) for member in read_members(Path(folder)))
     for member in members:
-        _require_readable(member)
+        # Do now what printing will do: a damaged answer must be refused when it is read.
+        try:
+            _overview([member])
+            if member.status == "done":
+                list(_cells(member, shown))
+                answer = member.answer
+                labels = (answer[name] for name in ("criterion", "rule", "checksum"))
+                "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
+        except (LookupError, TypeError, ValueError, AttributeError):
+            raise ValueError(
+                f"the answer of {member.name!r} in {member.folder} is damaged: restore the folder, "
+                "or begin another study."
+            ) from None
     return Study(Path(folder), members)
 
 
@@ -236,23 +248,6 @@ def progress(study: Study) -> str:
             f"member; the last one ended {number(time.time() - ends[-1], 2)} s ago."
         )
     return "\n\n".join(filter(None, [*lines, study.failures]))
-
-
-def _require_readable(member: StudyMember) -> None:
-    # Do now what printing will do: a damaged answer must be refused when it is read.
-    try:
-        _overview([member])
-        if member.status == "done":
-            list(_cells(member, shown))
-            # The database may come from a stranger, and a page joins these texts with others.
-            answer = member.answer
-            labels = (answer[name] for name in ("criterion", "rule", "checksum"))
-            "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
-    except (LookupError, TypeError, ValueError, AttributeError):
-        raise ValueError(
-            f"the answer of {member.name!r} in {member.folder} is damaged: restore the folder, or "
-            "begin another study."
-        ) from None
 
 
 FAILURES = ("failed", "members", "reason and cure")
@@ -310,7 +305,7 @@ def _estimates(members: Sequence[StudyMember]) -> str:
 def _latex(members: Sequence[StudyMember]) -> str:
     """Return a table of members that have the same quantities."""
     answer = members[0].answer
-    models = dict.fromkeys(member.factors.get("model", "") for member in members)
+    models = unique(member.factors.get("model", "") for member in members)
     units = answer.get("unit", {})
     labels = names_by_difference(members)
     symbols = [latex_symbol(name, units.get(name, "")) for name in answer["standard_error"]]
@@ -325,7 +320,7 @@ def _latex(members: Sequence[StudyMember]) -> str:
 def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
     """Return the factors in which members differ, or names where these do not suffice."""
     factors = [member.factors for member in members]
-    names = dict.fromkeys(name for values in factors for name in values)
+    names = unique(name for values in factors for name in values)
     varied = [name for name in names if len({values.get(name) for values in factors}) > 1]
     labels = [{name: values.get(name, "") for name in varied} for values in factors]
     if len({*map(str, labels)}) == len(members) > 1:

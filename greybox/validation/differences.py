@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import FloatPair, Labels, StringPair, frozen
+from greybox.files.arrays import FloatPair, Labels, Strings, frozen
 from greybox.files.text_table import Printed, counted, listed, probability, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT
@@ -45,7 +45,7 @@ class Difference:
 class Differences(Printed):
     """All parameters that two fits share. Printing it gives the verdict and the table."""
 
-    labels: StringPair
+    labels: Strings
     quantities: tuple[Difference, ...]
 
     @property
@@ -106,7 +106,7 @@ def differences(first: Fit, second: Fit, names: Labels | None = None) -> Differe
         raise ValueError(
             "the fits share data, so that their errors are not independent: use gb.compare."
         )
-    titles = (first.name, second.name)
+    titles: Strings = (first.name, second.name)
     if titles[0] == titles[1]:
         titles = labels_of((first, second))
     shared = [name for name in first.free if name in second.free] if names is None else list(names)
@@ -123,7 +123,7 @@ def differences(first: Fit, second: Fit, names: Labels | None = None) -> Differe
         )
         for (a, b), p, of_all in zip(pairs, p_values, holm(p_values), strict=True)
     ]
-    return Differences((titles[0], titles[1]), tuple(quantities))
+    return Differences(titles, tuple(quantities))
 
 
 def welch(a: Quantity, b: Quantity) -> float:

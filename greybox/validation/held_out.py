@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import BoolArray, FloatPair, Labels, Strings
+from greybox.files.arrays import BoolArray, FloatPair, Labels, Strings, unique
 from greybox.files.text_table import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Prediction, cut, default_length
@@ -58,9 +58,9 @@ def predict_same_windows(
     for k in range(len(data[0])):
         record = with_all_signals([records[k] for records in data])
         models = [_own_model(fit, k) if fitted else fit.at_estimate(record=record) for fit in fits]
-        inputs = dict.fromkeys(name for model in models for name in model.system.inputs)
+        inputs = unique(name for model in models for name in model.system.inputs)
         outputs = shared_outputs(models, record)
-        windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
+        windows = cut(record, inputs, outputs, lead=lead, horizon=window, called="window")
         results = [predict_windows(model, windows) for model in models]
         predictions, record_notes = where_all_are_finite(results, labels)
         by_record.append(predictions)

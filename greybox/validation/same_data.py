@@ -95,7 +95,7 @@ def why_not_comparable(fits: Fits, names: Labels) -> str:
     if samples:
         return samples
     # A weight is a factor on the cost: costs in different units have no difference.
-    weights = dict.fromkeys(tuple(part.weight for part in fit.parts) for fit in fits)
+    weights = unique(tuple(part.weight for part in fit.parts) for fit in fits)
     if len(weights) > 1:
         rows = (", ".join(number(weight, 15) for weight in row) for row in weights)
         return f"their data are weighted differently ({'; '.join(rows)})"
@@ -105,7 +105,7 @@ def why_not_comparable(fits: Fits, names: Labels) -> str:
         for a, b in zip(fits[0].parts, fit.parts, strict=True)
     )
     if not alike and not all(is_likelihood(fit) for fit in fits):
-        criteria = dict.fromkeys(map(_criteria, fits))
+        criteria = unique(map(_criteria, fits))
         return f"they are of different criteria ({'; '.join(criteria)})"
     return ""
 

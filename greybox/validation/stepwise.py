@@ -11,7 +11,7 @@ correction of Bonferroni.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from greybox.compiled.compiled_problem import AnyProblem, require_problem
@@ -184,14 +184,18 @@ def stepwise(
             for n in bar(absent, desc="trying terms")
             if n not in current
         ]
-        best = _best([t for t in tried if t.p_value < t.limit])
+        better = [t for t in tried if t.p_value < t.limit]
+        _, cost = min(((t.p_value, t.cost) for t in better), default=(1.0, 0.0))
+        # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
+        # test sees. Of equal costs, the first in the list counts.
+        best = next((t for t in better if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
             break
         current = current | {best.term}
         seen.add(current)
         while len(current) > 1:
-            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in absent if n in current]
+            tried = [fits.trial(step, n, current, SIGNIFICANT) for n in selected(absent, current)]
             idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
             worst = max(idle, key=lambda t: t.p_value, default=None)
             trials += [replace(t, done=t is worst) for t in tried]
@@ -201,7 +205,7 @@ def stepwise(
             seen.add(current)
     return StepwiseSelection(
         candidates=tuple(absent),
-        terms=tuple(name for name in absent if name in current),
+        terms=tuple(selected(absent, current)),
         fit=fits.made(current, fits.cache[current], profiles=True),
         without=without,
         trials=tuple(trials),
@@ -283,7 +287,7 @@ class _Fits:
         """Return the p-values of terms that only a test for independent errors finds."""
         fit = self.cache[terms]
         p_values = {}
-        for term in (name for name in self.absent if name in terms):
+        for term in selected(self.absent, terms):
             small = self.fitted(terms - {term}, fit)
             test = self._tested(term, small, fit)
             # The term may have taken up the correlated errors: those of the fit without it count.
@@ -296,21 +300,13 @@ class _Fits:
         rivals: dict[str, dict[str, float]] = {}
         fit = self.cache[terms]
         scale = cost_scale(fit)
-        for term in (name for name in self.absent if name in terms):
-            for rival in (name for name in self.absent if name not in terms):
+        for term in selected(self.absent, terms):
+            for rival in without(self.absent, terms):
                 swapped = self.fitted(terms - {term} | {rival}, fit)
                 above = 2 * (swapped.cost - fit.cost) / scale
                 if swapped.converged and above < EQUAL_AIC:
                     rivals.setdefault(term, {})[rival] = above
         return rivals
-
-
-def _best(trials: Sequence[Trial]) -> Trial | None:
-    """Return the addition with the smallest p-value; of equal costs the first in the list."""
-    _, cost = min(((t.p_value, t.cost) for t in trials), default=(1.0, 0.0))
-    # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
-    # test sees.
-    return next((t for t in trials if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
 
 
 def with_terms(problem: AnyProblem, terms: Terms, absent: Values) -> AnyProblem:

@@ -27,7 +27,7 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
             ("a.bin", {}),
         )
     ]
-    found = response_at(points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches)
+    found = response_at(points("", "weak", "", "lost", "weak"), stretches, "u", "y", "name")
     np.testing.assert_allclose(found.omega, [1, 3])
     np.testing.assert_allclose(found.response, [2, 2 + 2j])
     np.testing.assert_allclose(found.variance, [0.1, 0.3])
@@ -44,15 +44,15 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
     assert found.about == {
         "dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"
     }
-    one = response_at(points("", "weak"), ("u", "y", ""), stretches)
+    one = response_at(points("", "weak"), stretches, "u", "y", "")
     assert one.about == {
         "dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"
     }
-    assert response_at(points("", "lost"), ("u", "y", ""), stretches).about == {}
+    assert response_at(points("", "lost"), stretches, "u", "y", "").about == {}
     with pytest.raises(ValueError, match="the instrument hardly moves u"):
-        response_at(points("weak", "lost"), ("u", "y", ""), [])
+        response_at(points("weak", "lost"), [], "u", "y", "")
     with pytest.raises(ValueError, match="no frequency has enough data"):
-        response_at(points("lost", "lost"), ("u", "y", ""), [])
+        response_at(points("lost", "lost"), [], "u", "y", "")
 
 
 def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
