@@ -89,7 +89,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number: the declared values, then Sobol points. Or a rule such as `Sobol(200)`,
-        or a list of ``{name: value}``. By default the 8 most promising of 200 (5 or 8 of 32 if the
+        or a list of ``{name: value}``. By default the 8 most promising of 200 (5 or 8 of 128 if the
         responses share one solution), with records 4 of 20; all of them if few of these runs agree.
         With records, a start at which the model is not finite moves toward one at which it is
         finite.
