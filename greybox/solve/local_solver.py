@@ -73,7 +73,7 @@ class LocalSolver(Runner):
     """
 
     nlp: CompiledProblem
-    starts: ClassVar[int] = 20
+    starts: int = 20
     promising: ClassVar[Indices] = (4, 3)
 
     @abstractmethod
