@@ -97,6 +97,9 @@ def _at_whole_samples(parts: AllParts, end: End, iterations: int) -> End:
     """
     progress = replace(EXACT, held=parts.is_delay)
     rest = _attempted(parts, end.iterate, progress, iterations, states_only=False)
+    # An iterate that is singular has no steps to either side.
+    if rest.status != CONVERGED:
+        return end
     status = status_at_kink(parts, rest.iterate, states_only=False)
     if not status.startswith(CONVERGED):
         return end
