@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> Answer:
         safe = safe_gains(fits, stated_controllers(options), options.gains, **required)
     answer = safe.to_dict()
     lines = save_figure(options.plot, "gains", safe)
-    if not safe.allowed.any():
+    if not safe.is_usable:
         answer["error"] = safe.verdict
     elif options.parameters and not safe.best:
         lines.append(f"{options.parameters} was not written.")

@@ -13,7 +13,7 @@ import numpy as np
 from greybox.experiment.controller import Controller, outside_names, sensors_of
 from greybox.experiment.loop_numbers import REST, loop_frequencies, samples_to_settle
 from greybox.experiment.sampled_loop import DOT, LinearController, SampledLoop
-from greybox.files.arrays import Array, FloatPair, NamedArrays, Strings, Values, frozen
+from greybox.files.arrays import Array, NamedArrays, Strings, Values, frozen
 from greybox.files.text_table import Printed, listed, number, text_table
 
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
@@ -32,7 +32,7 @@ class GainChange:
     today, changed : float
         At the estimate; infinite for an unstable loop.
     ratio : float
-        Of the changed number over today's, at the estimate.
+        Of the changed number over today's, at the estimate. NaN if today's loop is unstable.
     low, high : float
         Ends of the interval of the ratio. Both numbers of a ratio are those of the same plant, so
         that errors which the two loops share cancel. NaN if the data do not determine the ratio.
@@ -48,7 +48,7 @@ class GainChange:
     @property
     def is_not_worse(self) -> bool:
         """Whether the number is at most today's, at the estimate and in the whole interval."""
-        return bool(max(self.ratio, self.high) <= 1 + ROUNDING and not math.isnan(self.high))
+        return self.ratio <= 1 + ROUNDING and self.high <= 1 + ROUNDING
 
     @property
     def judgement(self) -> str:
@@ -86,6 +86,11 @@ class GainComparison(Printed):
             if change.name == name:
                 return change
         raise KeyError(f"there is no {name!r}; there are {listed([c.name for c in self.changes])}.")
+
+    @property
+    def today_is_stable(self) -> bool:
+        """Whether the estimates are stable with today's gains: if not, nothing can be compared."""
+        return all(math.isfinite(change.today) for change in self.changes)
 
     @property
     def worse(self) -> Strings:
@@ -159,7 +164,8 @@ class TodaysLoop:
         """Return whether other gains are worse with the estimate, which takes little time."""
         changed = self._numbers(replace(self.loops.first, controller=controller))
         return any(
-            _ratios(changed[name], today)[0] > 1 + ROUNDING for name, today in self.numbers.items()
+            not _ratios(changed[name], today)[0] <= 1 + ROUNDING
+            for name, today in self.numbers.items()
         )
 
     def changes(self, controller: LinearController, level: float) -> tuple[GainChange, ...]:
@@ -170,9 +176,11 @@ class TodaysLoop:
         for name, today in self.numbers.items():
             ratio = _ratios(changed[name], today)
             drawn, beside = np.split(ratio[1:], [self.draws])
-            low, high = map(float, np.quantile(drawn, ends, method=ORDER))
-            if not np.allclose(beside, ratio[0], rtol=1e-3):
-                low = high = math.nan
+            # Today's gains fly: a plant with which they are unstable is not this vehicle.
+            drawn = drawn[~np.isnan(drawn)]
+            low = high = math.nan
+            if drawn.size and np.allclose(beside, ratio[0], rtol=1e-3):
+                low, high = map(float, np.quantile(drawn, ends, method=ORDER))
             pair = float(today[0]), float(changed[name][0])
             answer.append(GainChange(name, *pair, float(ratio[0]), low, high))
         return tuple(answer)
@@ -212,15 +220,15 @@ def worst_changes(flights: Sequence[Sequence[GainChange]]) -> tuple[GainChange, 
     return tuple(max(changes, key=_badness) for changes in by_name.values())
 
 
-def _badness(change: GainChange) -> FloatPair:
-    return math.inf if math.isnan(change.high) else change.high, change.ratio
+def _badness(change: GainChange) -> tuple[float, ...]:
+    return tuple(math.inf if math.isnan(v) else v for v in (change.high, change.ratio))
 
 
 @np.errstate(all="ignore")
 def _ratios(changed: Array, today: Array) -> Array:
-    """Return ratios (plants,): infinite where both loops are unstable, one for zero over zero."""
+    """Return ratios (plants,): NaN where today's loop is unstable, one for zero over zero."""
     ratio = np.where((changed == 0) & (today == 0), 1.0, changed / today)
-    return np.where(np.isnan(ratio), math.inf, ratio)
+    return np.where(np.isinf(today), math.nan, ratio)
 
 
 def _peak_sensitivity(loops: SampledLoop, signal: str) -> Array:

@@ -126,6 +126,12 @@ class SafeGains(Printed):
         return dict(self.comparison.gains) if self.comparison and is_proposed else {}
 
     @property
+    def is_usable(self) -> bool:
+        """Whether there is an answer: gains that are proposed, or that today's are to be kept."""
+        is_compared = not self.comparison or self.comparison.today_is_stable
+        return bool(self.allowed.any()) and is_compared
+
+    @property
     def verdict(self) -> str:
         """The answer in one sentence."""
         if not self.allowed.any():
@@ -137,19 +143,31 @@ class SafeGains(Printed):
                 f"proposed: {chosen}, the highest disturbance rejection bandwidth of the sets that "
                 "meet the requirements and are not worse than today's gains."
             )
+        if self.comparison and not self.comparison.today_is_stable:
+            return (
+                "refused: the loop of today's gains is unstable with the fitted plant, so that no "
+                "gains can be compared with them. If they fly, the model or the gains are wrong; "
+                "otherwise give gains that stabilize the plant."
+            )
+        share = 100 * self.requirements["level"]
+        fails = self.today_confidence < self.requirements["level"]
+        although = f", although they do not meet the requirements with {share:g} % confidence"
+        keep = f"keep today's gains{although if fails else ''}"
         if not self.comparison:
             best, today = (
                 number(value, 3)
                 for value in (self.bandwidth[self.allowed].max(), self.today_bandwidth)
             )
             return (
-                "keep today's gains: no set that meets the requirements has a higher disturbance "
-                f"rejection bandwidth ({best} rad/s, {today} today)."
+                f"{keep}: no set that meets the requirements has a higher disturbance rejection "
+                f"bandwidth ({best} rad/s, {today} today)."
             )
+        found = counted(int(self.faster.sum()), "set")
+        faster = " and have a higher disturbance rejection bandwidth"
         return (
-            f"keep today's gains: {counted(int(self.faster.sum()), 'set')} with a higher "
-            "disturbance rejection bandwidth would meet the requirements, but each is or may be "
-            "worse otherwise."
+            f"{keep}: {found} would meet the requirements"
+            f"{'' if math.isnan(self.today_bandwidth) else faster}, but each is or may be worse "
+            "otherwise."
         )
 
     @property
@@ -178,10 +196,10 @@ class SafeGains(Printed):
             ends = (used[0], used[-1]) if used.size else (math.nan, math.nan)
             chosen = (self.best.get(name, math.nan), self.today[name])
             rows.append((name, *(number(v, 3) for v in (*ends, *chosen))))
-        header = ("allowed (not all combinations)", "from", "to", "best", "today")
+        header = ("allowed (not all combinations)", "from", "to", "proposed", "today")
         some = f"Some sets were refused: {self.cure}" if self.cure and self.allowed.any() else ""
         at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
-        wider = f"At an end of the tried range: the best {listed(at_end)}." if at_end else ""
+        wider = f"At an end of the tried range: the proposed {listed(at_end)}." if at_end else ""
         share = number(100 * self.today_confidence, 3)
         today = f"Today's gains meet the requirements with {share} % confidence."
         if math.isnan(self.today_confidence):
