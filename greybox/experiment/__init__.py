@@ -15,7 +15,7 @@ test).
 | `control_check` | whether a controller computes the control of a log |
 | `measured_loop` | broken loops from measured responses |
 | `gain_comparison` | whether gains are worse than today's |
-| `safe_gains` | gains that meet requirements on margins with a stated confidence, and the best of them |
+| `safe_gains` | gains that meet requirements on margins, and are better than today's |
 | `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |

@@ -117,7 +117,9 @@ def _printed(change: GainChange) -> Strings:
     else:
         shown = [100 * (value - 1) for value in shown]
         pair = ["1", number(change.ratio, 3)]
-    value, low, high = (f"{'+' if v > 0 else ''}{number(v, 3)}" for v in shown)
+    # Equal numbers differ by rounding, of which nobody wants to read three digits.
+    shown = [v if math.isinf(v) or math.isnan(v) else round(v, 4) for v in shown]
+    value, low, high = (f"{'+' if v > 0 else ''}{number(v + 0.0, 3)}" for v in shown)
     unit = "dB" if is_sensitivity else "%"
     interval = f"({low} to {high})" if not math.isnan(change.high) else "(not determined)"
     name = f"{change.name}, {'dB' if is_sensitivity else 'relative'}"
