@@ -127,7 +127,9 @@ def _printed(change: GainChange) -> Strings:
 
 
 def _decibels(factor: float) -> float:
-    return 20 * math.log10(factor) if factor > 0 else -math.inf
+    if factor == 0:
+        return -math.inf
+    return 20 * math.log10(factor)
 
 
 @frozen
@@ -142,7 +144,7 @@ class TodaysLoop:
     draws : int
     broken_at : str
         Where the sensitivity is taken.
-    response : str
+    responses : tuple of str
         What a moment moves.
     inputs : tuple of str
         Those of the plant that the controllers drive.
@@ -153,7 +155,7 @@ class TodaysLoop:
     loops: SampledLoop
     draws: int
     broken_at: str
-    response: str
+    responses: Strings
     inputs: Strings
     measured: Strings
 
@@ -191,8 +193,9 @@ class TodaysLoop:
         """Return the numbers (plants,) of loops by name; infinite for an unstable one."""
         answer = {SENSITIVITY: _peak_sensitivity(loops, self.broken_at)}
         for name in self.inputs:
-            key = f"peak {self.response} after a step moment at {name}"
-            answer[key] = _step_peak(loops, name, self.response)
+            for response in self.responses:
+                key = f"peak {response} after a step moment at {name}"
+                answer[key] = _step_peak(loops, name, response)
         for name in self.inputs:
             for sensor in self.measured:
                 answer[f"noise from {sensor} to {name}"] = _noise_gain(loops, sensor, name)
@@ -204,14 +207,14 @@ def todays_loop(
 ) -> TodaysLoop:
     """Return the loop of these controllers.
 
-    A moment moves the first signal that the controllers measure, other than a derivative.
+    The responses to a moment are what the controllers measure, without derivatives where there are
+    other signals.
     """
     measured = sensors_of(controllers)
     driven = outside_names(controllers, "outputs")
     inputs = tuple(name for name in loops.inputs if name in driven)
-    angles = [name for name in measured if not name.endswith(DOT)]
-    response = (*angles, *measured, *loops.sensors)[0]
-    return TodaysLoop(loops, draws, broken_at, response, inputs, measured)
+    responses = tuple(name for name in measured if not name.endswith(DOT)) or measured
+    return TodaysLoop(loops, draws, broken_at, responses, inputs, measured)
 
 
 def worst_changes(flights: Sequence[Sequence[GainChange]]) -> tuple[GainChange, ...]:

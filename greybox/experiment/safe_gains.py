@@ -181,7 +181,10 @@ class SafeGains(Printed):
 
     def to_dict(self) -> Fields:
         """Return the numbers as plain values; without a proposal, `best` is None."""
-        return plain(self) | {
+        fields = plain(self)
+        if self.comparison:
+            fields["comparison"]["worse"] = [*self.comparison.worse]
+        return fields | {
             "verdict": self.verdict,
             "best": self.best or None,
             "reason": None if self.best else self.verdict,
@@ -206,7 +209,7 @@ class SafeGains(Printed):
             today = "Whether today's gains meet them is not known: their crossover lies there."
         lines = [
             self.verdict[0].upper() + self.verdict[1:],
-            str(self.comparison or ""),
+            str(self.comparison) if self.comparison and self.is_usable else "",
             self._meeting if self.allowed.any() else "",
             text_table(header, rows),
             wider,
@@ -244,7 +247,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
 
     - the peak of the sensitivity where the loop is broken, |S|;
     - the peak response to a step moment: a step added to an input of the plant that the controllers
-      drive. The response is the first signal that the controllers measure, other than a derivative;
+      drive. The response is each signal that they measure, but for derivatives of other signals;
     - the noise at the actuator: the rms of the same input from white noise on the samples of each
       signal that the controllers measure.
 

@@ -143,7 +143,7 @@ def test_what_is_proposed_is_better_than_today_with_the_true_plant(proposed):
     for law in (RateLoopWithD(TODAY), RateLoopWithD(gains)):
         flight = gb.virtual_flight(RateDynamics(), true, step, controller=law)
         peaks.append(np.abs(flight["q"]).max())
-        rest = {"u": np.zeros(6000)}
+        rest = {"u": np.zeros(4000)}
         flight = gb.virtual_flight(RateDynamics(), true, rest, controller=law, noise={"q": 0.1})
         noises.append(flight["u"].std())
     changes = proposed.comparison
@@ -225,6 +225,51 @@ def test_what_the_data_do_not_determine_gets_no_proposal():
     assert "(not determined)" in str(unknown)
 
 
+class TwoAxes(gb.StateSpace):
+    """Two rates, each with its own control; the first one drives the second one a little."""
+
+    states, inputs, outputs = ("p", "q"), ("aileron", "elevator"), ("p", "q")
+    K = gb.Parameter(20.0, bounds=(1, 100))
+    a = gb.Parameter(2.0, bounds=(0, 20))
+
+    def derivative(self, x, u, p):
+        return (p.K * u.aileron - p.a * x.p, p.K * u.elevator - p.a * x.q + 0.1 * x.p)
+
+    def output(self, x, u, p):
+        return (x.p, x.q)
+
+
+class Rates(gb.Controller):
+    """Proportional control of both."""
+
+    inputs, outputs, rate = ("p", "q"), ("aileron", "elevator"), RATE
+    setpoints = ()
+    K_P = gb.Parameter(0.3, bounds=(0, 10))
+
+    def update(self, x, u, p):
+        return (), (-p.K_P * u.p, -p.K_P * u.q)
+
+
+def test_every_driven_input_and_every_measured_signal_counts():
+    omega = np.geomspace(1, 60, 20)
+    errors = 1 + 0.01 * np.random.default_rng(0).normal(size=(2, 20)).T @ [1, 1j]
+    data = gb.FrequencyResponse(omega, 20 / (1j * omega + 2) * errors, "aileron", "p")
+    fit = gb.fit(gb.Problem(TwoAxes(), data), starts=2, progress=False)
+    comparison = gb.safe_gains(fit, Rates(), {"K_P": (0.4, 0.6)}).comparison
+    names = [change.name for change in comparison.changes]
+    assert len(names) == 1 + 4 + 4
+    # A larger gain: each moment moves its rate less, and noise is amplified on both axes.
+    for axis, control in (("p", "aileron"), ("q", "elevator")):
+        gains = [0.3, comparison.gains["K_P"]]
+        moment = comparison[f"peak {axis} after a step moment at {control}"]
+        # The rate at the end: K / (a + K gain).
+        rest = [20 / (fit.estimate["a"] + fit.estimate["K"] * gain) for gain in gains]
+        assert moment.ratio == pytest.approx(rest[1] / rest[0], rel=1e-3)
+        assert comparison[f"noise from {axis} to {control}"].ratio > 1
+    # The elevator does not move the roll rate: nothing over nothing is not worse.
+    assert comparison["peak p after a step moment at elevator"].is_not_worse
+
+
 def test_a_loop_that_is_unstable_today_is_no_measure():
     unstable = RateLoop({"K_P": 3.0})
     answer = gb.safe_gains(fitted(), unstable, {"K_P": (0.1, 0.2)})
@@ -233,6 +278,7 @@ def test_a_loop_that_is_unstable_today_is_no_measure():
     assert not answer.is_usable
     assert answer.verdict.startswith("refused: the loop of today's gains is unstable")
     assert "If they fly, the model or the gains are wrong" in str(answer)
+    assert "peak |S|" not in str(answer)
     json.dumps(answer.to_dict(), allow_nan=False)
 
 
@@ -250,6 +296,7 @@ def test_text_and_plain_values_say_the_same(proposed):
     fields = json.loads(json.dumps(proposed.to_dict(), allow_nan=False))
     assert fields["best"] == proposed.best == fields["comparison"]["gains"]
     assert fields["reason"] is None
+    assert fields["comparison"]["worse"] == []
     rows = {row["name"]: row for row in fields["comparison"]["changes"]}
     assert [*rows] == [SENSITIVITY, MOMENT, NOISE]
     first, *lines = str(proposed).splitlines()
@@ -295,7 +342,7 @@ def test_the_numbers_of_the_flown_chain_are_those_of_flights_of_the_true_plant()
         step = {"u": np.full(1600, 1e-3)}
         flight = gb.virtual_flight(fit.model_of(), truth, step, controller=chain)
         peaks.append(np.abs(flight["theta"]).max())
-        rest = {"u": np.zeros(12_000)}
+        rest = {"u": np.zeros(8000)}
         gyro = {"theta_dot": 1e-4}
         flight = gb.virtual_flight(fit.model_of(), truth, rest, controller=chain, noise=gyro)
         noises.append(flight["u"].std() / 1e-4)
