@@ -115,15 +115,16 @@ class SafeGains(Printed):
     def faster(self) -> BoolArray:
         """Which allowed sets have a higher disturbance rejection bandwidth than today's gains.
 
-        Any has, if the estimate with today's gains does not meet the requirements.
+        All of them, if the estimate with today's gains does not meet the requirements.
         """
         return self.allowed & ~(self.bandwidth <= self.today_bandwidth * (1 + ROUNDING))
 
     @property
     def best(self) -> dict[str, float]:
         """The proposed gains; empty if today's gains are to be kept."""
-        is_proposed = self.comparison and not self.comparison.worse
-        return dict(self.comparison.gains) if self.comparison and is_proposed else {}
+        if self.comparison and not self.comparison.worse:
+            return dict(self.comparison.gains)
+        return {}
 
     @property
     def is_usable(self) -> bool:
@@ -166,8 +167,8 @@ class SafeGains(Printed):
         faster = " and have a higher disturbance rejection bandwidth"
         return (
             f"{keep}: {found} would meet the requirements"
-            f"{'' if math.isnan(self.today_bandwidth) else faster}, but each is or may be worse "
-            "otherwise."
+            f"{'' if math.isnan(self.today_bandwidth) else faster}, but none is shown to be as good "
+            "in peak |S|, response to a moment and noise."
         )
 
     @property
