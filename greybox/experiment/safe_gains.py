@@ -167,8 +167,8 @@ class SafeGains(Printed):
         faster = " and have a higher disturbance rejection bandwidth"
         return (
             f"{keep}: {found} would meet the requirements"
-            f"{'' if math.isnan(self.today_bandwidth) else faster}, but none is shown to be as good "
-            "in peak |S|, response to a moment and noise."
+            f"{'' if math.isnan(self.today_bandwidth) else faster}, but none is shown to be as "
+            "good in peak |S|, response to a moment and noise."
         )
 
     @property
