@@ -104,7 +104,9 @@ def test_known_initial_states_come_before_declared_starts():
     """From an initial state that is known exactly, nothing about it is estimated."""
     time = np.linspace(0, 3, 40)
     record = gb.Record(time, {"q": np.ones(40)})
-    levels = gb.simulate(Tanks(), {"k": 1.0, "c": 1.0}, record=record, initial={"h1": 2.0, "h2": 3.0})["h2"]
+    levels = gb.simulate(
+        Tanks(), {"k": 1.0, "c": 1.0}, record=record, initial={"h1": 2.0, "h2": 3.0}
+    )["h2"]
     measured = gb.Record(time, {"q": np.ones(40), "h2": levels + 0.001 * np.cos(9 * time)})
     known = gb.OutputError(initial={"h1": 2.0, "h2": 3.0})
     start = [{"k": 1.5, "c": 0.7}]
