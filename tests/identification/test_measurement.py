@@ -73,10 +73,10 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
     )
     assert (found.tests, found.used, found.controller) == ((), (), "")
     assert found.detail == str(replace(response, about={}))
-    assert str(found) == "\n\n".join([*found.choices, found.detail, str(found.quality)])
+    assert str(found) == "\n\n".join(["\n".join(found.choices), found.detail, str(found.quality)])
     assert repr(found).startswith("<Measurement <FrequencyResponse ")
     said = measure(swept, Settings(**PAIR, whole=True, open_loop=True, points=12))
-    assert said.choices == (f"open loop, as stated: {direct}",)
+    assert said.choices[0] == f"open loop, as stated: {direct}"
     same = gb.spectral.spectral_response(said.record, "u", "y", points=12)
     np.testing.assert_array_equal(said.response.omega, same.omega)
 
