@@ -9,9 +9,9 @@ from typing import Any
 from greybox.cli.options import UsageError
 from greybox.cli.terminal import write
 from greybox.files.arrays import Fields, Labels
+from greybox.files.escapes import printable
 from greybox.files.json_numbers import plain
 from greybox.files.safe_files import replacing
-from greybox.files.text_table import printable
 
 Answer = tuple[Any, ...]
 """The JSON object of a command, then the lines of its text for a person."""

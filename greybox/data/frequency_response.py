@@ -29,7 +29,8 @@ from greybox.files.arrays import (
     frozen,
     nans,
 )
-from greybox.files.text_table import Printed, counted, printable, write_out
+from greybox.files.escapes import printable
+from greybox.files.text_table import Printed, counted, write_out
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 

@@ -21,8 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.files.arrays import Labels, NamedArrays, NamedStrings, Strings, by_name, frozen
+from greybox.files.escapes import is_number
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import counted, is_number
+from greybox.files.text_table import counted
 
 COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separator
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")

@@ -24,7 +24,8 @@ from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Labels, by_name, frozen
-from greybox.files.text_table import is_number, number, percent, printable, with_error
+from greybox.files.escapes import is_number, printable
+from greybox.files.text_table import number, percent, with_error
 from greybox.plotting.figure import Figure, Series
 
 Child = Element | str | Iterable["Child"]

@@ -22,8 +22,9 @@ from greybox.estimate.printed import data_names, summary
 from greybox.estimate.storage import to_bytes
 from greybox.files.arrays import Fields, Named, frozen, unique
 from greybox.files.error_place import error_place
+from greybox.files.escapes import printable
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, printable, require_kind
+from greybox.files.text_table import counted, require_kind
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in

@@ -17,6 +17,7 @@ import numpy as np
 
 from greybox.data.pandas_frames import Frame
 from greybox.files.arrays import Fields, Labels, Strings, frozen, unique
+from greybox.files.escapes import printable
 from greybox.files.grouping import grouped
 from greybox.files.optional_package import required
 from greybox.files.text_table import (
@@ -24,7 +25,6 @@ from greybox.files.text_table import (
     counted,
     number,
     one_line,
-    printable,
     some,
     text_table,
     with_error,

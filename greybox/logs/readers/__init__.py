@@ -30,8 +30,9 @@ from typing import NamedTuple
 
 from greybox.data.record import Recording
 from greybox.files.arrays import NamedStrings, Strings
+from greybox.files.escapes import printable
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import is_finite_number, printable
+from greybox.files.text_table import is_finite_number
 from greybox.logs.named_columns import in_si
 
 HEAD = 4096  # bytes by which a format is recognized
