@@ -23,6 +23,7 @@ result RESULT
 --level
 --out DIR
     store the replicates in this folder; the same command continues there
+--trust
 --workers
 --scheduler
 """
@@ -41,6 +42,7 @@ def run(options: argparse.Namespace) -> Answer:
                 seed=options.seed,
                 executor=executor,
                 folder=options.out,
+                trust=options.trust,
             )
     # Replicates in a folder survive Ctrl-C; without a folder all of them are lost.
     except KeyboardInterrupt:

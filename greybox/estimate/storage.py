@@ -21,7 +21,7 @@ import numpy as np
 from greybox.estimate.fitted_part import require_shapes
 from greybox.estimate.result import Fit, require_fit
 from greybox.estimate.stored_values import fields_of, read, require, write
-from greybox.files.escapes import printable
+from greybox.files.escapes import in_sentences, printable
 from greybox.files.json_numbers import parsed
 from greybox.files.safe_files import HDF5
 from greybox.files.sealed_files import read_sealed, write_sealed
@@ -66,6 +66,7 @@ def save(fit: Fit, path: str | Path) -> None:
     write_sealed(path, to_bytes(fit))
 
 
+@in_sentences
 def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> Fit:
     """Read a `Fit` that `save` wrote. The file may come from anyone, see SECURITY.md.
 

@@ -117,6 +117,7 @@ def batch(
     executor: Executor | None = None,
     seconds: float | None = None,
     progress: bool = True,
+    trust: bool = False,
 ) -> Study:
     """Fit many problems, one after the other, and store every run in a folder.
 
@@ -138,6 +139,9 @@ def batch(
         the same call resumes with them.
     progress : bool
         Show a progress bar in a terminal or notebook after two seconds.
+    trust : bool
+        Continue with runs and answers in the folder that another user or another machine made, as
+        if they were your own.
 
     Returns
     -------
@@ -147,7 +151,8 @@ def batch(
     Raises
     ------
     ValueError, TypeError
-        For invalid arguments, and if the folder has another problem under the name of a member.
+        For invalid arguments, and if the folder has another problem under the name of a member, or
+        runs that another user made, without `trust`.
     OSError
         If the folder cannot be written, or another process writes to it. The stored runs stay
         usable.
@@ -171,7 +176,7 @@ def batch(
     models = [*{type(part.model) for member in listed for part in member.problem.parts}]
     end = end_after(seconds)
     folder = Path(folder)
-    with locked(folder), limited(end), unchanged():
+    with locked(folder, trust=trust), limited(end), unchanged():
         # Members are added before the first fit: a reader sees the whole study from the start.
         stored = add_members(folder, [member.name for member in listed])
         runs = StoredRuns(folder)

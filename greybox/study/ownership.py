@@ -8,10 +8,9 @@ that a stranger cannot make marks. A study that is moved or copied on the same a
 import os
 import secrets
 import sys
-from collections.abc import Iterable
 from contextlib import suppress
 from functools import lru_cache
-from hashlib import blake2b
+from hashlib import blake2b, sha256
 from pathlib import Path
 
 MARK = 16  # bytes: nobody guesses one in 2^128
@@ -28,11 +27,14 @@ def mark(*values: bytes | str | float | None) -> bytes:
     return whole.digest()
 
 
-def mark_of_files(folder: Path, paths: Iterable[Path]) -> str:
-    """Return the mark of this user on files, with their names in a folder."""
-    values: list[bytes | str] = []
-    for path in sorted(paths):
-        values += [path.relative_to(folder).as_posix(), path.read_bytes()]
+def mark_of_files(folder: Path, *others: str | float | None, but: Path) -> str:
+    """Return the mark of this user on other values and on all files in a folder `but` one."""
+    values: list[bytes | str | float | None] = [*others]
+    for path in sorted({*folder.rglob("*")} - {but}):
+        if path.is_symlink():
+            values += [path.relative_to(folder).as_posix(), os.readlink(path)]
+        elif path.is_file():
+            values += [path.relative_to(folder).as_posix(), sha256(path.read_bytes()).digest()]
     return mark(*values).hex()
 
 

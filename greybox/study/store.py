@@ -161,7 +161,7 @@ def locked(folder: Path, *, trust: bool = False) -> Iterator[None]:
         ) from error
     try:
         if not trust:
-            _require_own(folder)
+            require_own(folder)
         for text in mend(folder, trust=trust):
             warnings.warn(f"{folder}: {text}; what is missing is computed again.", stacklevel=4)
         yield
@@ -697,7 +697,7 @@ def _tables(connection: sqlite3.Connection) -> Strings:
 # --- damage
 
 
-def _require_own(folder: Path) -> None:
+def require_own(folder: Path) -> None:
     """Raise ValueError for a study with runs or answers that this user has not made."""
     if not is_study(folder) or _has_write_ahead_log(folder / DATABASE):
         return
