@@ -147,7 +147,8 @@ def locked(folder: Path, *, trust: bool = False) -> Iterator[None]:
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _require_plain(folder / LOCK)
+        for name in (LOCK, DATABASE):
+            _require_plain(folder / name)
         lock = FileLock(folder / LOCK, timeout=PATIENCE)
         lock.acquire()
     except Timeout:
