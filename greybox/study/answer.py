@@ -7,23 +7,34 @@ kinds that are declared here, and on nothing else.
 import math
 import types
 from collections.abc import Mapping
-from typing import Any, TypedDict, Union, get_args, get_origin, get_type_hints, is_typeddict
+from typing import (
+    Any,
+    Literal,
+    NotRequired,
+    TypedDict,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+    is_typeddict,
+)
 
+from greybox.estimate.verdict import Grade
 from greybox.files.arrays import Fields
 from greybox.files.escapes import printable
 
-LINES = "\n\t"  # control characters of warnings and reasons
+PROSE = ("error", "warnings", "notes", "sentences")  # may have several lines, as names may not
 LONGEST = 10_000  # characters of a text: a table pads every cell of a column to the longest
 
 Numbers = dict[str, float | None]
 Intervals = dict[str, tuple[float | None, float | None]]
 
 
-class Verdict(TypedDict, total=False):
+class Verdict(TypedDict):
     """`greybox.estimate.verdict.Verdict`."""
 
-    grade: str
-    sentences: list[str]
+    grade: Grade
+    sentences: NotRequired[list[str]]
 
 
 class Misfit(TypedDict, total=False):
@@ -187,12 +198,14 @@ def _checked(value: Any, kind: Any, place: str) -> Any:
 
 def _text(value: str, place: str) -> str:
     _require(len(value) <= LONGEST, place, f"has more than {LONGEST} characters")
-    return printable(value, LINES)
+    return printable(value, "\n\t" if place in PROSE else "")
 
 
 def _is_of(value: Any, kind: Any) -> bool:
     """Return whether a value of JSON is of a kind, whatever it contains."""
     origin = get_origin(kind) or kind
+    if origin is Literal:
+        return isinstance(value, str) and value in get_args(kind)
     if origin is float:
         # Whole numbers of Python are unlimited, those of NumPy are not.
         is_real = isinstance(value, int | float) and not isinstance(value, bool)

@@ -175,7 +175,7 @@ def test_a_study_is_read_while_it_is_written(tmp_path):
     with subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)]) as writer:
         while writer.poll() is None:
             counts.append(read_members(tmp_path)[0].runs)
-            time.sleep(0.001)
+            time.sleep(0.02)
     assert writer.returncode == 0
     assert counts == sorted(counts)
     assert read_members(tmp_path)[0].runs == 45
