@@ -133,7 +133,7 @@ class FrequencyResponse(Printed):
 
     def _check_columns(self) -> None:
         for name in COLUMNS:
-            if getattr(self, name) is None:
+            if getattr(self, name) is None and name not in COLUMNS[:2]:
                 continue
             kind = complex if name == "response" else float
             convert = finite_array if name in COLUMNS[:2] else checked_array
