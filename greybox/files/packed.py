@@ -4,7 +4,7 @@ import zlib
 
 # Bytes from a stranger may expand no further. Answers and fits expand 2 to 5 times; zlib reaches
 # 1030 where one byte is repeated, as in a short text with a long word.
-EXPANSION, SMALL = 50, 20_000
+EXPANSION, SMALL = 30, 20_000
 
 
 def packed(value: bytes, like: bytes = b"") -> bytes:

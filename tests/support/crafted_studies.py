@@ -1,6 +1,5 @@
 """Folders of studies as a stranger could send them."""
 
-import json
 import os
 import signal
 import sqlite3
@@ -77,8 +76,3 @@ def put_answer(folder, packed):
             checksum = zlib.crc32(b"\n".join((packed, fit, name.encode(), mark)))
             statement = "UPDATE members SET answer = ?, checksum = ? WHERE id = ?"
             database.execute(statement, (packed, checksum, number))
-
-
-def bomb(values):
-    """Return a compressed answer with this many nested lists."""
-    return zlib.compress(json.dumps({"x": [[]] * values}).encode(), 9)
