@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> Answer:
                 seed=options.seed,
                 executor=executor,
                 folder=options.out,
-                trust=options.trust,
+                **({"trust": True} if options.trust else {}),
             )
     # Replicates in a folder survive Ctrl-C; without a folder all of them are lost.
     except KeyboardInterrupt:

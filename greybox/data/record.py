@@ -181,7 +181,7 @@ class Record(Printed):
     def __getitem__(self, name: str) -> Array:
         if name not in self.signals:
             raise KeyError(
-                f"the record has no signal {name!r}; it has {', '.join(self.signals) or 'none'}."
+                f"the record has no signal {name!r}; it has {alternatives(name, self.signals)}"
             )
         return self.signals[name]
 

@@ -14,7 +14,7 @@ from textwrap import indent
 from typing import Any
 
 from greybox.files.arrays import Labels, StringPair, Strings, unique
-from greybox.files.escapes import html_text, printable, terminal_text
+from greybox.files.escapes import html_text, printable, sentence, terminal_text
 
 Sentences = Iterator[str]
 
@@ -158,7 +158,7 @@ def alternatives(name: object, names: Iterable[str]) -> str:
     # An output of a model may be a state, too.
     names = unique(names)
     near = nearest(str(name), names)
-    return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
+    return sentence(", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
 
 
 def with_error(value: float, error: float) -> StringPair:

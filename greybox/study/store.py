@@ -289,10 +289,7 @@ def read_members(folder: Path) -> list[StudyMember]:
             "batch wrote."
         )
     with _reading(folder) as database:
-        # In a crafted database many rows could share the same pages, and pages lead in circles:
-        # whoever reads it would need any time and memory. Here every page is met once.
-        if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
-            raise DamagedStudyError(folder)
+        _require_tree(folder, database)
         rows = database.execute(
             "SELECT id, name, answer, fit, checksum, mark, "
             "(SELECT COUNT(*) FROM runs WHERE member = id) FROM members ORDER BY id"
@@ -528,7 +525,7 @@ def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connect
             "study does so. Do not use this folder."
         )
     with (
-        _sentences(folder, "written"),
+        _sentences(folder, "written", "free space or choose another folder"),
         _opened(path, "rwc" if create else "rw") as connection,
         connection,
     ):
@@ -547,7 +544,7 @@ def _reading(folder: Path) -> Iterator[sqlite3.Connection]:
     """Open the database of a study, possibly of a stranger, without writing anything."""
     path = folder / DATABASE
     _require_safe(path)
-    with _sentences(folder, "read"):
+    with _sentences(folder, "read", "try again once nobody writes to it"):
         try:
             # SQLite looks whether a journal is that of a process which writes now, and refuses to
             # read before it has rolled back that of one which was killed.
@@ -637,16 +634,14 @@ def _names_a_file(journal: Path) -> bool:
 
 
 @contextmanager
-def _sentences(folder: Path, what: str) -> Iterator[None]:
+def _sentences(folder: Path, what: str, cure: str) -> Iterator[None]:
     """Raise errors of SQLite as sentences."""
     try:
         yield
     except sqlite3.Error as error:
         if _is_damage(error):
             raise DamagedStudyError(folder) from error
-        raise OSError(
-            f"{folder / DATABASE} cannot be {what} ({error}): free space or choose another folder."
-        ) from error
+        raise OSError(f"{folder / DATABASE} cannot be {what} ({error}): {cure}.") from error
 
 
 def _require_study(folder: Path, connection: sqlite3.Connection) -> None:
@@ -659,6 +654,14 @@ def _require_study(folder: Path, connection: sqlite3.Connection) -> None:
         f"{folder / DATABASE} is not a study, or was made by another version of greybox: update "
         "greybox, or begin another study."
     )
+
+
+def _require_tree(folder: Path, connection: sqlite3.Connection) -> None:
+    """Raise ValueError for a database of which a page is used twice."""
+    # In a crafted database, many rows could share the same pages, and pages lead in circles:
+    # whoever reads it would need any time and memory. Here, SQLite looks at every page once.
+    if connection.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+        raise DamagedStudyError(folder)
 
 
 @contextmanager
@@ -704,6 +707,7 @@ def require_own(folder: Path) -> None:
         return
     try:
         with _reading(folder) as database:
+            _require_tree(folder, database)
             rows = [(what, database.execute(query).fetchone()) for what, query in UNMARKED.items()]
     except DamagedStudyError:
         return  # `mend` sets it aside
