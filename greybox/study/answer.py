@@ -7,6 +7,7 @@ kinds that are declared here, and on nothing else.
 import math
 import types
 from collections.abc import Mapping
+from functools import cache
 from typing import (
     Any,
     Literal,
@@ -161,6 +162,9 @@ def checked_answer(values: Any) -> Fields:
     return answer
 
 
+_hints = cache(get_type_hints)
+
+
 def _require(condition: bool, place: str, problem: str) -> None:
     if not condition:
         raise ValueError(f"{printable(place):.80} {problem}")
@@ -170,7 +174,7 @@ def _checked(value: Any, kind: Any, place: str) -> Any:
     """Return a value of JSON that has this kind; `place` names it in messages."""
     if is_typeddict(kind):
         _require(isinstance(value, dict), place, "has no names")
-        hints = get_type_hints(kind)
+        hints = _hints(kind)
         required = () if kind is Answer else kind.__required_keys__
         _require({*required} <= value.keys(), place, "lacks a field")
         # Other fields are not for this version, and are left out.
