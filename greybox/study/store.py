@@ -316,26 +316,39 @@ class _StoredAnswer(Named):
     """An answer that is unpacked when it is read: as values ten thousand take 300 MB."""
 
     def __init__(self, answer: bytes, place: str) -> None:
-        self._stored = answer, place
+        self._packed, self._place, self._is_checked = answer, place, False
 
     def __getitem__(self, key: str) -> Any:
-        return _values(*self._stored)[key]
+        return self._values[key]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_values(*self._stored))
+        return iter(self._values)
 
     def __len__(self) -> int:
-        return len(_values(*self._stored))
+        return len(self._values)
+
+    @property
+    def _values(self) -> Fields:
+        # To check it takes five times as long as to unpack it, which tables do again and again.
+        if not self._is_checked:
+            try:
+                values = parsed(unpacked(self._packed), len(self._packed))
+                checked = checked_answer(values)
+            except ValueError as error:
+                raise ValueError(
+                    f"{self._place} is damaged ({error}): restore the folder, or begin another "
+                    "study."
+                ) from None
+            if checked != values:
+                # Not compressed: `unpacked` would refuse what expands too far.
+                self._packed = zlib.compress(json.dumps(checked).encode(), 0)
+            self._is_checked = True
+        return _unpacked_values(self._packed)
 
 
 @lru_cache(16)  # a table reads several numbers of a member, then those of the next
-def _values(answer: bytes, place: str) -> Fields:
-    try:
-        return checked_answer(parsed(unpacked(answer), len(answer)))
-    except ValueError as error:
-        raise ValueError(
-            f"{place} is damaged ({error}): restore the folder, or begin another study."
-        ) from None
+def _unpacked_values(answer: bytes) -> Fields:
+    return dict(json.loads(unpacked(answer)))
 
 
 def add_members(folder: Path, names: Labels) -> dict[str, StudyMember]:
