@@ -17,7 +17,7 @@ from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
 from greybox.study.batch import Member, batch
-from greybox.study.store import DATABASE, is_study, locked
+from greybox.study.store import DATABASE, is_study, locked, require_own
 from greybox.study.study import Study, progress, read_study
 
 EXAMPLES = (
@@ -50,6 +50,7 @@ study STUDY
     command again to compute that
 --dry-run
     print the members and their numbers of starts, and fit nothing
+--trust
 --workers
 --scheduler
 """
@@ -64,9 +65,14 @@ def run(options: argparse.Namespace) -> Answer:
         return as_json(study), "\n".join([progress(study), *drawn])
     folder = Path(options.study)
     if options.check:
-        return _checked(folder)
+        return _checked(folder, options.trust)
     folder = folder if options.resume else options.out
-    place, starts = stated_inputs(folder) if options.resume else (options.study, None)
+    # Before anything of the folder is run, or written into it.
+    if not (options.trust or folder is None):
+        require_own(folder)
+    place, starts = options.study, None
+    if options.resume:
+        place, starts = stated_inputs(Path(options.study), trust=options.trust)
     note_opened_files()
     path, starts = find_study(place), options.starts or starts
     members = read_study_file(path, starts)
@@ -79,7 +85,9 @@ def run(options: argparse.Namespace) -> Answer:
     write("\n".join(notes), sys.stderr)
     try:
         with stated_executor(options) as executor:
-            study = batch(members, folder, executor=executor, seconds=options.seconds)
+            study = batch(
+                members, folder, executor=executor, seconds=options.seconds, trust=options.trust
+            )
     except Interrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME.format(folder)}."}
         return answer, str(stopped.study)
@@ -92,10 +100,10 @@ def run(options: argparse.Namespace) -> Answer:
     return _answer(study)
 
 
-def _checked(folder: Path) -> Answer:
+def _checked(folder: Path, trust: bool) -> Answer:
     """Return what is whole in a study; what can be mended is mended first."""
     require_file(folder / DATABASE)
-    with locked(folder):
+    with locked(folder, trust=trust):
         if not is_study(folder):  # a damaged database was set aside
             return ({"error": f"no member is complete; {RESUME.format(folder)}."},)
         return _answer(read_study(folder))

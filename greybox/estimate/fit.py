@@ -223,6 +223,8 @@ def _interruptible() -> Iterator[None]:
 @_interruptible()
 @one_blas_thread()
 @traced_once()
+# Bounds may be as wide as numbers are: what overflows there is no minimum, which is checked.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_with_storage(
     storage: RunStorage | None,
     problem: AnyProblem,

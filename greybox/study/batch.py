@@ -22,8 +22,9 @@ from greybox.estimate.printed import data_names, summary
 from greybox.estimate.storage import to_bytes
 from greybox.files.arrays import Fields, Named, frozen, unique
 from greybox.files.error_place import error_place
+from greybox.files.escapes import printable
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, printable, require_kind
+from greybox.files.text_table import counted, require_kind
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in
@@ -116,6 +117,7 @@ def batch(
     executor: Executor | None = None,
     seconds: float | None = None,
     progress: bool = True,
+    trust: bool = False,
 ) -> Study:
     """Fit many problems, one after the other, and store every run in a folder.
 
@@ -137,6 +139,9 @@ def batch(
         the same call resumes with them.
     progress : bool
         Show a progress bar in a terminal or notebook after two seconds.
+    trust : bool
+        Continue with runs and answers in the folder that another user or another machine made, as
+        if they were your own.
 
     Returns
     -------
@@ -146,7 +151,8 @@ def batch(
     Raises
     ------
     ValueError, TypeError
-        For invalid arguments, and if the folder has another problem under the name of a member.
+        For invalid arguments, and if the folder has another problem under the name of a member, or
+        runs that another user made, without `trust`.
     OSError
         If the folder cannot be written, or another process writes to it. The stored runs stay
         usable.
@@ -170,7 +176,7 @@ def batch(
     models = [*{type(part.model) for member in listed for part in member.problem.parts}]
     end = end_after(seconds)
     folder = Path(folder)
-    with locked(folder), limited(end), unchanged():
+    with locked(folder, trust=trust), limited(end), unchanged():
         # Members are added before the first fit: a reader sees the whole study from the start.
         stored = add_members(folder, [member.name for member in listed])
         runs = StoredRuns(folder)

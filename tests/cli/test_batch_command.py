@@ -320,3 +320,73 @@ def test_too_many_starts_of_a_member_do_not_stop_the_rest(study, capsys):
     failures = {m["name"]: m["error"] for m in found["members"] if m["status"] == "failed"}
     assert len(failures) == len(found["members"]) / 2
     assert all("give at most" in error for error in failures.values())
+
+
+@pytest.fixture
+def of_another_user(study, capsys, monkeypatch, tmp_path):
+    """The folder of a study that another user began."""
+    study.write_text(TWO_SEEDS)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "theirs"))
+    answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "mine"))
+    sys.modules.pop("mine", None)
+    shutil.rmtree(study.parent)
+    return Path("out")
+
+
+def test_python_files_of_another_user_run_only_with_trust(of_another_user, capsys):
+    folder = of_another_user
+    model = folder / "inputs" / "mine.py"
+    model.write_text(f"open('executed', 'w').close()\n{model.read_text()}")
+    status, result, _ = answer(capsys, "batch", "--resume", folder)
+    assert status == 2
+    assert "inputs has files that your greybox batch has not put there" in result["error"]
+    assert "--trust" in result["error"]
+    assert not Path("executed").exists()
+    status, result, _ = answer(capsys, "batch", "--resume", folder, "--trust")
+    assert status == 0
+    assert Path("executed").exists()
+    sys.modules.pop("mine", None)
+    assert answer(capsys, "batch", "--resume", folder)[0] == 0  # one's own now
+
+
+def test_nothing_in_a_folder_runs_that_was_put_there_later(study, capsys):
+    study.write_text(TWO_SEEDS)
+    answer(capsys, "batch", study, "--out", "out")
+    for name in ("numpy.py", "mine.py"):
+        path = Path("out/inputs") / name
+        before = path.read_text() if path.exists() else None
+        path.write_text(f"open('executed', 'w').close()\n{before or ''}")
+        status, result, _ = answer(capsys, "batch", "--resume", "out")
+        assert status == 2
+        assert "has files that" in result["error"]
+        path.unlink() if before is None else path.write_text(before)
+    sys.modules.pop("mine", None)
+    assert answer(capsys, "batch", "--resume", "out")[0] == 0
+    assert not Path("executed").exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "[1, 2, 3]", '["../../mine.py", null, ""]', '["/mine.py", null, ""]', "[[["]
+)
+def test_a_study_file_elsewhere_is_not_run(study, capsys, text):
+    study.write_text(TWO_SEEDS)
+    answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    Path("out/inputs/study.json").write_text(text)
+    for words in ((), ("--trust",)):
+        status, result, _ = answer(capsys, "batch", "--resume", "out", *words)
+        assert status == 2
+        assert "study.json is damaged" in result["error"]
+
+
+def test_a_link_among_the_copies_leads_nowhere(study, capsys, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "study.toml").write_text("precious")
+    Path("out").mkdir()
+    Path("out/inputs").symlink_to(outside)
+    study.write_text(TWO_SEEDS)
+    status, result, _ = answer(capsys, "batch", study, "--out", "out")
+    assert status == 2
+    assert "is a link" in result["error"]
+    assert {p.name: p.read_text() for p in outside.iterdir()} == {"study.toml": "precious"}
