@@ -1,4 +1,4 @@
-"""Where an error arose in a file of the user."""
+"""An error as a sentence, with the place in a file of the user where it arose."""
 
 import site
 import traceback
@@ -12,6 +12,20 @@ OTHERS = (
     str(Path(traceback.__file__).parent),
     "<",
 )
+
+# Errors of a user's input, whose messages say enough; of others the class is named, too.
+SENTENCES = (ValueError, TypeError, RuntimeError)
+# Letters of a message: those of CasADi hold whole formulas.
+MOST = 500
+
+
+def error_sentence(error: BaseException) -> str:
+    """Return the message of an error in one line, after its place in a file of the user."""
+    message = " ".join(str(error).split())
+    message = message if len(message) <= MOST else f"{message[:MOST]}..."
+    if not (message and isinstance(error, SENTENCES)):
+        message = f"{type(error).__name__}: {message}".rstrip(": ")
+    return error_place(error) + message
 
 
 def _name(file: Path) -> str:
