@@ -224,17 +224,18 @@ class FiniteStarts:
         finite = (s for s in self.starts if stop_requested() or self._is_finite_at(s))
         return next(finite, None)
 
-    def _is_finite_at(self, start: Array) -> bool:
-        """Return whether a run can begin at a start (p,); not where the model raises an error."""
+    def _is_finite_at(self, start: Array, *, raised: bool = False) -> bool:
+        """Return whether a run can begin at a start (p,), `raised` where the model raises."""
         try:
             return self.solver.is_finite_at(start)
         except Exception as error:
             raise_interrupt(error)
-            return False
+            return raised
 
     def __getitem__(self, number: int) -> Array:
         start = self.starts[number]
-        if self._is_finite_at(start) or self._home is None:
+        # A run from where the model raises an error fails with that error.
+        if self._is_finite_at(start, raised=True) or self._home is None:
             return start
 
         # The farthest point on the way, halved up to six times, in the solver's variables.
