@@ -126,7 +126,9 @@ def members():
     tilt = {name: p.start for name, p in LinearTilt().parameters.items()}
     tilt |= {"a1": 10.0, "a2": 3.0, "a3": 5.0}
     flight = gb.Problem(Lag(), record(Lag(), truth, 0))
-    spectrum = gb.Problem(Lag(), gb.spectral.transient_spectrum(record(Lag(), truth, 3), "u", "y", (0.5, 20)))
+    spectrum = gb.Problem(
+        Lag(), gb.spectral.transient_spectrum(record(Lag(), truth, 3), "u", "y", (0.5, 20))
+    )
     return [
         *(gb.study.Member(m.problem(), name=m.__name__) for m in (pitch_hover, roll_hover)),
         *(gb.study.Member(gb.Problem(Lag(), response(k)), 20, name=f"lag {k}") for k in range(3)),
@@ -240,11 +242,11 @@ def main():
                 if workers is not None:
                     workers.submit(time.time).result()
                 began = time.perf_counter()
-                study = gb.batch(
-                    listed, Path(place) / executor, executor=workers, progress=False
-                )
+                study = gb.batch(listed, Path(place) / executor, executor=workers, progress=False)
             took[executor] = time.perf_counter() - began
-            say(f"{executor}: {took[executor]:.1f} s, {study!r}, differs: {different(study, alone)}")
+            say(
+                f"{executor}: {took[executor]:.1f} s, {study!r}, differs: {different(study, alone)}"
+            )
         for k in range(options.moments):
             executor = [*EXECUTORS][k % 3]
             number = rng.choice(SIGNALS)

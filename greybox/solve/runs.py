@@ -135,6 +135,7 @@ def has_no_end(status: str) -> bool:
     """Return whether a run ended nowhere: the model may not be evaluated where it began."""
     return status == WORKER_LOST or has_raised(status)
 
+
 Texts = NDArray[np.object_]
 
 NAMES = tuple(field.name for field in fields(Run))

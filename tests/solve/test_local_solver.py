@@ -64,7 +64,9 @@ def test_a_compiled_problem_solves_alike_where_the_model_is_not_known(which, met
         pickle.dumps(nlp.problem)
     sent = pickle.loads(pickle.dumps(nlp))
     for compiled in (sent, *sent.parts):
-        with pytest.raises(RuntimeError, match="name is needed of a value that stayed where it was"):
+        with pytest.raises(
+            RuntimeError, match="name is needed of a value that stayed where it was"
+        ):
             _ = compiled.problem.name
     start = np.clip([3.0, 0.5, *[0.1] * (len(nlp.free) - 2)], nlp.lower, nlp.upper)
     here, there = (solver_for(each).run(start) for each in (nlp, sent))
