@@ -236,9 +236,8 @@ def main():
         listed = members()
         alone = gb.batch(listed, Path(place) / "alone", progress=False)
         took = {}
-        for executor in EXECUTORS:
-            began = time.perf_counter()
-            with EXECUTORS[executor]() as workers:
+        for executor, made in EXECUTORS.items():
+            with made() as workers:
                 if workers is not None:
                     workers.submit(time.time).result()
                 began = time.perf_counter()

@@ -169,6 +169,9 @@ def _tasks(
     """Yield batches, joined up to this many starts, and stored ones with their outcomes."""
     starts: Batch = []
     for batch in batches:
+        # A stop cuts short what finds the starts, too: these may not be those of the search.
+        if stop_requested():
+            return
         recalled = _recalled(memory, batch)
         # A batch stays whole: the last digits of a run depend on how many are run together.
         if starts and (recalled is not None or len(starts) + len(batch) > most):
@@ -202,13 +205,9 @@ def _on_workers(
     waiting: deque[tuple[Batch, Future[Outcomes]]] = deque()
 
     def submitted(batch: Batch, recalled: Outcomes | None = None) -> tuple[Batch, Future[Outcomes]]:
-        future: Future[Outcomes] = Future()
         if recalled is not None:
+            future: Future[Outcomes] = Future()
             future.set_result(recalled)
-            return batch, future
-        # A stop cuts short what finds the starts, too: these may not be those of the search.
-        if stop_requested():
-            future.cancel()
             return batch, future
         # The time limit belongs to this thread, which the worker does not share.
         arguments = payload, _starts(batch), os.getpid(), search_end()
@@ -245,7 +244,7 @@ def _on_workers(
 
 
 def _made_here(solver: Runner, batch: Batch, outcomes: Outcomes) -> Outcomes:
-    """Return the outcomes of a task, runs that raised an error made again, as a batch if it was one.
+    """Return the outcomes of a task; batches in which a run raised an error are made again, here.
 
     A worker may lack what the run needs; an error of the model comes again.
     """

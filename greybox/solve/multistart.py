@@ -126,9 +126,7 @@ def multistart(
         results, runs, minima = _certified(solver, results)
         if stop_requested():
             break
-        if len(results) == len(starts) and all(map(has_raised, runs.status)):
-            # What no start avoids is the fault of the problem, and no result: the error shows it.
-            solver.run(runs[0].start)
+        _require_a_run(solver, runs, len(starts))
         if 0 < enough <= len(agreeing_runs(solver.nlp, runs, minima)):
             # Minima that these runs have missed take the places of starts that were not tried: the
             # last ones, since among equal minima the first start decides.
@@ -154,6 +152,13 @@ def multistart(
         )
         minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
     return Multistart(runs, minima, nodes, ends)
+
+
+def _require_a_run(solver: LocalSolver, runs: Runs, count: int) -> None:
+    """Raise the error of the first run if all of the `count` runs raised one."""
+    # What no start avoids is a fault of the problem, and no result.
+    if len(runs) == count and all(map(has_raised, runs.status)):
+        solver.run(runs[0].start)
 
 
 def _screened(solver: LocalSolver, starts: Array) -> Screened | None:
