@@ -165,7 +165,7 @@ RESPONSES = {
     "two": lambda criterion: response(criterion=criterion) + response(1, criterion=criterion),
     "many": lambda criterion: pair(criterion, constraints=[lambda p: 20 - p.a - p.b]),
 }
-LAG = {"samples": 30}
+LAG = {"samples": 16}
 RECORDS = {
     "one": lambda criterion: gb.Problem(SampledLag(), lag_record(**LAG), criterion),
     "two": lambda criterion: sum_of(
@@ -259,7 +259,7 @@ def test_problems(executors, name):
         for search in SEARCHES:
             require_alike(executors, nlp, search=search)
     else:  # whole runs of problems whose responses share one solve take too long
-        require_alike(executors, nlp, 1, most=3)
+        require_alike(executors, nlp, 1, most=1)
 
 
 @pytest.mark.parametrize(
@@ -274,7 +274,9 @@ def test_criteria_of_responses(executors, criterion, search, data):
     ("criterion", "method", "data"), by_pairs(TIME_CRITERIA, [*methods()], [*RECORDS])
 )
 def test_criteria_and_methods_of_records(executors, criterion, method, data):
-    require_alike(executors, compile_problem(RECORDS[data](criterion), method))
+    # IPOPT takes long to build the derivatives of these problems, and a run need not end.
+    count, most = (1, 5) if method.by_ipopt else (2, None)
+    require_alike(executors, compile_problem(RECORDS[data](criterion), method), count, most=most)
 
 
 @pytest.mark.parametrize("criterion", SPECTRUM_CRITERIA)
