@@ -79,12 +79,12 @@ def few_draws(monkeypatch):
     """
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
     # By their paths: `greybox.experiment.margins` is the function.
-    for path in ("experiment.drawn_loops", "experiment.margins", "plotting.loops"):
+    modules = ("drawn_loops", "margins", "safe_gains")
+    for path in (*(f"experiment.{name}" for name in modules), "plotting.loops"):
         module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])
     safe_gains = import_module("greybox.experiment.safe_gains")
-    monkeypatch.setattr(safe_gains, "DRAWS", 64)
     monkeypatch.setattr(safe_gains, "POINTS", {1: 11, 2: 5, 3: 3})
 
 

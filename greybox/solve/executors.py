@@ -45,6 +45,7 @@ from threadpoolctl import ThreadpoolController
 
 from greybox.files.arrays import Array, Fields
 from greybox.files.text_table import require_whole
+from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import Stored
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.local_solver import Runner
@@ -90,7 +91,11 @@ def run_all(
         If the executor has lost its workers.
     RunStorageError
         If the stored runs began from other starts.
+    ValueError
+        If an executor is given, and the solver calls Python, which workers cannot do.
     """
+    if executor is not None:
+        value_fingerprint(solver)  # refuses what cannot travel, before the first batch
     memory = memory or Memory()
     # If there are more starts than one batch, few come first: Ctrl-C soon has an answer. A batch of
     # a thousand takes a second.
