@@ -3,6 +3,7 @@
 import os
 from concurrent.futures import Executor, Future
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -126,6 +127,50 @@ def test_a_fit_goes_on_with_its_other_starts(kind, executor):
     others = gb.fit(problem, [STARTS[0], STARTS[2]], **options)
     assert fit.estimate == others.estimate
     assert fit.standard_error == others.standard_error
+
+
+class Friction(ca.Callback):
+    """A user's own function, which has no value near 5."""
+
+    def __init__(self):
+        ca.Callback.__init__(self)
+        self.construct("friction", {"enable_fd": True})
+
+    def eval(self, arg):
+        if 4.9 < float(arg[0]) < 5.1:
+            raise ZeroDivisionError("no friction is known near 5")
+        return [arg[0]]
+
+
+FRICTION = Friction()
+
+
+class Slowing(gb.StateSpace):
+    """x' = u - friction(k) x."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    k = gb.Parameter(1.0, bounds=(0.01, 20))
+
+    def derivative(self, x, u, p):
+        return (u.u - FRICTION(p.k) * x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_code_of_the_user_that_raises_is_the_reason():
+    """Against the solution of x' = u - 1.5 x for a held input."""
+    step, count = 0.05, 100
+    u, x = np.sign(np.sin(0.1 * np.arange(count) + 0.01)), np.zeros(count)
+    for k in range(count - 1):
+        x[k + 1] = u[k] / 1.5 + (x[k] - u[k] / 1.5) * np.exp(-1.5 * step)
+    noise = 0.01 * np.random.default_rng(0).normal(size=count)
+    record = gb.Record(step * np.arange(count), {"u": u, "x": x + noise}, hold={"u": np.inf})
+    starts = [{"k": 1.2}, {"k": 5.0}, {"k": 0.5}]
+    fit = gb.fit(gb.Problem(Slowing(), record), starts, profiles=False, progress=False)
+    assert [run.converged for run in fit.runs] == [True, False, True]
+    assert "no friction is known near 5" in fit.runs[1].status
+    assert abs(fit.estimate["k"] - 1.5) < 4 * fit.standard_error["k"]
 
 
 @pytest.mark.usefixtures("fragile")
