@@ -11,6 +11,7 @@ that was never interrupted, to the last bit. A fit alone is interrupted likewise
 import argparse
 import itertools
 import json
+import math
 import random
 import signal
 import subprocess
@@ -154,6 +155,8 @@ def said(outcome):
 
 def work(folder, executor):
     """Run the batch, or without a folder one fit, and say how it ended."""
+    # A shell ignores Ctrl-C in programs of the background, and so would this one.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     listed = members()
     with EXECUTORS[executor]() as workers:
         if workers is not None:  # their start takes longer than the fits
@@ -164,10 +167,11 @@ def work(folder, executor):
             if folder == Path():
                 problem = listed[-2].problem
                 fit = call[1](problem, 60, executor=workers, progress=False)
-                said({"end": "returned", "runs": len(fit.runs)})
+                said({"end": "returned", "at": time.time(), "runs": len(fit.runs)})
             else:
                 study = call[0](listed, folder, executor=workers, progress=False)
-                said({"end": "returned", "status": [m.status for m in study.members]})
+                status = [m.status for m in study.members]
+                said({"end": "returned", "at": time.time(), "status": status})
         except KeyboardInterrupt as stopped:
             study, fit = (getattr(stopped, name, None) for name in ("study", "fit"))
             said(
@@ -187,9 +191,12 @@ def interrupted(folder, executor, number, seconds):
         assert process.stdout is not None
         process.stdout.readline()
         time.sleep(seconds)
+        sent = time.time()
         process.send_signal(number)
         last = process.stdout.read().splitlines()
-    return json.loads(last[-1]) if last else {"end": f"exit status {process.returncode}"}
+    end = json.loads(last[-1]) if last else {"end": f"exit status {process.returncode}"}
+    # What had returned before is not interrupted any more.
+    return end | {"end": "had returned"} if end.get("at", math.inf) < sent else end
 
 
 def different(study, twin):
@@ -252,13 +259,13 @@ def main():
             seconds = rng.uniform(0, took[executor])
             folder = Path(place) / f"interrupted {k}"
             end = interrupted(folder, executor, number, seconds)
-            if end["end"] == "returned":  # the machine is faster than at the measurement
+            if end["end"] == "had returned":  # the machine is faster than at the measurement
                 took[executor] = min(took[executor], seconds)
             statuses = Counter(end.get("status") or ())
             study = gb.batch(listed, folder, progress=False)
             names = different(study, alone)
             is_right = end["end"] == "Interrupted" and not statuses["failed"] and not names
-            is_right |= end["end"] == "returned" and statuses["done"] == len(listed)
+            is_right |= end["end"] == "had returned" and statuses["done"] == len(listed)
             wrong += not is_right
             say(
                 f"{executor}, {number.name} after {seconds:.2f} s: {end['end']}, {dict(statuses)}; "
@@ -268,7 +275,7 @@ def main():
             executor, number = [*EXECUTORS][k % 3], rng.choice(SIGNALS)
             seconds = rng.uniform(0, 1.0)
             end = interrupted(Path(), executor, number, seconds)
-            is_right = end["end"] in ("Interrupted", "returned")
+            is_right = end["end"] in ("Interrupted", "had returned")
             wrong += not is_right
             say(
                 f"fit, {executor}, {number.name} after {seconds:.2f} s: {end['end']} with "
