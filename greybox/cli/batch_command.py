@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from greybox.cli.options import UsageError
@@ -17,6 +17,7 @@ from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
 from greybox.study.batch import Member, batch
+from greybox.study.running import is_running
 from greybox.study.store import DATABASE, is_study, locked, require_own
 from greybox.study.study import Study, progress, read_study
 
@@ -40,7 +41,8 @@ study STUDY
 --seconds S
     time limit of the study
 --status
-    print how far the study in the folder STUDY is, also while it runs, and fit nothing
+    print how far the study in the folder STUDY is and whether a process is working on it, and fit
+    nothing
 --plot FILE
     with --status: draw the costs so far
 --resume
@@ -61,8 +63,10 @@ def run(options: argparse.Namespace) -> Answer:
     """Run the batch, or continue it."""
     if options.status:
         study = read_study(options.study)
+        running = is_running(study.folder)
         drawn = save_figure(options.plot, "estimates", study, "cost")
-        return as_json(study), "\n".join([progress(study), *drawn])
+        answer = {**as_json(study), "running": running}
+        return answer, "\n".join([progress(study), *_who_works(study, running=running), *drawn])
     folder = Path(options.study)
     if options.check:
         return _checked(folder, options.trust)
@@ -98,6 +102,15 @@ def run(options: argparse.Namespace) -> Answer:
     except (ExecutorLostError, OSError) as error:
         return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(folder)}."},)
     return _answer(study)
+
+
+def _who_works(study: Study, *, running: bool | None) -> Iterator[str]:
+    """Say whether the members that are missing will come."""
+    if running:
+        yield "a process is working on it now."
+    elif study.count("unfinished"):
+        cause = "no process is" if running is False else "it cannot be seen whether a process is"
+        yield f"{cause} working on it: {RESUME.format(study.folder)}."
 
 
 def _checked(folder: Path, trust: bool) -> Answer:

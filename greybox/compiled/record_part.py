@@ -52,14 +52,12 @@ class RecordPart(SegmentedPart):
     ) -> None:
         """Build the functions, or take those that the model has compiled before.
 
-        A `covariance` is that of a part with other data: the criterion stays behind when a part is
-        sent to a worker.
+        A `covariance` is that of a part with other data, since a worker has no criterion.
         """
         scheme = model.method.scheme
         step = model.step(scheme, substeps)
-        # Compiled here, because a worker has no criterion. From free states, stiff models begin
-        # with fast transients in every segment. Whole implicit steps damp them; accurate ones took
-        # minutes for chains of enzymes.
+        # From free states, stiff models begin with fast transients in every segment. Whole implicit
+        # steps damp them; accurate ones took minutes for chains of enzymes.
         self.whole_step = model.step(replace(scheme, substeps=1), 1) if scheme.implicit else step
         super().__init__(
             model,
@@ -394,7 +392,7 @@ class RecordProgram:
         self.part = part
         if part.model.driven:
             raise ValueError(
-                f"{part.problem.name!r} has process_noise, whose gains "
+                f"{part.name!r} has process_noise, whose gains "
                 f"{part.model.method.label} does not follow: use MultipleShooting()."
             )
 

@@ -11,6 +11,7 @@ from greybox.compiled.part import (
     NO_NODES,
     SMOOTHING,
     CorrelatedPoints,
+    Elsewhere,
     Information,
     Part,
     Trajectory,
@@ -112,14 +113,12 @@ class ResponsePart(Part):
     def __getstate__(self) -> Fields:
         """Leave out a criterion of the user's too: its cost is compiled."""
         state = super().__getstate__()
-        if not self.travels_whole:
-            state.pop("criterion", None)
-        return state
+        return state if self.travels_whole else state | {"criterion": Elsewhere()}
 
     @property
     def travels_whole(self) -> bool:
         """True with one of the included criteria."""
-        return type(getattr(self, "criterion", None)) in INCLUDED
+        return type(self.criterion) in INCLUDED
 
     @property
     def error_model(self) -> Criterion:

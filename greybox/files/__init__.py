@@ -12,7 +12,7 @@ Begin with `text_table`.
 | `packed` | compressed bytes |
 | `progress` | progress bars |
 | `escapes` | texts of strangers in terminals, tables, LaTeX, pages and messages |
-| `error_place` | where an error arose in a file of the user |
+| `error_place` | an error as a sentence, with its place in a file of the user |
 | `optional_package` | imports of optional packages |
 | `rebuilt` | values that are pickled as the arguments of their construction |
 | `safe_files` | atomic writes, and clear errors of reading |

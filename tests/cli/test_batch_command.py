@@ -14,7 +14,7 @@ import pytest
 
 from greybox.cli.main import main
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.store import StoredRuns
+from greybox.study.store import StoredRuns, locked
 
 STUDY = """
 starts = 4
@@ -243,6 +243,21 @@ def test_a_batch_that_ends_says_how_it_goes_on(study, capsys, monkeypatch, error
     study.write_text('[[member]]\nproblem = "rotors"\n')
     got, found, _ = answer(capsys, "batch", study, "--out", "out")
     assert (got, found["error"]) == (status, said)
+
+
+def test_the_status_tells_a_study_that_runs_from_one_that_ended(study, capsys):
+    study.write_text(TWO_SEEDS)
+    answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    with locked(Path("out")):
+        status, result, _ = answer(capsys, "batch", "--status", "out")
+        assert (status, result["running"]) == (0, True)
+        assert main(["batch", "--status", "out"]) == 0
+        assert "a process is working on it now" in capsys.readouterr().out
+    status, result, _ = answer(capsys, "batch", "--status", "out")
+    assert (status, result["running"]) == (0, False)
+    assert main(["batch", "--status", "out"]) == 0
+    shown = capsys.readouterr().out
+    assert "no process is working on it: `greybox batch --resume out` continues" in shown
 
 
 def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys):
