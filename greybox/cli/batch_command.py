@@ -1,6 +1,7 @@
 """The command `greybox batch`: many fits, stored in a folder as they are made."""
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,7 +54,6 @@ study STUDY
 --workers
 --scheduler
 """
-RESUME = "`greybox batch --resume {}` continues"
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -81,15 +81,20 @@ def run(options: argparse.Namespace) -> Answer:
         with stated_executor(options) as executor:
             study = batch(members, folder, executor=executor, seconds=options.seconds)
     except Interrupted as stopped:
-        answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME.format(folder)}."}
+        answer = {**as_json(stopped.study), "error": f"interrupted; {_resume(folder)}."}
         return answer, str(stopped.study)
     # Another process writes to the folder, or it is a file: the study has not failed.
     except (BlockingIOError, FileExistsError):
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
-        return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(folder)}."},)
+        return ({"error": f"{str(error).rstrip('.')}; {_resume(folder)}."},)
     return _answer(study)
+
+
+def _resume(folder: Path) -> str:
+    """Return the command that continues a study, as a shell reads it."""
+    return f"`{shlex.join(['greybox', 'batch', '--resume', str(folder)])}` continues"
 
 
 def _checked(folder: Path) -> Answer:
@@ -97,7 +102,7 @@ def _checked(folder: Path) -> Answer:
     require_file(folder / DATABASE)
     with locked(folder):
         if not is_study(folder):  # a damaged database was set aside
-            return ({"error": f"no member is complete; {RESUME.format(folder)}."},)
+            return ({"error": f"no member is complete; {_resume(folder)}."},)
         return _answer(read_study(folder))
 
 
@@ -107,7 +112,7 @@ def _answer(study: Study) -> Answer:
     missing = [member.name for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
-        hint = f"; {RESUME.format(study.folder)}" if study.count("unfinished") else ""
+        hint = f"; {_resume(study.folder)}" if study.count("unfinished") else ""
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {some(missing)}{hint}."
         )
