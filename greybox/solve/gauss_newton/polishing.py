@@ -47,7 +47,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
     """Return the end of undamped steps, and the squared length of the next one."""
     progress = EXACT
     end = iterate
-    shortest = distance = math.inf
+    shortest = nearest = distance = math.inf
     for _ in range(MOST_STEPS):
         step = exact_step(parts, iterate, progress)
         progress = progress.with_penalties(step)
@@ -57,11 +57,12 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         # segments promise is then rounding.
         remaining = abs(step.decrease) + step.distance
         is_last = remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z))
-        # Steps that no longer shrink are rounding.
-        if not (is_last or remaining < shortest):
+        # Steps that no longer shrink are rounding. The promise of gaps reaches it first, where the
+        # parameters lack 1e-7 of a standard error: it is a difference of costs, not a square.
+        if not (is_last or remaining < shortest or step.distance < nearest):
             break
         end = iterate
-        shortest = remaining
+        shortest, nearest = min(remaining, shortest), min(step.distance, nearest)
         distance = 2 * step.distance
 
         following = None if is_last else followed(parts, iterate, step)
