@@ -6,12 +6,13 @@
 Run the tests once for each of several machines and record, for every numerical comparison of an
 assert (`a < limit`, `a == pytest.approx(b)`, `np.testing.assert_allclose`, `np.allclose`), how much
 of its limit is used: 1 is the limit itself, 0.1 leaves a factor of ten. Machines are the matrix
-kernels of OpenBLAS, forced by OPENBLAS_CORETYPE, and numpy without the vector instructions that it
-found; only a numpy that brings OpenBLAS shows a difference. The table lists comparisons whose
-figure moves between machines by more than a hundredth and uses more than a tenth of the limit, and
-those that ten times the move would break. A figure that is rounding only needs a limit with a
-factor of ten in hand. A figure that has a meaning, such as a standard error, must not move: mend
-what computes it. The tests of a folder take about twice their usual time.
+kernels of OpenBLAS, forced by OPENBLAS_CORETYPE, the oldest with numpy without the vector
+instructions that it found here; only a numpy that brings OpenBLAS shows a difference.
+
+The table lists comparisons whose figure moves between machines by more than a hundredth and uses
+more than a tenth of the limit, and those that ten times the move would break. A figure that is
+rounding only needs a limit with a factor of ten in hand. A figure that has a meaning, such as a
+standard error, must not move: mend what computes it. Tests take about twice their usual time.
 
 The same file is the plugin of pytest that records, `-p assert_margins` with the name of the output
 in GREYBOX_MARGINS. Tests are compiled with a call in place of every comparison in an assert.
@@ -94,7 +95,8 @@ if OUTPUT:
     def note(place: str, figures: Iterator[tuple[float, float, float]]) -> None:
         """Keep the largest share of the limit at a place in this test, with value and limit."""
         try:
-            found = max(figures, default=None)
+            with np.errstate(all="ignore"):
+                found = max(figures, default=None)
         except (TypeError, ValueError, OverflowError, AttributeError):
             return  # not numbers, or of shapes that do not go together
         if found is not None:
@@ -109,9 +111,8 @@ if OUTPUT:
         elif name in ("Lt", "LtE", "Gt", "GtE"):
             low, high = (left, right) if name.startswith("Lt") else (right, left)
             pair = numbers(low), numbers(high)
-            with np.errstate(all="ignore"):
-                # Below a positive limit the share is low/high, below a negative one high/low.
-                used = np.where(pair[1] > 0, np.maximum(pair[0], 0) / pair[1], pair[1] / pair[0])
+            # Below a positive limit the share is low/high, below a negative one high/low.
+            used = np.where(pair[1] > 0, np.maximum(pair[0], 0) / pair[1], pair[1] / pair[0])
             yield worst(used, *(pair if name.startswith("Lt") else pair[::-1]))
 
     def approximate(value: Any, wanted: Any, *, differs: bool) -> Iterator[tuple[float, ...]]:
@@ -130,8 +131,7 @@ if OUTPUT:
     def deviation(a: Any, b: Any, limit: Any, *, differs: bool = False) -> tuple[float, ...]:
         """Return the share of the limit that |a - b| uses."""
         moved = np.abs(a - b)
-        with np.errstate(all="ignore"):
-            used = np.where(moved > 0, limit / moved, np.inf) if differs else moved / limit
+        used = np.where(moved > 0, limit / moved, np.inf) if differs else moved / limit
         return worst(np.where((a == b) & (not differs), 0.0, used), moved, limit)
 
     def numbers(values: Any) -> Any:
@@ -212,7 +212,9 @@ def machines() -> dict[str, dict[str, str]]:
     if any(name.startswith(("AVX512", "X86_V4")) for name in vectors):
         kernels.append("SkylakeX")
     chosen = {kernel: {"OPENBLAS_CORETYPE": kernel} for kernel in kernels}
-    return {**chosen, "without_vectors": {"NPY_DISABLE_CPU_FEATURES": " ".join(vectors)}}
+    # The oldest processor has neither.
+    chosen["Prescott"]["NPY_DISABLE_CPU_FEATURES"] = " ".join(vectors)
+    return chosen
 
 
 def record(name: str, variables: dict[str, str], tests: list[str], folder: Path) -> None:
