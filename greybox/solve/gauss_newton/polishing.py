@@ -29,6 +29,8 @@ MOST_STEPS = 50
 # valley. Runs that end with more to gain than settled ones had only noise left.
 LONG_STEP = 1e-7
 
+ROUNDING = float(np.finfo(float).eps)
+
 
 def polished(parts: AllParts, start: Iterate) -> Iterate:
     """Return where undamped steps lead, as long as they grow shorter.
@@ -47,7 +49,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
     """Return the end of undamped steps, and the squared length of the next one."""
     progress = EXACT
     end = iterate
-    shortest = nearest = distance = math.inf
+    shortest = distance = math.inf
     for _ in range(MOST_STEPS):
         step = exact_step(parts, iterate, progress)
         progress = progress.with_penalties(step)
@@ -55,14 +57,17 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         # Of a standard error, the step changes none of the first nine digits, or of the parameters,
         # which long records determine to many digits, none of the first twelve. What gaps between
         # segments promise is then rounding.
-        remaining = abs(step.decrease) + step.distance
+        promise = abs(step.decrease - step.distance)
+        # Below the rounding of the cost it ends no steps: parameters would lack 1e-7 of an error.
+        if promise <= ROUNDING * abs(parts.cost(iterate)):
+            promise = 0.0
+        remaining = 2 * step.distance + promise
         is_last = remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z))
-        # Steps that no longer shrink are rounding. The promise of gaps reaches it first, where the
-        # parameters lack 1e-7 of a standard error: it is a difference of costs, not a square.
-        if not (is_last or remaining < shortest or step.distance < nearest):
+        # Steps that no longer shrink are rounding.
+        if not (is_last or remaining < shortest):
             break
         end = iterate
-        shortest, nearest = min(remaining, shortest), min(step.distance, nearest)
+        shortest = remaining
         distance = 2 * step.distance
 
         following = None if is_last else followed(parts, iterate, step)

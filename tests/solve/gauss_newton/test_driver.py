@@ -60,7 +60,7 @@ def test_a_polished_minimum_is_the_same_to_ten_digits_wherever_it_began():
         minimum = Minimum(solver.cost(nlp.all_values(a)), a, (0,), 1)
         search = Multistart(Runs.of(()), (minimum,), nodes=(first.nodes, second.nodes))
         found.append(solver.polished(search).minima[0])
-    # Ten digits and more on every processor: the rounding of gaps, 1e-14 of the cost, ends no steps.
+    # Eleven digits on every processor: what is left of gaps, less than rounding, ends no steps.
     assert found[0].estimate == pytest.approx(found[1].estimate, rel=1e-10)
     assert found[0].estimate == pytest.approx(outcome.estimate, rel=1e-4)
     for minimum in found:
