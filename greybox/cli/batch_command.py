@@ -54,6 +54,7 @@ study STUDY
 --workers
 --scheduler
 """
+RESUME = "`greybox batch --resume {}` continues"
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -81,20 +82,18 @@ def run(options: argparse.Namespace) -> Answer:
         with stated_executor(options) as executor:
             study = batch(members, folder, executor=executor, seconds=options.seconds)
     except Interrupted as stopped:
-        answer = {**as_json(stopped.study), "error": f"interrupted; {_resume(folder)}."}
+        answer = {
+            **as_json(stopped.study),
+            "error": f"interrupted; {RESUME.format(quoted(folder))}.",
+        }
         return answer, str(stopped.study)
     # Another process writes to the folder, or it is a file: the study has not failed.
     except (BlockingIOError, FileExistsError):
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
-        return ({"error": f"{str(error).rstrip('.')}; {_resume(folder)}."},)
+        return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(quoted(folder))}."},)
     return _answer(study)
-
-
-def _resume(folder: Path) -> str:
-    """Return the command that continues a study, as a shell reads it."""
-    return f"`{shlex.join(['greybox', 'batch', '--resume', str(folder)])}` continues"
 
 
 def _checked(folder: Path) -> Answer:
@@ -102,7 +101,7 @@ def _checked(folder: Path) -> Answer:
     require_file(folder / DATABASE)
     with locked(folder):
         if not is_study(folder):  # a damaged database was set aside
-            return ({"error": f"no member is complete; {_resume(folder)}."},)
+            return ({"error": f"no member is complete; {RESUME.format(quoted(folder))}."},)
         return _answer(read_study(folder))
 
 
@@ -112,7 +111,7 @@ def _answer(study: Study) -> Answer:
     missing = [member.name for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
-        hint = f"; {_resume(study.folder)}" if study.count("unfinished") else ""
+        hint = f"; {RESUME.format(quoted(study.folder))}" if study.count("unfinished") else ""
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {some(missing)}{hint}."
         )
@@ -128,6 +127,11 @@ def _listed(members: Sequence[Member]) -> Answer:
     rows = [[name, str(count)] for name, count in starts.items()]
     errors = [f"{m.name} fails: {m.problem}" for m in members if not m.problem.parts]
     return {"starts": starts}, text_table(["member", "starts"], rows), *errors, total
+
+
+def quoted(path: Path) -> str:
+    """Return a path as a shell reads it."""
+    return shlex.quote(str(path))
 
 
 def as_json(study: Study) -> Fields:
