@@ -1,6 +1,7 @@
 """The command `greybox batch`: many fits, stored in a folder as they are made."""
 
 import argparse
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -93,14 +94,17 @@ def run(options: argparse.Namespace) -> Answer:
                 members, folder, executor=executor, seconds=options.seconds, trust=options.trust
             )
     except Interrupted as stopped:
-        answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME.format(folder)}."}
+        answer = {
+            **as_json(stopped.study),
+            "error": f"interrupted; {RESUME.format(quoted(folder))}.",
+        }
         return answer, str(stopped.study)
     # Another process writes to the folder, or it is a file: the study has not failed.
     except (BlockingIOError, FileExistsError):
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
-        return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(folder)}."},)
+        return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(quoted(folder))}."},)
     return _answer(study)
 
 
@@ -118,7 +122,7 @@ def _checked(folder: Path, trust: bool) -> Answer:
     require_file(folder / DATABASE)
     with locked(folder, trust=trust):
         if not is_study(folder):  # a damaged database was set aside
-            return ({"error": f"no member is complete; {RESUME.format(folder)}."},)
+            return ({"error": f"no member is complete; {RESUME.format(quoted(folder))}."},)
         return _answer(read_study(folder))
 
 
@@ -128,7 +132,7 @@ def _answer(study: Study) -> Answer:
     missing = [member.name for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
-        hint = f"; {RESUME.format(study.folder)}" if study.count("unfinished") else ""
+        hint = f"; {RESUME.format(quoted(study.folder))}" if study.count("unfinished") else ""
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {some(missing)}{hint}."
         )
@@ -144,6 +148,11 @@ def _listed(members: Sequence[Member]) -> Answer:
     rows = [[name, str(count)] for name, count in starts.items()]
     errors = [f"{m.name} fails: {m.problem}" for m in members if not m.problem.parts]
     return {"starts": starts}, text_table(["member", "starts"], rows), *errors, total
+
+
+def quoted(path: Path) -> str:
+    """Return a path as a shell reads it."""
+    return shlex.quote(str(path))
 
 
 def as_json(study: Study) -> Fields:

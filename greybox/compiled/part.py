@@ -183,9 +183,10 @@ class Information:
         Real numbers in the data that count as independent, less those that nuisance unknowns use
         up.
     spread : function of a correction
-        Returns `bread` (a factor on JᵀJ) and `meat` (k, k), with the noise larger by the
-        correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
-        `greybox.formulation.frequency_criteria`.
+        Returns `bread` (a factor on JᵀJ) and a root L (m, k) of the meat M = LᵀL, with the noise
+        larger by the correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
+        `greybox.formulation.frequency_criteria`. M itself has the squares of the singular values
+        of L: of parameters that are hard to tell apart, it loses the digits that a root keeps.
     reach : (k,) array
         Lengths of the columns of the Jacobian before the initial states were fitted too: if
         initial states compensate for a value, the rest of its column is rounding.
