@@ -114,7 +114,7 @@ def _who_works(study: Study, *, running: bool | None) -> Iterator[str]:
         yield "a process is working on it now."
     elif study.count("unfinished"):
         cause = "no process is" if running is False else "it cannot be seen whether a process is"
-        yield f"{cause} working on it: {RESUME.format(study.folder)}."
+        yield f"{cause} working on it: {RESUME.format(quoted(study.folder))}."
 
 
 def _checked(folder: Path, trust: bool) -> Answer:
