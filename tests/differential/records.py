@@ -1,7 +1,7 @@
 """Families of records: simulations and fits, against SciPy."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -436,7 +436,7 @@ def fit(rng: np.random.Generator) -> str | None:
     )
     missing = rng.random() < 0.3
     case = experiment(rng, system, clock, missing=missing)
-    question = Question([case], known_start=rng.random() < 0.3)
+    question = Question([case], known_start=rng.random() < 0.5)
     return fitted(question, [1, None][rng.integers(2)])
 
 
@@ -452,7 +452,8 @@ def fit_criteria(rng: np.random.Generator) -> str | None:
     elif "d" in system.truth and rng.random() < 0.6:
         tied = {"d": ("a", system.truth["d"] / system.truth["a"])}
     bias = rng.random() < 0.3 and not priors
-    return fitted(Question([case], noise, False, priors, tied, bias=bias))
+    known = rng.random() < 0.4
+    return fitted(Question([case], noise, known, priors, tied, bias=bias))
 
 
 def fit_methods(rng: np.random.Generator) -> str | None:
@@ -487,7 +488,8 @@ def fit_several(rng: np.random.Generator) -> str | None:
     cases = [experiment(rng, system, uniform(rng, step_of(system), 70)) for _ in range(2)]
     own = [(), ("a",), ("k",)][rng.integers(3)]
     noise = str(rng.choice(["diagonal", "given"]))
-    return fitted(Question(cases, noise, own=own))
+    known = rng.random() < 0.5
+    return fitted(Question(cases, noise, known, own=own))
 
 
 def fit_unstable(rng: np.random.Generator) -> str | None:
@@ -528,29 +530,41 @@ def fit_worse_clock(rng: np.random.Generator) -> str | None:
 
     The data do not say when things happened, so the estimate is held against the truth: within five
     standard errors and 3 %. And what the clock costs is in proportion: a standard error is below
-    four times that of the full data.
+    four times that of all rows, or of SciPy with the stamps for times; with a warning, below twenty
+    times, because residuals that look alike widen it.
     """
     system = plant(rng, ("linear", "cubic", "drag", "tanh"))
     name = str(rng.choice(["rounded", "single precision", "lost rows"]))
     case = experiment(rng, system, CLOCKS[name](rng, step_of(system), 200), noise=0.02)
-    reference = Reference(Question([case]))
-    minimum = reference.minimum()
-    if not minimum.clear:
+    minima = [Reference(Question([case])).minimum()]
+    if name != "lost rows":
+        minima.append(Reference(Question([_as_shown(case)])).minimum())
+    if not all(minimum.clear for minimum in minima):
         return None
     answer = gb.fit(Question([case]).problem(), progress=False)
     if not answer.converged:
         return f"{case}: no start converged"
-    for k, parameter in enumerate(system.truth):
+    for k, (parameter, truth) in enumerate(system.truth.items()):
         estimate, error = answer.estimate[parameter], answer.standard_error[parameter]
-        truth = system.truth[parameter]
         if not answer.warnings and not abs(estimate - truth) < 5 * error + 0.03 * abs(truth):
-            return f"{case}: no warning, but {parameter} = {estimate:.5g} ± {error:.2g}, truth {truth:.5g}"
-        if not error < 4 * minimum.error[k]:
-            ratio = error / minimum.error[k]
-            return (
-                f"{case}: the standard error of {parameter} is {ratio:.2g} times that of all rows"
-            )
+            found = f"{parameter} = {estimate:.5g} ± {error:.2g}, truth {truth:.5g}"
+            return f"{case}: no warning, but {found}"
+        ratio = error / max(minimum.error[k] for minimum in minima)
+        if not ratio < (20 if answer.warnings else 4):
+            return f"{case}: the standard error of {parameter} is {ratio:.2g} times that of SciPy"
     return None
+
+
+def _as_shown(case: Experiment) -> Experiment:
+    """Return the experiment as if its stamps were the times."""
+    rows = case.clock.rows
+    stamps = case.clock.stamps[rows]
+    return replace(
+        case,
+        clock=replace(case.clock, time=stamps, stamps=stamps, rows=np.arange(rows.size)),
+        motion=replace(case.motion, values=case.motion.values[:, rows]),
+        measured=case.measured[:, rows],
+    )
 
 
 def fit_embedded(rng: np.random.Generator) -> str | None:
