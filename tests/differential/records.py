@@ -453,11 +453,12 @@ def fit_criteria(rng: np.random.Generator) -> str | None:
     case = experiment(rng, system, uniform(rng, step_of(system), 120))
     noise = str(rng.choice(["diagonal", "full", "given"]))
     priors, tied = {}, {}
-    if rng.random() < 0.5:
+    knowledge = rng.random()
+    if knowledge < 0.4:
         mean = system.truth["a"] * (1 + 0.01 * rng.standard_normal())
         priors = {"a": (float(mean), 0.01 * system.truth["a"])}
-    elif "d" in system.truth and rng.random() < 0.6:
-        tied = {"d": ("a", system.truth["d"] / system.truth["a"])}
+    elif knowledge < 0.8:
+        tied = {"a": ("k", system.truth["a"] / system.truth["k"])}
     bias = rng.random() < 0.3 and not priors
     known = rng.random() < 0.4
     return fitted(Question([case], noise, known, priors, tied, bias=bias))

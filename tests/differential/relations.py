@@ -250,7 +250,11 @@ def workers(rng: np.random.Generator) -> str | None:
     starts = [{}, {name: float(value) for name, value in far.items()}]
     with gb.solve.WorkerPool(int(rng.integers(1, 3))) as pool:
         other = gb.fit(gb.Problem(model, data), starts, executor=pool, progress=False)
-    return _difference(case, _fit(model, data, starts), other, _unchanged, 0.0)
+    fit = _fit(model, data, starts)
+    for number, (run, twin) in enumerate(zip(fit.runs, other.runs, strict=True)):
+        if not (run.status == twin.status and np.array_equal(run.cost, twin.cost, equal_nan=True)):
+            return f"{case}: run {number} ends as {run.status!r} here, as {twin.status!r} there"
+    return _difference(case, fit, other, _unchanged, 0.0)
 
 
 def file(rng: np.random.Generator) -> str | None:
