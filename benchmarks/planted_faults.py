@@ -155,19 +155,6 @@ def gapless(record, inputs, outputs, **options):
     return [replace(s, outputs=np.nan_to_num(s.outputs)) for s in stretches]
 """,
     ),
-    Fault(
-        "tied parameters stay at their starts",
-        "class Problem(",
-        """
-_right_post_init = Problem.__post_init__
-def _post_init(self):
-    fixed = {name: self.model.parameters[name].start for name in self.tied}
-    vars(self)["fixed"] = {**self.fixed, **fixed}
-    vars(self)["tied"] = {}
-    _right_post_init(self)
-Problem.__post_init__ = _post_init
-""",
-    ),
 )
 
 
