@@ -35,6 +35,7 @@ gc.disable()
 # The slowest files and slow ones of the last folder begin first, so that no core waits for them at
 # the end.
 FIRST = (
+    "test_structures_over_flights.py",
     "test_readme.py",
     "test_record_problems.py",
     "test_nested_models.py",

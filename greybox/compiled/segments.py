@@ -124,7 +124,7 @@ class Segments:
             if self.step.repeats and name not in ("advance", "output"):
                 # Finer steps call the same functions for shorter substeps.
                 step, substep = self.step, self.step.substep
-                derivatives = SubstepDerivatives(
+                derivatives = substep_derivatives(
                     step.measurement, substep, id(substep), *key[:2], shared
                 )
                 function = partial(derivatives, step.substeps)
@@ -371,7 +371,6 @@ def _finite(values: Arrays) -> list[Array]:
     ]
 
 
-@once
 class SubstepDerivatives:
     """Derivatives of the next state and an output, as one function of a sample would give them.
 
@@ -439,6 +438,11 @@ class SubstepDerivatives:
 
         by_free = by_free.reshape(len(slopes.T), -1, columns)
         return [np.hstack([slopes.T, by_free]).reshape(-1, columns), residual]
+
+
+# A function of its own: pickle finds no class under a name that `once` gave to a function, and
+# workers get these derivatives with their solver.
+substep_derivatives = once(SubstepDerivatives)
 
 
 def _with_slopes(
