@@ -337,15 +337,15 @@ def compile_records(
             model.outputs,
             lead=longest_delay(model.problem, model.system),
             complete=model.criterion.noise == "full" or bool(model.driven),
+            held=[between.held for between in model.between],
             static=model.problem.model.is_static,
+            states=len((model.system.undelayed or model.system).states),
+            known_states=int(model.known_states.sum()),
         )
         for model in models
     ]
 
-    longest = [
-        float(sampled.steps.max()) if model.record.is_irregular else model.record.step
-        for model, sampled in zip(models, data, strict=True)
-    ]
+    longest = [float(sampled.steps.max()) for sampled in data]
     drawn = [drawn_parameters(problem) for problem in problems]
 
     def kind(k: int) -> tuple[Any, ...]:

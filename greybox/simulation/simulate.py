@@ -1,12 +1,12 @@
 """Simulation and prediction of records with a model at one estimate."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.compiled.sampled_data import gapless
+from greybox.compiled.sampled_data import Stretch, gapless
 from greybox.data.record import Record, share_samples
 from greybox.files.arrays import (
     Array,
@@ -117,12 +117,13 @@ def simulate(
 
     # Without states and delays, samples are independent of one another.
     static = not (estimated.system.states or estimated.system.delayed)
-    stretches = gapless(record, estimated.system.inputs, (), shortest=1 if static else 2)
+    stretches = gapless(record, estimated.system.inputs, (), held=estimated.held)
     if not stretches:
-        what = "sample" if static else "two consecutive samples"
-        raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
+        raise ValueError(f"{record.name or 'the record'} has no sample with all inputs.")
     fitted = estimated.part and estimated.part.data
     fitted_initial = initial is None and fitted is not None and fitted.is_same_as(record)
+    if fitted_initial:
+        stretches = _fitted_stretches(estimated, stretches)
     states = _initial_states(estimated, initial, len(stretches), fitted_initial)
 
     errors = [] if estimated.covariance is None else [name + ERROR for name in outputs]
@@ -142,11 +143,11 @@ def simulate(
             name = next(name for name, row in signals.items() if not abs(row[when]) < DIVERGED)
             raise ValueError(
                 f"the simulation of {estimated.label} diverges at "
-                f"{record.time[stretch.rows][when]:.6g} s, {name} first: predict an unstable model "
+                f"{record.time[stretch.rows[when]]:.6g} s, {name} first: predict an unstable model "
                 f"over windows instead of simulating it, or {DOMAINS}."
             )
         for name, row in {**signals, **of_outputs}.items():
-            columns[name][stretch.rows] = row
+            columns[name][stretch.own_rows] = row[stretch.own]
 
     units = {
         n: record.units[signal]
@@ -158,6 +159,8 @@ def simulate(
     if estimated.covariance is not None and not fitted_initial:
         zero = [name for name in estimated.system.states if name not in (initial or {})]
         remark += f", from {some(zero)} = 0" if zero else ""
+    if not static and len(stretches) > 1:
+        remark += f", begun anew behind {counted(len(stretches) - 1, 'gap')}"
     name = f"simulation of {estimated.label}{remark}"
     return Record(record.time, columns, units, name=name, has_time=record.has_time)
 
@@ -261,8 +264,7 @@ def predict_windows(
     reason, without a full stop.
     """
     model = model.driven_by(windows.record)
-    lead = windows.lead * windows.record.step
-    horizon = windows.horizon * windows.record.step
+    lead, horizon = windows.lengths
     if windows.lead and np.max(model.delays, initial=0.0) >= lead:
         raise ValueError(
             f"the delay of {model.label} is {np.max(model.delays):.3g} s, and lead={lead:.3g} s "
@@ -279,9 +281,12 @@ def predict_windows(
     error, unknown = simulator.standard_errors(simulated)
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
 
+    there = ~(windows.repeated | windows.filled)[:, windows.lead :]
+
     def ahead(values: Array) -> Array:
         # Lead-ins were used for the states, and would look too good.
-        return np.moveaxis(values[:, windows.lead :], -1, 0)
+        later = np.moveaxis(values[:, windows.lead :], -1, 0)
+        return later if there.all() else np.where(there, later, np.nan)
 
     prediction = Prediction(
         label=model.label,
@@ -291,7 +296,7 @@ def predict_windows(
         states=model.system.states,
         lead=lead,
         horizon=horizon,
-        rows=windows.rows[:, windows.lead :],
+        rows=np.where(there, windows.rows[:, windows.lead :], -1),
         predicted=ahead(simulated.outputs),
         error=ahead(error),
         noise=simulated.initial.noise,
@@ -299,6 +304,7 @@ def predict_windows(
         one_step=ahead(simulator.one_step(simulated)),
         notes=notes,
         own=values,
+        elapsed=windows.elapsed,
     )
     return prediction, simulated.not_finite, _not_finite(simulated, windows, model)
 
@@ -346,6 +352,14 @@ def _model_and_record(
         record = estimated.part.data
     require_signals(record, estimated.system.inputs, estimated.label)
     return estimated, record
+
+
+def _fitted_stretches(model: ModelAtEstimate, stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Return the stretches of the fit's record that the fit has used."""
+    # Others have too few measured values to say anything of the model.
+    simulated = [model.part.simulated[name] for name in model.part.outputs]
+    used = np.isfinite(simulated).any(axis=0)
+    return [stretch for stretch in stretches if used[stretch.own_rows].any()]
 
 
 def _initial_states(
