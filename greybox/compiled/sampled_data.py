@@ -43,12 +43,12 @@ WHOLE = 1e-3
 REST = 5
 
 
-# Share of a step by which samples may be off uniform ones and still count as uniform: steps of a log
-# are not known more precisely. Times that are further off count as they are.
+# Share of a step by which samples may be off uniform ones and still count as uniform: steps of a
+# log are not known more precisely. Times that are further off count as they are.
 EXACT = 1e-3
 
-# Samples that a stretch may get in its long steps, for each of its own: with 20, a clock at 1 Hz may
-# turn into one at 0.05 Hz. Beyond, a stretch keeps its uneven steps.
+# Samples that a stretch may get in its long steps, for each of its own: with 20, a clock at 1 Hz
+# may turn into one at 0.05 Hz. Beyond, a stretch keeps its uneven steps.
 MOST_FILLED = 20
 
 
@@ -278,7 +278,7 @@ def joined(records: Sequence[SampledData]) -> SampledData:
     return SampledData(stretches, records[0].segment_length)
 
 
-def sampled_data(
+def sampled_data(  # noqa: PLR0913  (as many facts as a record and its model have)
     record: Record,
     inputs: Strings,
     outputs: Strings,

@@ -168,7 +168,11 @@ class Record(Printed):
                 )
         hold = {name: checked_hold(name, seconds) for name, seconds in self.hold.items()}
         # A given checksum is that of the file: excerpts of one log are recognized by it.
-        checksum = self.checksum or checksum_of(time, *chain.from_iterable(signals.items()))
+        # The numbers of other stretches are other data.
+        stated = () if self.gaps == "auto" else (self.gaps,)
+        checksum = self.checksum or checksum_of(
+            time, *chain.from_iterable(signals.items()), *stated
+        )
         findings = (*self.findings, *lost)
         vars(self).update(
             time=time, signals=signals, hold=hold, checksum=checksum, findings=findings
@@ -259,9 +263,13 @@ class Record(Printed):
         return described_gaps(self.time, self.clock, cut, self.gaps)
 
     def is_same_as(self, other: "Record") -> bool:
-        """Return whether another record has the same times, and values of the signals of both."""
+        """Return whether another record has the same times, and values of the signals of both.
+
+        What is stated of gaps must be the same, too.
+        """
         # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
-        is_same = self.checksum == other.checksum and np.array_equal(self.time, other.time)
+        is_same = (self.checksum, self.gaps) == (other.checksum, other.gaps)
+        is_same = is_same and np.array_equal(self.time, other.time)
         shared = self.signals.keys() & other.signals.keys()
         return is_same and all(
             np.array_equal(self[name], other[name], equal_nan=True) for name in shared

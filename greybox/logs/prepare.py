@@ -233,7 +233,7 @@ class _Source:
 
 def _common_gaps(sources: Mapping[str, _Source]) -> Gaps:
     """Return what all sources state of their long steps, else "auto"."""
-    stated = unique(source.gaps for source in sources.values())
+    stated: tuple[Gaps, ...] = unique(source.gaps for source in sources.values())
     return stated[0] if len(stated) == 1 else "auto"
 
 

@@ -15,6 +15,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
     all_finite,
+    array_of,
     nans,
     selected,
     unique,
@@ -357,9 +358,9 @@ def _model_and_record(
 def _fitted_stretches(model: ModelAtEstimate, stretches: Sequence[Stretch]) -> list[Stretch]:
     """Return the stretches of the fit's record that the fit has used."""
     # Others have too few measured values to say anything of the model.
-    simulated = [model.part.simulated[name] for name in model.part.outputs]
-    used = np.isfinite(simulated).any(axis=0)
-    return [stretch for stretch in stretches if used[stretch.own_rows].any()]
+    simulated = array_of(model.part.simulated, model.part.outputs)
+    used = np.flatnonzero(np.isfinite(simulated).any(axis=0))
+    return [stretch for stretch in stretches if np.isin(stretch.own_rows, used).any()]
 
 
 def _initial_states(
