@@ -297,8 +297,9 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
         )
         return replace(errors, meat=errors.meat + directions.T @ unseen @ directions)
 
-    # Rows without a time have no neighbors with which they could be correlated.
-    in_order = model.has_time and not model.is_prior
+    # Rows without a time have no neighbors with which they could be correlated, nor has a single
+    # sample of an output.
+    in_order = model.has_time and not model.is_prior and part.covariance.counts.max() > 1
     return Information(
         part,
         slopes.triangle @ by_values,

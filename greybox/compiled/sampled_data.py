@@ -329,7 +329,8 @@ def sampled_data(  # noqa: PLR0913  (as many facts as a record and its model hav
         reason = f" after the longest delay in the bounds, {delay:.3g} s" if delay else ""
         raise ValueError(
             f"{_called(record)} has no usable stretch, {ENOUGH} samples in a row with all inputs"
-            f"{reason}: give a longer record, or inputs at every sample, as gb.prepare makes them"
+            f"{reason}: give a longer record, or inputs at every sample, as gb.prepare makes them, "
+            "or known initial states"
             f"{', or a smaller upper bound' if delay else ''}. {' '.join(record.findings)}".strip()
         )
 
@@ -345,14 +346,19 @@ def sampled_data(  # noqa: PLR0913  (as many facts as a record and its model hav
                 "nothing can be estimated from it."
             )
 
-    constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
+    # A single value, as of a destroyed sample, is compared with what known initial states give.
+    constant_outputs = [
+        name
+        for name in outputs
+        if not static and _is_constant(record[name]) and np.isfinite(record[name]).sum() != 1
+    ]
     if len(constant_outputs) == len(outputs):
         raise ValueError(
             f"the outputs of {_called(record)} never change ({', '.join(outputs)}): "
             "nothing can be estimated from it."
         )
 
-    dead = [name for name in constant_outputs if np.isfinite(record[name]).sum() > 1]
+    dead = [name for name in constant_outputs if np.isfinite(record[name]).any()]
     if dead:  # its residuals would decide the fit
         raise ValueError(
             f"{_called(record)} has {dead[0]} = {np.nanmax(record[dead[0]]):g} at all times, "
@@ -421,7 +427,7 @@ def is_informative(stretch: Stretch, states: int, known_states: int) -> bool:
     """
     numbers = int(np.isfinite(stretch.outputs).sum())
     unknown = states - known_states * (stretch.rows[0] == 0)
-    return numbers > 0 and (len(stretch.own_rows) >= ENOUGH or numbers > unknown)
+    return numbers > unknown or (numbers > 1 and len(stretch.own_rows) >= ENOUGH)
 
 
 def _called(record: Record) -> str:

@@ -239,24 +239,32 @@ def lost_rows(time: Array, inputs: Array, clock: Clock, gaps: Gaps) -> IntArray:
 
 def described_gaps(time: Array, clock: Clock, cut: int, gaps: Gaps) -> str:
     """Return what the long steps are, in words, if a new stretch begins behind `cut` of them."""
+    steps = np.diff(time)
     if gaps == "cut":
-        return (
-            f"cut at {counted(cut, 'step')} longer than 1.5 median steps, as stated" if cut else ""
-        )
-    if clock.kind == "rounded" and not clock.holes.size:
-        quantum = np.diff(time).min()
-        return f"stamps of {1e3 * quantum:.3g} ms, which round a clock of {1 / clock.step:.5g} Hz"
+        places = counted(cut, "step")
+        return f"cut at {places} longer than {LONG:g} median steps, as stated" if cut else ""
     if not clock.holes.size:
-        return ""
-    longest = np.diff(time)[clock.holes].max()
-    found = f"rows are missing at {counted(clock.holes.size, 'place')}, for up to {longest:.4g} s"
+        if clock.kind == "uniform":
+            return ""
+        if clock.kind == "rounded":
+            return (
+                f"stamps of {1e3 * steps.min():.4g} ms that round a clock of {1 / clock.step:.5g} "
+                "Hz: no row is missing"
+            )
+        return f"steps of {steps.min():.4g} to {steps.max():.4g} s, in which no row is missing"
+
+    longest = steps[clock.holes].max()
+    found = f"rows are missing at {counted(clock.holes.size, 'place')}, for {longest:.4g} s at most"
     if gaps == "bridge":
-        return f"{found}: the inputs are known there, as stated"
-    if not cut:
-        return f"{found}: the inputs are known there, and the model runs on"
+        return f"{found}; inputs are known there, as stated"
     run_on = clock.holes.size - cut
-    others = f", and the model runs on at {run_on}" if run_on else ""
-    return f"{found}: the inputs are unknown at {cut}, where a new stretch begins{others}"
+    known = f"inputs are known at {run_on}, where the model runs on" if run_on else ""
+    unknown = (
+        f"inputs are unknown at {cut}, where a new stretch begins (gaps='bridge' if they are known)"
+        if cut
+        else ""
+    )
+    return "; ".join(filter(None, [found, known, unknown]))
 
 
 def _is_known(values: Array, time: Array, clock: Clock) -> BoolArray:

@@ -302,14 +302,16 @@ def require_lengths(**lengths: Any) -> None:
 def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
     """Return the longest of `at_least` s, ten samples of the slowest record, and two delays.
 
-    A record that is shorter than eight times `at_least` allows an eighth of its length.
+    A record that is shorter than eight times `at_least` allows an eighth of its length; one of few
+    samples a third, so that there is room for a lead-in and a window.
     """
     # NaN, the step of a single sample, compares as neither more nor less than the first number.
     slowest = max([0.0, *(record.step for record in records)])
     # A hydraulic drive is recorded for 0.2 s, in which there is no room for a second.
     length = min([at_least, *(len(record) * record.step / 8 for record in records)])
+    few = min([FEWEST * slowest, *(record.duration / 3 for record in records)])
     # Within the longest delay, outputs respond to inputs before the lead-in.
-    return max(length, FEWEST * slowest, 2.0 * delay)
+    return max(length, few, slowest, 2.0 * delay)
 
 
 def seconds(length: float) -> str:
