@@ -433,7 +433,7 @@ def _windows_of(stretch: Stretch, record: Record, lead: float, horizon: float) -
     return ends[np.all(np.diff(ends, axis=1) > 0, axis=1)]
 
 
-def sample_data(windows: Windows, inputs: Strings, delays: Array, held: ArrayLike) -> Array:
+def sample_data(windows: Windows, inputs: Strings, delays: Array, held: ArrayLike = False) -> Array:
     """Return the data of all samples in the windows, (width, w, samples), see `SampledData.rows`.
 
     The inputs before a window are those of its stretch. Outputs are left out as long as the delayed

@@ -119,8 +119,10 @@ def simulate(
     # Without states and delays, samples are independent of one another.
     static = not (estimated.system.states or estimated.system.delayed)
     stretches = gapless(record, estimated.system.inputs, (), held=estimated.held)
-    if not stretches:
-        raise ValueError(f"{record.name or 'the record'} has no sample with all inputs.")
+    # From one sample alone, nothing moves.
+    if max(map(len, stretches), default=0) < (1 if static else 2):
+        what = "sample" if static else "two consecutive samples"
+        raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
     fitted = estimated.part and estimated.part.data
     fitted_initial = initial is None and fitted is not None and fitted.is_same_as(record)
     if fitted_initial:
