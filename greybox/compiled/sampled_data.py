@@ -329,8 +329,8 @@ def sampled_data(  # noqa: PLR0913  (as many facts as a record and its model hav
         reason = f" after the longest delay in the bounds, {delay:.3g} s" if delay else ""
         raise ValueError(
             f"{_called(record)} has no usable stretch, {ENOUGH} samples in a row with all inputs"
-            f"{reason}: give a longer record, or inputs at every sample, as gb.prepare makes them, "
-            "or known initial states"
+            f"{reason}: give a longer record, known initial states, or inputs at every sample, as "
+            "gb.prepare makes them"
             f"{', or a smaller upper bound' if delay else ''}. {' '.join(record.findings)}".strip()
         )
 

@@ -303,13 +303,15 @@ def default_length(records: Sequence[Record], at_least: float, delay: float = 0.
     """Return the longest of `at_least` s, ten samples of the slowest record, and two delays.
 
     A record that is shorter than eight times `at_least` allows an eighth of its length; one of few
-    samples a third, so that there is room for a lead-in and a window.
+    samples half, so that there is room for a lead-in and a window.
     """
     # NaN, the step of a single sample, compares as neither more nor less than the first number.
     slowest = max([0.0, *(record.step for record in records)])
     # A hydraulic drive is recorded for 0.2 s, in which there is no room for a second.
     length = min([at_least, *(len(record) * record.step / 8 for record in records)])
-    few = min([FEWEST * slowest, *(record.duration / 3 for record in records)])
+    # From the first sample to a step behind the last one.
+    halves = (record.duration * len(record) / max(len(record) - 1, 1) / 2 for record in records)
+    few = min([FEWEST * slowest, *halves])
     # Within the longest delay, outputs respond to inputs before the lead-in.
     return max(length, few, slowest, 2.0 * delay)
 
@@ -427,7 +429,7 @@ def _windows_of(stretch: Stretch, record: Record, lead: float, horizon: float) -
 
     # A sample belongs to the window in which it lies; rounding must not decide.
     margin = ROUNDING * stretch.step
-    room = times[-1] + stretch.step / 2 - lead - horizon
+    room = times[-1] + stretch.step + margin - lead - horizon
     starts = np.arange(math.floor(room / horizon) + 1) * horizon if room >= 0 else np.zeros(0)
     ends = np.searchsorted(times, starts[:, None] + [0, lead, lead + horizon] - margin)
     return ends[np.all(np.diff(ends, axis=1) > 0, axis=1)]
