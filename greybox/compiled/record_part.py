@@ -325,11 +325,6 @@ def compile_records(
     shared = list[Any]()
     for problem in problems:
         model = record_model(problem, expressions, z, method, shared)
-        if model.criterion.corrects_states and model.record.is_irregular:
-            raise ValueError(
-                f"{problem.name!r} corrects its states by a constant gain, and its record is not "
-                "uniformly sampled: prepare the record with rate=..., which resamples it."
-            )
         models.append(model)
     data = [
         sampled_data(
@@ -345,6 +340,12 @@ def compile_records(
         )
         for model in models
     ]
+    for model, sampled in zip(models, data, strict=True):
+        if model.criterion.corrects_states and not sampled.is_uniform:
+            raise ValueError(
+                f"{model.name!r} corrects its states by a constant gain, and its record is not "
+                "uniformly sampled: prepare the record with rate=..., which resamples it."
+            )
 
     longest = [float(sampled.steps.max()) for sampled in data]
     drawn = [drawn_parameters(problem) for problem in problems]

@@ -160,6 +160,12 @@ class SampledData:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)
 
+    @property
+    def is_uniform(self) -> bool:
+        """Whether every sample is nearest to its own place on a uniform clock of its stretch."""
+        times = [stretch.times for stretch in self.stretches if stretch.times is not None]
+        return all(off_uniform(values) <= JITTER for values in times)
+
     def excerpts(self, samples: int) -> "SampledData":
         """Return evenly spaced excerpts with this total number of samples; short data whole."""
         total = sum(map(len, self.stretches))

@@ -200,13 +200,10 @@ def _rounded_step(time: Array, steps: Array, quantum: float) -> float:
     block = np.cumsum(within_piece % length == 0) - 1
     firsts = np.flatnonzero(np.diff(block, prepend=-1))
 
-    # One rate for all blocks: the mean within them, then the best line.
-    counts = np.bincount(block)
-    k = places - (np.bincount(block, places) / counts)[block]
-    t = time - (np.bincount(block, time - time[0]) / counts)[block] - time[0]
-    step = float(k @ t / (k @ k))
-    errors = t - step * k
+    step = float(steps[within].mean())
+    errors = time - time[0] - step * places
     width = np.maximum.reduceat(errors, firsts) - np.minimum.reduceat(errors, firsts)
+    counts = np.diff(firsts, append=time.size)
     fits = counts[width <= 1.1 * quantum].sum() > 0.9 * time.size
     return step if fits else 0.0
 

@@ -488,6 +488,19 @@ def require_time(record: Record, what: str) -> None:
         )
 
 
+def unrounded(record: Record) -> Record:
+    """Return a record in coarse stamps with the times of its uniform clock, others as they are."""
+    if record.clock.kind != "rounded":
+        return record
+    times = record.time.copy()
+    for rows in record.independent_pieces:
+        # The best line through the stamps.
+        ticks, stamps = (values - values.mean() for values in (rows, record.time[rows]))
+        step = ticks @ stamps / max(float(ticks @ ticks), 1.0)
+        times[rows] = record.time[rows].mean() + step * ticks
+    return replace(record, time=times)
+
+
 def share_samples(a: Record, b: Record) -> bool:
     """Return whether two records have some measured samples in common.
 

@@ -274,6 +274,13 @@ def predict_windows(
             "does not cover it: give a longer lead."
         )
 
+    if windows.repeated.any() and model.criterion.corrects_states:
+        raise ValueError(
+            f"{model.label} corrects its states by a constant gain, and "
+            f"{windows.record.name or 'the record'} is not uniformly sampled: prepare it with "
+            "rate=..., which resamples it."
+        )
+
     # On its own record the fit has estimated these values already.
     if own is None:
         new = model.part is not None and not share_samples(model.part.data, windows.record)
