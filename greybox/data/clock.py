@@ -21,7 +21,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, evenly_spread, frozen
 from greybox.files.text_table import counted
 
 Gaps = Literal["auto", "bridge", "cut"]
@@ -36,7 +36,7 @@ LONG = 1.5
 # In usual steps: longer than across one lost row, over which signals are resampled.
 ONE_LOST = 2.5
 
-# Steps before and after a long one that show what is usual there, and the fewest of them. The third
+# Steps before and after a long one that show what is usual there, and the fewest of them. The second
 # of ten by size is a single step even where half of the rows are lost.
 NEIGHBORS = 10
 FEWEST = 3
@@ -52,7 +52,7 @@ BLOCK = 64  # samples at least that are compared with a uniform clock, whose rat
 # Error of a line across lost rows, in standard deviations of the input, up to which the input is
 # known: less than the error of most models.
 KNOWN = 0.1
-# Places at which the line is tried: a tenth of their error is known.
+# Steps and places that are tried in a long record: enough for a tenth, and for an error.
 TRIALS = 20_000
 
 
@@ -112,20 +112,19 @@ def clock_of(time: Array) -> Clock:
 
     steps = np.diff(time)
     places = np.arange(steps.size)
-    # By the median, most clocks are regular: then only long steps need their neighbors.
-    if np.mean(_off_whole(steps / median)) <= 0.1:
-        quick = np.sort(steps)[steps.size // 4]
-        places = np.flatnonzero(steps > LONG * quick)
-    before, after = _usual(steps, places)
-    here = steps[places]
-    if places.size == steps.size:
-        usual = np.fmin(before, after)
-        off = _off_whole(here / np.where(np.isfinite(usual), usual, median))
+    if np.mean(_off_whole(steps / median)) > 0.1:
+        # With two rates, the median is one of them: the steps around each are its measure.
+        some = evenly_spread(steps.size, TRIALS)
+        usual = np.fmin(*_usual(steps, some))
+        off = _off_whole(steps[some] / np.where(np.isfinite(usual), usual, median))
         if np.mean(off) > 0.1:
             return Clock(median, "irregular", _long_in_irregular(steps))
+    else:
+        places = np.flatnonzero(steps > LONG * np.sort(steps)[steps.size // 4])
 
     # Long against both sides; at an end, there is only one.
-    usual = np.fmax(before, after)
+    before, after = _usual(steps, places)
+    here, usual = steps[places], np.fmax(before, after)
     is_long = here > LONG * np.where(np.isfinite(usual), usual, np.inf)
     is_long &= _has_neighbors(steps, places, usual, before, after)
     holes = places[is_long]
@@ -153,11 +152,10 @@ def _usual(steps: Array, places: IntArray) -> ArrayPair:
     usual = []
     for sides in _neighbors(steps, places):
         ordered = np.sort(sides, axis=1)
-        third = ordered[:, FEWEST - 1]
-        # The median of the single steps: the third alone would be short where times jitter.
-        count = np.sum(ordered <= LONG * third[:, None], axis=1)
+        # The median of the single steps: the second alone would be short where times jitter.
+        count = np.sum(ordered <= LONG * ordered[:, 1:2], axis=1)
         middle = np.take_along_axis(ordered, (count[:, None] - 1) // 2, axis=1)[:, 0]
-        usual.append(np.where(np.isfinite(third), middle, np.nan))
+        usual.append(np.where(np.isfinite(ordered[:, FEWEST - 1]), middle, np.nan))
     return usual[0], usual[1]
 
 
@@ -171,9 +169,10 @@ def _has_neighbors(
 
 def _long_in_irregular(steps: Array) -> IntArray:
     """Return the steps that are much longer than any neighbor, ten on each side."""
-    sides = _neighbors(steps, np.arange(steps.size))
-    longest = np.max([side.max(axis=1) for side in sides], axis=0)
-    return np.flatnonzero(steps > LONG_IN_IRREGULAR * longest)
+    next_longer = np.maximum(steps[:-2], steps[2:])
+    places = np.flatnonzero(steps[1:-1] > LONG_IN_IRREGULAR * next_longer) + 1
+    longest = np.max([sides.max(axis=1) for sides in _neighbors(steps, places)], axis=0)
+    return places[steps[places] > LONG_IN_IRREGULAR * longest]
 
 
 def _rounded_step(time: Array, steps: Array, quantum: float) -> float:
