@@ -309,9 +309,12 @@ def default_length(records: Sequence[Record], at_least: float, delay: float = 0.
     slowest = max([0.0, *(record.step for record in records)])
     # A hydraulic drive is recorded for 0.2 s, in which there is no room for a second.
     length = min([at_least, *(len(record) * record.step / 8 for record in records)])
-    # From the first sample to a step behind the last one.
-    halves = (record.duration * len(record) / max(len(record) - 1, 1) / 2 for record in records)
-    few = min([FEWEST * slowest, *halves])
+    few = FEWEST * slowest
+    for record in records:
+        if len(record) > 1:
+            # Half of the time from the first sample to a step behind the last one.
+            step = min(record.step, record.duration / (len(record) - 1))
+            few = min(few, (record.duration + step) / 2)
     # Within the longest delay, outputs respond to inputs before the lead-in.
     return max(length, few, slowest, 2.0 * delay)
 
@@ -390,7 +393,8 @@ def cut(
         times = np.concatenate([_times(stretch) for stretch in stretches])
         elapsed = times[columns[:, before:]] - times[middle - 1, None]
     if not repeated.any():
-        lengths = before * record.step, after * record.step
+        step = stretches[0].step if filled.any() else record.step
+        lengths = before * step, after * step
     return Windows(
         record,
         tuple(inputs),
@@ -454,9 +458,9 @@ def sample_data(windows: Windows, inputs: Strings, delays: Array, held: ArrayLik
     if windows.repeated.any():
         k = len(windows.outputs)
         data[-1 - 2 * k : -1, windows.repeated] = 0.0
-        # From one sample to its repetition.
+        # From one sample to its repetition no time passes; zero would divide the slope of an input.
         same = np.diff(windows.columns, axis=1) == 0
-        data[-1, :, :-1][same] = 0.0
+        data[-1, :, :-1][same] = ROUNDING**2 * record.step
     return data
 
 
