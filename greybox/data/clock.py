@@ -36,8 +36,8 @@ LONG = 1.5
 # In usual steps: longer than across one lost row, over which signals are resampled.
 ONE_LOST = 2.5
 
-# Steps before and after a long one that show what is usual there, and the fewest of them. The second
-# of ten by size is a single step even where half of the rows are lost.
+# Steps before and after a long one that show what is usual there, and the fewest of them. The
+# second of ten by size is a single step even where half of the rows are lost.
 NEIGHBORS = 10
 FEWEST = 3
 

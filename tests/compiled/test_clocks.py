@@ -254,7 +254,7 @@ def test_batches_with_one_measured_point_each_are_a_fit(given):
     assert answer.estimate["k"] == pytest.approx(best.x[0], rel=1e-4)
     assert answer.standard_error["k"] == pytest.approx(size / np.linalg.norm(best.jac), rel=0.3)
     unknown = gb.OutputError(noise=given)
-    with pytest.raises(ValueError, match="no usable stretch.* known initial states"):
+    with pytest.raises(ValueError, match=r"no usable stretch.* known initial states"):
         gb.fit(gb.several(Decay(), batches, criterion=unknown), 1, progress=False)
 
 
