@@ -44,10 +44,12 @@ FEWEST = 3
 # Times the longest neighbor: of 10 000 random (exponential) steps, one is that long.
 LONG_IN_IRREGULAR = 3.0
 
-# Steps of two quanta that show a clock in coarse stamps: six that are spaced like those of a
-# rounded clock are lost rows in one of a hundred cases. Fewer may as well be lost rows.
-TWO_QUANTA = 6
-BLOCK = 64  # samples at least that are compared with a uniform clock, whose rate may drift slowly
+# Steps of two quanta (or of one, where these are rarer) that show a clock in coarse stamps, and in
+# each block that is compared with a uniform clock; and the share of the samples in blocks that fit.
+# Of 300 clocks of 60 to 300 samples that had lost 10 or 30 % of their rows, one fitted by chance;
+# of clocks of 75 Hz in stamps of 10 ms that had lost 5 %, 95 % fit.
+RARER = 6
+FITTING = 0.7
 
 # Error of a line across lost rows, in standard deviations of the input, up to which the input is
 # known: less than the error of most models.
@@ -187,11 +189,11 @@ def _rounded_step(time: Array, steps: Array, quantum: float) -> float:
         return 0.0
     two = np.count_nonzero(within & (quanta > LONG))
     one = np.count_nonzero(within) - two
-    if min(one, two) < TWO_QUANTA:
+    if min(one, two) < RARER:
         return 0.0
 
-    # In each block, several steps are of the rarer kind.
-    length = max(BLOCK, math.ceil(8 * (one + two) / min(one, two)))
+    # In blocks, because a clock may drift against its mean rate, and lose rows.
+    length = math.ceil(RARER * (one + two) / min(one, two))
     places = np.arange(time.size)
     piece = np.concatenate([[0], np.cumsum(~within)])
     begins = np.flatnonzero(np.diff(piece, prepend=-1))
@@ -203,7 +205,8 @@ def _rounded_step(time: Array, steps: Array, quantum: float) -> float:
     errors = time - time[0] - step * places
     width = np.maximum.reduceat(errors, firsts) - np.minimum.reduceat(errors, firsts)
     counts = np.diff(firsts, append=time.size)
-    fits = counts[width <= 1.1 * quantum].sum() > 0.9 * time.size
+    # The rest of 1.1: the mean rate is not that of the block.
+    fits = counts[width <= 1.1 * quantum].sum() > FITTING * time.size
     return step if fits else 0.0
 
 
