@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.clock import JITTER, off_uniform
+from greybox.data.clock import JITTER, decimal_tick, off_uniform
 from greybox.data.record import Record
 from greybox.files.arrays import (
     Array,
@@ -46,6 +46,10 @@ REST = 5
 # Share of a step by which samples may be off uniform ones and still count as uniform: steps of a
 # log are not known more precisely. Times that are further off count as they are.
 EXACT = 1e-3
+
+# Of a unit of the stamps, by which they are off the clock that they round, and a little for the rate
+# that is estimated from them.
+HALF = 0.52
 
 # Samples that a stretch may get in its long steps, for each of its own: with 20, a clock at 1 Hz
 # may turn into one at 0.05 Hz. Beyond, a stretch keeps its uneven steps.
@@ -471,8 +475,10 @@ def _on_its_clock(given: Stretch, leads: Array, held: BoolArray, lost: BoolArray
     masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), count)
     compared = given.outputs.copy()
     compared[:, :masked] = np.nan
-    # Delays are whole samples; else a schedule of few samples counts as it is.
+    # Delays are whole samples, and stamps within half a unit of a uniform clock round it. Other times
+    # count as they are, in a schedule of few samples above all.
     uniform = off <= (JITTER if np.any(leads > 0) else EXACT)
+    uniform |= off <= JITTER and off * step <= HALF * decimal_tick(time)
     times = None if uniform else time
     return replace(given, outputs=compared, step=step, masked=masked, times=times)
 

@@ -105,6 +105,16 @@ def off_uniform(time: Array) -> float:
     return float(np.abs(time - time[0] - step * np.arange(time.size)).max() / step)
 
 
+def decimal_tick(time: Array) -> float:
+    """Return the unit of times (n,), the longest of 1, 0.1, ... 1e-6 s, or 0 for finer ones."""
+    for digits in range(7):
+        ticks = time * 10.0**digits
+        # Of seconds since 1970, the digits behind the microseconds are rounded.
+        if np.abs(ticks - np.round(ticks)).max() < 1e-3:
+            return 10.0**-digits
+    return 0.0
+
+
 def clock_of(time: Array) -> Clock:
     """Return the clock of times (n,), strictly increasing."""
     nothing = np.zeros(0, dtype=int)
@@ -154,10 +164,11 @@ def _usual(steps: Array, places: IntArray) -> ArrayPair:
     usual = []
     for sides in _neighbors(steps, places):
         ordered = np.sort(sides, axis=1)
-        # The median of the single steps: the second alone would be short where times jitter.
-        count = np.sum(ordered <= LONG * ordered[:, 1:2], axis=1)
-        middle = np.take_along_axis(ordered, (count[:, None] - 1) // 2, axis=1)[:, 0]
-        usual.append(np.where(np.isfinite(ordered[:, FEWEST - 1]), middle, np.nan))
+        # The mean of the single steps: the second alone would be short where times jitter.
+        single = ordered <= (LONG + 1e-6) * ordered[:, 1:2]  # two and three ticks
+        single &= np.isfinite(ordered)
+        mean = np.where(single, ordered, 0.0).sum(axis=1) / np.maximum(single.sum(axis=1), 1)
+        usual.append(np.where(np.isfinite(ordered[:, FEWEST - 1]), mean, np.nan))
     return usual[0], usual[1]
 
 
