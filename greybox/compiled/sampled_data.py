@@ -47,8 +47,8 @@ REST = 5
 # log are not known more precisely. Times that are further off count as they are.
 EXACT = 1e-3
 
-# Of a unit of the stamps, by which they are off the clock that they round, and a little for the rate
-# that is estimated from them.
+# Share of a unit of the stamps by which they are off the clock that they round; the rest is for its
+# rate, which is estimated from them.
 HALF = 0.52
 
 # Samples that a stretch may get in its long steps, for each of its own: with 20, a clock at 1 Hz
@@ -475,8 +475,8 @@ def _on_its_clock(given: Stretch, leads: Array, held: BoolArray, lost: BoolArray
     masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), count)
     compared = given.outputs.copy()
     compared[:, :masked] = np.nan
-    # Delays are whole samples, and stamps within half a unit of a uniform clock round it. Other times
-    # count as they are, in a schedule of few samples above all.
+    # Delays are whole samples, and stamps within half a unit of a uniform clock round it. Other
+    # times count as they are, in a schedule of few samples above all.
     uniform = off <= (JITTER if np.any(leads > 0) else EXACT)
     uniform |= off <= JITTER and off * step <= HALF * decimal_tick(time)
     times = None if uniform else time

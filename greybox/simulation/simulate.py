@@ -63,7 +63,7 @@ def simulate(
         constant error of a sensor. A `Fit` also gives covariance, biases, and how its inputs ran.
     record : Record
         With all inputs; by default that of the fit.
-    initial : mapping of state to value, or to one value for each stretch without a gap
+    initial : mapping of state to value, or to one value for each stretch of known inputs
         Other states begin at zero; the name of the result says so. By default those of
         the fit where the record is its own, else zero.
     inputs : "record", "linear" or "held", optional
@@ -81,7 +81,8 @@ def simulate(
     Record
         At the times of `record`: the outputs as their sensors show them (with the biases of the
         fit), then the states that do not have the name of an output; NaN where an input is missing.
-        A new simulation begins behind a gap. With a `Fit` also ``<output>_error``, the standard
+        A new simulation begins where the inputs are unknown, behind lost rows, see
+        `greybox.data.clock`; the name of the result says so. With a `Fit` also ``<output>_error``, the standard
         error of an output, from those of the parameters (to first order) and of the initial states,
         if these are from the fit. It is NaN where an unstable model runs too long for that, and for
         an output that depends on a parameter which the data of the fit do not determine; the name
@@ -182,8 +183,8 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from the state that its lead-in gives.
 
-    The windows follow one another through every stretch without a gap; each row without a time is a
-    window. A free simulation of an unstable plant diverges however good the model is. Over windows
+    The windows follow one another through every stretch of known inputs, on an uneven clock by
+    time; each row without a time is a window. A free simulation of an unstable plant diverges however good the model is. Over windows
     of about its time to double, prediction errors show the quality of the model. The first state is
     the maximum a posteriori one (see `greybox.simulation.state_estimation`), with the noise of the
     fit or, if unknown, of the residuals in the lead-ins. With innovations (`PredictionError`), the
