@@ -64,8 +64,9 @@ def simulate(
     record : Record
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch of known inputs
-        Other states begin at zero; the name of the result says so. By default those of
-        the fit where the record is its own, else zero.
+        Other states begin where the model declares (`StateSpace.state_starts`), by default at
+        zero; the name of the result says so. By default those of the fit where the record is its
+        own.
     inputs : "record", "linear" or "held", optional
         How inputs vary between samples; by default as in the fit, else as the record says, see
         `OutputError`.
@@ -82,12 +83,13 @@ def simulate(
         At the times of `record`: the outputs as their sensors show them (with the biases of the
         fit), then the states that do not have the name of an output; NaN where an input is missing.
         A new simulation begins where the inputs are unknown, behind lost rows, see
-        `greybox.data.clock`; the name of the result says so. With a `Fit` also ``<output>_error``, the standard
-        error of an output, from those of the parameters (to first order) and of the initial states,
-        if these are from the fit. It is NaN where an unstable model runs too long for that, and for
-        an output that depends on a parameter which the data of the fit do not determine; the name
-        of the record states which. A parameter at its bound counts as exact, as in the standard
-        errors of the fit. The noise of the sensors is not included.
+        `greybox.data.clock`; the name of the result says so. With a `Fit` also
+        ``<output>_error``, the standard error of an output, from those of the parameters (to first
+        order) and of the initial states, if these are from the fit. It is NaN where an unstable
+        model runs too long for that, and for an output that depends on a parameter which the data
+        of the fit do not determine; the name of the record states which. A parameter at its bound
+        counts as exact, as in the standard errors of the fit. The noise of the sensors is not
+        included.
 
     Raises
     ------
@@ -161,8 +163,9 @@ def simulate(
     remark = f", {_not_known(unique(unknown), estimated)}" if unknown else ""
     # A user who simulates a fit expects the motion of the record, which hardly ever begins at rest.
     if estimated.covariance is not None and not fitted_initial:
-        zero = [name for name in estimated.system.states if name not in (initial or {})]
-        remark += f", from {some(zero)} = 0" if zero else ""
+        starts = zip(estimated.system.states, states[0], strict=True)
+        begun = [f"{name} = {start:.4g}" for name, start in starts if name not in (initial or {})]
+        remark += f", from {some(begun)}" if begun else ""
     if not static and len(stretches) > 1:
         remark += f", begun anew behind {counted(len(stretches) - 1, 'gap')}"
     name = f"simulation of {estimated.label}{remark}"
@@ -184,11 +187,12 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     """Predict the outputs over windows of a record, each from the state that its lead-in gives.
 
     The windows follow one another through every stretch of known inputs, on an uneven clock by
-    time; each row without a time is a window. A free simulation of an unstable plant diverges however good the model is. Over windows
-    of about its time to double, prediction errors show the quality of the model. The first state is
-    the maximum a posteriori one (see `greybox.simulation.state_estimation`), with the noise of the
-    fit or, if unknown, of the residuals in the lead-ins. With innovations (`PredictionError`), the
-    states are corrected in the lead-in but not in the horizon.
+    time; each row without a time is a window. A free simulation of an unstable plant diverges
+    however good the model is. Over windows of about its time to double, prediction errors show the
+    quality of the model. The first state is the maximum a posteriori one (see
+    `greybox.simulation.state_estimation`), with the noise of the fit or, if unknown, of the
+    residuals in the lead-ins. With innovations (`PredictionError`), the states are corrected in the
+    lead-in but not in the horizon.
 
     If the model was not fitted to the record, values that belong to a record are estimated from it
     (see `greybox.simulation.own_values`), as `Prediction.notes` states: biases of sensors,
@@ -376,14 +380,14 @@ def _fitted_stretches(model: ModelAtEstimate, stretches: Sequence[Stretch]) -> l
 def _initial_states(
     model: ModelAtEstimate, initial: Any, stretches: int, fitted_initial: bool
 ) -> Array:
-    """Return the first states (stretches, n) of every stretch; zero where none are given."""
+    """Return the first states (stretches, n) of every stretch; declared starts if none is given."""
     # On the record of the fit, its initial states were estimated with the parameters.
     if fitted_initial:
         initial = selected(model.part.initial, model.system.states)
     initial = {} if initial is None else initial
     require_kind("initial", initial, Mapping, "{state: value}")
     require_known(initial, model.system.states, "state", model.label)
-    states = np.zeros((stretches, len(model.system.states)))
+    states = np.repeat(model.system.starts(model.p).full().T, stretches, axis=0)
     for name, value in initial.items():
         values = np.asarray(value)
         is_number = values.dtype.kind in "iuf" and all_finite(values)
