@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.clock import JITTER, decimal_tick, off_uniform
-from greybox.data.record import Record
+from greybox.data.record import Record, unrounded
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -414,6 +414,7 @@ def gapless(
         rows = np.flatnonzero(complete_inputs)
         return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
+    time = record.time if record.clock.is_periodic else unrounded(record).time
     leads = np.broadcast_to(lead, len(inputs))
     keeps = np.broadcast_to(np.asarray(held, dtype=bool), len(inputs))
     # Where rows are lost although the input is known, a line follows it best.
@@ -424,7 +425,7 @@ def gapless(
     for known in record.stretches(inputs):
         for rows in np.split(known, ends[(ends > known[0]) & (ends <= known[-1])] - known[0]):
             if complete_inputs[rows[0]]:
-                part = Stretch(u[:, rows], y[:, rows], rows, record.step, times=record.time[rows])
+                part = Stretch(u[:, rows], y[:, rows], rows, record.step, times=time[rows])
                 stretches.append(_on_its_clock(part, leads, keeps, lost[rows]))
     return stretches
 

@@ -6,7 +6,8 @@ begins, with initial states of its own. The rule is this:
 
 1. A clock within a quarter of a step of a uniform one has no holes. Nor has a schedule, a change of
    rate, or an irregular clock; nor has a clock in coarse stamps, whose steps are one and two quanta
-   where the clock itself is uniform.
+   where the clock itself is uniform. Unless they are the stamps of a clock that loses every k-th
+   row, which nobody can tell, the uniform clock counts in their place.
 2. A *hole* is a step of more than one and a half of the usual steps before it and of those after
    it. In an irregular clock, it is three times longer than any of its neighbors.
 3. The input is known across a hole if there is no input; if it has the same value on both sides and
@@ -71,11 +72,15 @@ class Clock:
         multiples of the usual one), or "irregular".
     holes : (h,) int array
         Rows after which rows are missing.
+    is_periodic : bool
+        Of coarse stamps: whether a clock that loses every k-th row would have the same. Its stamps
+        then count as they are; otherwise the uniform clock does.
     """
 
     step: float
     kind: Literal["uniform", "rounded", "regular", "irregular"]
     holes: IntArray
+    is_periodic: bool = False
 
 
 def require_gaps(gaps: str) -> None:
@@ -142,7 +147,9 @@ def clock_of(time: Array) -> Clock:
     holes = places[is_long]
     quantum = steps.min()
     if rate := _rounded_step(time, steps, quantum):
-        return Clock(rate, "rounded", holes[steps[holes] > ONE_LOST * quantum])
+        spacing = np.diff(np.flatnonzero(steps > LONG * quantum))
+        is_periodic = bool(spacing.min() > 1 and np.ptp(spacing) == 0)
+        return Clock(rate, "rounded", holes[steps[holes] > ONE_LOST * quantum], is_periodic)
     return Clock(median, "regular", holes)
 
 
@@ -257,9 +264,10 @@ def described_gaps(time: Array, clock: Clock, cut: int, gaps: Gaps) -> str:
         if clock.kind == "uniform":
             return ""
         if clock.kind == "rounded":
+            others = " (or every k-th row is lost)" if clock.is_periodic else ""
             return (
                 f"stamps of {1e3 * steps.min():.4g} ms that round a clock of {1 / clock.step:.5g} "
-                "Hz: no row is missing"
+                f"Hz{others}: the model runs on"
             )
         return f"steps of {steps.min():.4g} to {steps.max():.4g} s, in which no row is missing"
 

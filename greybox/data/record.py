@@ -498,15 +498,20 @@ def require_time(record: Record, what: str) -> None:
 
 
 def unrounded(record: Record) -> Record:
-    """Return a record in coarse stamps with the times of its uniform clock, others as they are."""
+    """Return a record in coarse stamps with the times of its uniform clock, others as they are.
+
+    Stamps of a clock that drifts by more than they round stay, too.
+    """
     if record.clock.kind != "rounded":
         return record
     times = record.time.copy()
+    quantum = float(np.diff(times).min())
     for rows in record.independent_pieces:
         # The best line through the stamps.
         ticks, stamps = (values - values.mean() for values in (rows, record.time[rows]))
         step = ticks @ stamps / max(float(ticks @ ticks), 1.0)
-        times[rows] = record.time[rows].mean() + step * ticks
+        if np.abs(stamps - step * ticks).max() < 0.75 * quantum:
+            times[rows] = record.time[rows].mean() + step * ticks
     return replace(record, time=times)
 
 

@@ -93,9 +93,15 @@ def deviation(answer, name, truth):
     return abs(answer.estimate[name] - truth) / answer.standard_error[name]
 
 
-@pytest.mark.parametrize(("rate", "quantum"), [(75, 0.01), (800, 1e-3), (714, 1e-3), (833, 1e-3)])
-def test_coarse_stamps_of_a_uniform_clock_are_not_cut(rate, quantum):
-    """A wrong time of half a quantum is noise; a new stretch behind it was a bias of 25 %."""
+@pytest.mark.parametrize(
+    ("rate", "quantum", "is_uniform"),
+    [(75, 0.01, False), (90, 0.01, False), (714, 1e-3, True), (833, 1e-3, True), (607, 1e-3, True)],
+)
+def test_coarse_stamps_of_a_uniform_clock_are_not_cut(rate, quantum, is_uniform):
+    """Stamps that every k-th lost row would leave count as they are, others as the uniform clock.
+
+    A wrong time of half a quantum is noise; a new stretch behind it was a bias of 25 %.
+    """
     tau, time, u = 20.8 / rate, np.arange(1500) / rate, commands(1500)
     y = lag(time, u, tau) + noise(1500)
     answer = fit(record(np.round(time / quantum) * quantum, u, y))
@@ -105,6 +111,10 @@ def test_coarse_stamps_of_a_uniform_clock_are_not_cut(rate, quantum):
     assert f"stamps of {1e3 * quantum:.3g} ms that round a clock of" in str(answer)
     assert answer.estimate["tau"] == pytest.approx(tau, rel=0.02)
     assert deviation(answer, "tau", tau) < 5
+    if is_uniform:
+        exact = fit(record(time, u, y))
+        assert answer.standard_error["tau"] < 1.2 * exact.standard_error["tau"]
+        assert abs(answer.estimate["tau"] - exact.estimate["tau"]) < exact.standard_error["tau"]
 
 
 random = np.random.default_rng(5)

@@ -109,7 +109,8 @@ CLOCKS = {
 def flown(clock, size=0.01):
     time = CLOCKS[clock]
     u = np.repeat(np.random.default_rng(2).uniform(-1, 1, time.size // 10 + 1), 10)[: time.size]
-    y = lag(time, u, 0.5, 0.7)
+    sampled = np.arange(time.size) / 37 if "stamps" in clock else time
+    y = lag(sampled, u, 0.5, 0.7)
     y += size * np.random.default_rng(3).standard_normal(time.size)
     return gb.Record(time, {"u": u, "y": y}, hold={"u": np.inf, "y": 0.0})
 
