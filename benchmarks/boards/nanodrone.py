@@ -211,7 +211,7 @@ def record(cut: dict[str, np.ndarray]) -> gb.Record:
     """Return windows as one record with gaps."""
     times = np.arange(len(cut["p"]))[:, None] * GAP + STEP * np.arange(HORIZON + 1)
     held = {name: np.inf if name in Nanodrone.inputs else 0.0 for name in cut}
-    return gb.Record(times.ravel(), {k: v.ravel() for k, v in cut.items()}, hold=held)
+    return gb.Record(times.ravel(), {k: v.ravel() for k, v in cut.items()}, hold=held, gaps="cut")
 
 
 def relative(cut: dict[str, np.ndarray]) -> gb.Record:

@@ -191,7 +191,7 @@ def record(time_axis: np.ndarray, states: np.ndarray, inputs: np.ndarray) -> gb.
     """Return a flight as a record."""
     signals = dict(zip((*STATES, *INPUTS), (*states.T, *inputs.T), strict=True))
     held = {name: np.inf if name in INPUTS else 0.0 for name in signals}
-    return gb.Record(time_axis, signals, hold=held, name="flight")
+    return gb.Record(time_axis, signals, hold=held, name="flight", gaps="cut")
 
 
 def first(flight: gb.Record) -> dict[str, float]:

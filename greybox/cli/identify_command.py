@@ -69,7 +69,8 @@ def run(options: argparse.Namespace) -> Answer:
         require_writable(path, options.force)
     require_figure(figure, options.force)
 
-    recordings = [read(log, columns=options.columns) for log in options.logs]
+    gaps = options.gaps or "auto"
+    recordings = [read(log, columns=options.columns, gaps=gaps) for log in options.logs]
     identification = identify(
         recordings,
         structures=[_structure(word) for word in options.structures],

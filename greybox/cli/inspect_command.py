@@ -27,6 +27,7 @@ log LOG
 --columns
 --setpoint
 --rate
+--gaps
 --plot FILE
     draw setpoints, angles and tests into this png, pdf or svg file
 --force

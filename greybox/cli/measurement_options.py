@@ -38,6 +38,7 @@ MEASUREMENT_OPTIONS = """
 --announced
 --fields
 --columns
+--gaps
 --setpoint
 """
 

@@ -50,6 +50,9 @@ SHARED = """
     table has no header line: time=1 u=2 theta=3:deg
 --rate HZ
     sampling rate of a table without a time
+--gaps {bridge,cut}
+    what long steps of the clock are: bridge where inputs are known across them, as in a schedule;
+    cut where rows are lost (without the option, as the clock and the inputs show)
 --problem PROBLEM
     the fitted problem, if it has ties or constraints
 --model FILE

@@ -31,6 +31,7 @@ log LOG
 --between START END
     use only this part of the log, s
 --columns
+--gaps
 --model"""
 OPTIONS = f"""{LOG_OPTIONS}
 --horizon S

@@ -31,6 +31,7 @@ problem [PROBLEM]
     magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and the
     signals of the model, theta=pitch:deg
 --rate
+--gaps
 --band FREQUENCY...
     lowest and highest frequency of the responses to fit, in rad/s or followed by Hz (default: all
     points)

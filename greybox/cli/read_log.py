@@ -9,7 +9,8 @@ from greybox.logs.readers import read
 def read_log(options: argparse.Namespace) -> Recording:
     """Return the log of a command; a table without a time has the rate of `--rate`."""
     # Only a table without a time needs the rate here; a log is resampled to it later.
-    log = read(options.log, columns=options.columns)
+    stated = {"columns": options.columns, "gaps": options.gaps or "auto"}
+    log = read(options.log, **stated)
     if options.rate is None or all(record.has_time for record in log.values()):
         return log
-    return read(options.log, columns=options.columns, rate=options.rate)
+    return read(options.log, **stated, rate=options.rate)

@@ -10,6 +10,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.record import Recording
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import load, save
+from greybox.files.arrays import attributes
 from greybox.files.safe_files import HDF5
 from greybox.logs.readers import read
 from greybox.study.catalog import find_problem
@@ -22,6 +23,7 @@ HELD_OUT = """
 --columns NAME=COLUMN[:UNIT]...
     the columns of the held-out tables, as in greybox predict
 --rate
+--gaps
 """
 
 
@@ -42,13 +44,13 @@ def held_out_records(options: argparse.Namespace, first: Fit | Study) -> list[An
     All models must have the outputs that are compared.
     """
     if not options.held_out:
-        if options.columns or options.rate:
-            raise UsageError("--columns and --rate go with --held-out.")
+        if options.columns or options.rate or options.gaps:
+            raise UsageError("--columns, --rate and --gaps go with --held-out.")
         return []
     fit: Any = first if isinstance(first, Fit) else first.done[0].fit
     model = fit.model_of()
     return [
-        read_data(path, model, columns=options.columns, rate=options.rate)
+        read_data(path, model, **attributes(options, "columns", "rate", "gaps"))
         for path in options.held_out
     ]
 

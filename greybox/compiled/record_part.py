@@ -300,8 +300,9 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
         rows = unseen @ directions
         return replace(errors, meat=errors.meat + rows.T @ rows)
 
-    # Rows without a time have no neighbors with which they could be correlated.
-    in_order = model.has_time and not model.is_prior
+    # Rows without a time have no neighbors with which they could be correlated, nor has a single
+    # sample of an output.
+    in_order = model.has_time and not model.is_prior and part.covariance.counts.max() > 1
     return Information(
         part,
         slopes.triangle @ by_values,
@@ -327,11 +328,6 @@ def compile_records(
     shared = list[Any]()
     for problem in problems:
         model = record_model(problem, expressions, z, method, shared)
-        if model.criterion.corrects_states and model.record.is_irregular:
-            raise ValueError(
-                f"{problem.name!r} corrects its states by a constant gain, and its record is not "
-                "uniformly sampled: prepare the record with rate=..., which resamples it."
-            )
         models.append(model)
     data = [
         sampled_data(
@@ -340,15 +336,21 @@ def compile_records(
             model.outputs,
             lead=longest_delay(model.problem, model.system),
             complete=model.criterion.noise == "full" or bool(model.driven),
+            held=[between.held for between in model.between],
             static=model.problem.model.is_static,
+            states=len((model.system.undelayed or model.system).states),
+            known_states=int(model.known_states.sum()),
         )
         for model in models
     ]
+    for model, sampled in zip(models, data, strict=True):
+        if model.criterion.corrects_states and not sampled.is_uniform:
+            raise ValueError(
+                f"{model.name!r} corrects its states by a constant gain, and its record is not "
+                "uniformly sampled: prepare the record with rate=..., which resamples it."
+            )
 
-    longest = [
-        float(sampled.steps.max()) if model.record.is_irregular else model.record.step
-        for model, sampled in zip(models, data, strict=True)
-    ]
+    longest = [float(sampled.steps.max()) for sampled in data]
     drawn = [drawn_parameters(problem) for problem in problems]
 
     def kind(k: int) -> tuple[Any, ...]:

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.record import JITTER, Record
+from greybox.data.clock import JITTER, decimal_tick, off_uniform
+from greybox.data.record import Record, unrounded
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -30,6 +31,9 @@ from greybox.files.text_table import listed
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.noise_ratio import noise_ratio
 
+# Samples through which more than an initial state and a slope is needed.
+ENOUGH = 3
+
 # Share of a step by which a delay may exceed a whole number of samples and still count as that
 # number: the steps of a log are not known more precisely.
 WHOLE = 1e-3
@@ -39,15 +43,30 @@ WHOLE = 1e-3
 REST = 5
 
 
+# Share of a step by which samples may be off uniform ones and still count as uniform: steps of a
+# log are not known more precisely. Times that are further off count as they are.
+EXACT = 1e-3
+
+# Share of a unit of the stamps by which they are off the clock that they round; the rest is for its
+# rate, which is estimated from them.
+HALF = 0.52
+
+# Samples that a stretch may get in its long steps, for each of its own: with 20, a clock at 1 Hz
+# may turn into one at 0.05 Hz. Beyond, a stretch keeps its uneven steps.
+MOST_FILLED = 20
+
+
 @frozen
 class Stretch:
-    """Samples without a gap, on average `step` s apart.
+    """Samples through which the inputs are known, on average `step` s apart.
 
     Inputs (m, n); outputs (k, n), NaN where missing.
 
-    `rows` (n,) are the indices of its samples in the record. The first `masked` samples are not
-    compared: inputs from before the stretch reach them. In a record without a time all rows that
-    have their inputs are one stretch. `times` (n,), s, are those of samples that are not uniform.
+    `rows` (n,) are the indices of its samples in the record. Long steps are filled with samples
+    that have no outputs, and no row: `filled` (n,) marks them, and their entry of `rows` is that of
+    the next sample. The first `masked` samples are not compared: inputs from before the stretch
+    reach them. In a record without a time all rows that have their inputs are one stretch. `times`
+    (n,), s, are those of samples that are not uniform.
     """
 
     inputs: Array
@@ -56,6 +75,29 @@ class Stretch:
     step: float
     masked: int = 0
     times: Array | None = None
+    filled: BoolArray | None = None
+
+    @property
+    def own(self) -> BoolArray | slice:
+        """Which samples (n,) are rows of the record."""
+        return slice(None) if self.filled is None else ~self.filled
+
+    @property
+    def own_rows(self) -> IntArray:
+        """The rows of the record, without filled samples."""
+        return self.rows[self.own]
+
+    def of_rows(self, values: Array) -> Array:
+        """Return the samples (r, n) from rows (r, rows) of the whole record."""
+        if self.filled is None or self.filled.all():
+            return values[:, self.rows]
+        places = np.flatnonzero(~self.filled)
+        share = np.interp(np.arange(len(self)), places, np.arange(places.size))
+        last = np.floor(share).astype(int)
+        before, after = (
+            values[:, self.own_rows[np.minimum(at, places.size - 1)]] for at in (last, last + 1)
+        )
+        return before + (share - last) * (after - before)
 
     @property
     def steps(self) -> Array:
@@ -76,6 +118,7 @@ class Stretch:
             self.rows[places],
             self.step * places.step,
             times=None if self.times is None else self.times[places],
+            filled=None if self.filled is None else self.filled[places],
         )
 
 
@@ -120,6 +163,12 @@ class SampledData:
     def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether every sample is nearest to its own place on a uniform clock of its stretch."""
+        times = [stretch.times for stretch in self.stretches if stretch.times is not None]
+        return all(off_uniform(values) <= JITTER for values in times)
 
     def excerpts(self, samples: int) -> "SampledData":
         """Return evenly spaced excerpts with this total number of samples; short data whole."""
@@ -181,9 +230,12 @@ class SampledData:
         return joined
 
     def at_samples(self, values: Array) -> Array:
-        """Choose the samples (r, samples) of all stretches from rows (r, n) of the whole record."""
+        """Choose the samples (r, samples) of all stretches from rows (r, n) of the whole record.
+
+        Filled samples lie on lines between the rows.
+        """
         rows = np.atleast_2d(values)
-        return self.padded([rows[:, stretch.rows] for stretch in self.stretches])
+        return self.padded([stretch.of_rows(rows) for stretch in self.stretches])
 
     def unpadded(self, values: Array) -> list[Array]:
         """Cut (r, samples) into the samples of every stretch."""
@@ -236,20 +288,25 @@ def joined(records: Sequence[SampledData]) -> SampledData:
     return SampledData(stretches, records[0].segment_length)
 
 
-def sampled_data(
+def sampled_data(  # noqa: PLR0913  (as many facts as a record and its model have)
     record: Record,
     inputs: Strings,
     outputs: Strings,
     *,
     lead: ArrayLike,
     complete: bool,
+    held: ArrayLike = False,
     static: bool = False,
+    states: int = ENOUGH,
+    known_states: int = 0,
 ) -> SampledData:
     """Cut a record into stretches, in segments of one sample.
 
     The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not
-    compared, see `gapless`. With `complete`, a sample counts only where all outputs are there. For
-    a `static` model every sample counts by itself, and nothing needs to move.
+    compared, and inputs are `held` (m,) or not in long steps, see `gapless`. With `complete`, a
+    sample counts only where all outputs are there. For a `static` model every sample counts by
+    itself, and nothing needs to move. Of a model with `states`, so many are known at the first
+    sample of the record, see `is_informative`.
 
     Raises
     ------
@@ -264,10 +321,12 @@ def sampled_data(
             f"{empty[0] if empty else ', '.join(outputs)}: every sample is missing."
         )
 
-    # Through two samples, an initial state and a slope fit anything.
-    shortest = 1 if static else 3
-    stretches = gapless(record, inputs, outputs, lead=lead, complete=complete, shortest=shortest)
-    usable = tuple(s for s in stretches if np.isfinite(s.outputs).any())
+    stretches = gapless(record, inputs, outputs, lead=lead, held=held, complete=complete)
+    usable = tuple(
+        stretch
+        for stretch in stretches
+        if is_informative(stretch, 0 if static else states, known_states)
+    )
     if not usable:
         if static:
             what = "sample" if record.has_time else "row"
@@ -279,8 +338,9 @@ def sampled_data(
         delay = np.nan_to_num(np.max(lead, initial=0.0), posinf=0.0)
         reason = f" after the longest delay in the bounds, {delay:.3g} s" if delay else ""
         raise ValueError(
-            f"{_called(record)} has no usable stretch, {shortest} samples in a row with all inputs"
-            f"{reason}: give a longer record, or inputs at every sample, as gb.prepare makes them"
+            f"{_called(record)} has no usable stretch, {ENOUGH} samples in a row with all inputs"
+            f"{reason}: give a longer record, known initial states, or inputs at every sample, as "
+            "gb.prepare makes them"
             f"{', or a smaller upper bound' if delay else ''}. {' '.join(record.findings)}".strip()
         )
 
@@ -296,14 +356,19 @@ def sampled_data(
                 "nothing can be estimated from it."
             )
 
-    constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
+    # A single value, as of a destroyed sample, is compared with what known initial states give.
+    constant_outputs = [
+        name
+        for name in outputs
+        if not static and _is_constant(record[name]) and np.isfinite(record[name]).sum() != 1
+    ]
     if len(constant_outputs) == len(outputs):
         raise ValueError(
             f"the outputs of {_called(record)} never change ({', '.join(outputs)}): "
             "nothing can be estimated from it."
         )
 
-    dead = [name for name in constant_outputs if np.isfinite(record[name]).sum() > 1]
+    dead = [name for name in constant_outputs if np.isfinite(record[name]).any()]
     if dead:  # its residuals would decide the fit
         raise ValueError(
             f"{_called(record)} has {dead[0]} = {np.nanmax(record[dead[0]]):g} at all times, "
@@ -319,13 +384,17 @@ def gapless(
     outputs: Strings,
     *,
     lead: ArrayLike = 0.0,
+    held: ArrayLike = False,
     complete: bool = False,
-    shortest: int = 2,
 ) -> list[Stretch]:
     """Return the stretches of a record with all inputs, without outputs that lack their past.
 
-    Stretches of samples in time have at least the `shortest` samples; rows without a time are one
-    stretch, whatever is between them.
+    A stretch ends where an input is missing, or where rows are lost and inputs are unknown, see
+    `Record.stretches`. Rows without a time are one stretch, whatever is between them.
+
+    Other long steps are filled with samples without outputs if the samples are uniform then:
+    delays, filters and windows need that. A `held` (m,) input keeps its value there, unless rows
+    are lost; other inputs run in a line.
 
     The values of an input before a stretch are unknown, so the outputs of its first seconds are
     left out, up to the longest delay that it may have, its entry of `lead` (m,). An input that
@@ -345,15 +414,31 @@ def gapless(
         rows = np.flatnonzero(complete_inputs)
         return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
+    time = record.time if record.clock.is_periodic else unrounded(record).time
     leads = np.broadcast_to(lead, len(inputs))
-    # Halfway between one and two steps: where a sample is missing, a stretch ends.
-    missing = math.inf if record.is_irregular else 1.5 * record.step
-    ends = np.diff(complete_inputs) | (np.diff(record.time) > missing)
-    return [
-        _stretch(record.time[rows], u[:, rows], y[:, rows], rows, leads, record.step)
-        for rows in np.split(np.arange(len(record)), np.flatnonzero(ends) + 1)
-        if complete_inputs[rows[0]] and rows.size >= shortest
-    ]
+    keeps = np.broadcast_to(np.asarray(held, dtype=bool), len(inputs))
+    # Where rows are lost although the input is known, a line follows it best.
+    lost = np.zeros(len(record), dtype=bool)
+    lost[record.clock.holes] = record.gaps == "auto"
+    ends = np.flatnonzero(np.diff(complete_inputs)) + 1
+    stretches = []
+    for known in record.stretches(inputs):
+        for rows in np.split(known, ends[(ends > known[0]) & (ends <= known[-1])] - known[0]):
+            if complete_inputs[rows[0]]:
+                part = Stretch(u[:, rows], y[:, rows], rows, record.step, times=time[rows])
+                stretches.append(_on_its_clock(part, leads, keeps, lost[rows]))
+    return stretches
+
+
+def is_informative(stretch: Stretch, states: int, known_states: int) -> bool:
+    """Return whether a stretch can say anything of a model with so many states.
+
+    With fewer measured values than unknown initial states, these explain everything. Of them,
+    `known_states` are known at the first sample of the record.
+    """
+    numbers = int(np.isfinite(stretch.outputs).sum())
+    unknown = states - known_states * (stretch.rows[0] == 0)
+    return numbers > unknown or (numbers > 1 and len(stretch.own_rows) >= ENOUGH)
 
 
 def _called(record: Record) -> str:
@@ -365,20 +450,20 @@ def _is_constant(values: Array) -> bool:
     return present.size == 0 or present.min() == present.max()
 
 
-def _stretch(
-    time: Array,
-    inputs: Array,
-    outputs: Array,
-    rows: IntArray,
-    leads: Array,
-    alone: float,
-) -> Stretch:
-    """Return a stretch; `alone` is the step of a single sample, s."""
-    if time.size == 1:
-        return Stretch(inputs, outputs, rows, alone if alone > 0 else 1.0)
+def _on_its_clock(given: Stretch, leads: Array, held: BoolArray, lost: BoolArray) -> Stretch:
+    """Return a stretch of samples in time, uniform if its times are, or filled up to be so."""
+    time, count = given.times, len(given)
+    assert time is not None
+    if count == 1:
+        return replace(given, step=given.step if given.step > 0 else 1.0, times=None)
+    if off_uniform(time) > JITTER:
+        given = _filled(given, held, lost)
+        time, count = given.times, len(given)
+        assert time is not None
+
     # The mean step has more digits than a difference of two rounded times.
-    step = float((time[-1] - time[0]) / (time.size - 1))
-    off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
+    step = float((time[-1] - time[0]) / (count - 1))
+    off = off_uniform(time)
     if off > JITTER and np.any(leads > 0):
         raise ValueError(
             f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps), and a delay "
@@ -387,12 +472,55 @@ def _stretch(
             "measured."
         )
 
-    times = time if off > JITTER else None
-    moving = [lead for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
-    masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size)
-    compared = outputs.copy()
+    moving = [lead for lead, row in zip(leads, given.inputs, strict=True) if not _rests(row)]
+    masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), count)
+    compared = given.outputs.copy()
     compared[:, :masked] = np.nan
-    return Stretch(inputs, compared, rows, step, masked, times)
+    # Delays are whole samples, and stamps within half a unit of a uniform clock round it. Other
+    # times count as they are, in a schedule of few samples above all.
+    uniform = off <= (JITTER if np.any(leads > 0) else EXACT)
+    uniform |= off <= JITTER and off * step <= HALF * decimal_tick(time)
+    times = None if uniform else time
+    return replace(given, outputs=compared, step=step, masked=masked, times=times)
+
+
+def _filled(given: Stretch, held: BoolArray, lost: BoolArray) -> Stretch:
+    """Return a stretch with samples in its long steps, if it is uniform then; else as it is.
+
+    `lost` (n,) marks the samples after which rows are lost.
+    """
+    assert given.times is not None
+    steps = np.diff(given.times)
+    ordered = np.sort(steps)
+    # The shortest step, or the usual one where some are short by chance.
+    for step in (ordered[0], ordered[len(ordered) // 4]):
+        parts = np.maximum(np.round(steps / step), 1).astype(int)
+        if parts.sum() > MOST_FILLED * len(given):
+            continue
+        places = np.concatenate([[0], np.cumsum(parts)])
+        share = np.interp(np.arange(places[-1] + 1), places, np.arange(len(given)))
+        times = np.interp(share, np.arange(len(given)), given.times)
+        if off_uniform(times) <= JITTER:
+            break
+    else:
+        return given
+
+    last = np.floor(share + 1e-9).astype(int)
+    following = np.ceil(share - 1e-9).astype(int)
+    fraction = np.where(last == following, 0.0, share - last)
+    # Held until the next row.
+    keeps = held[:, None] & ~lost[last]
+    inputs = given.inputs[:, last]
+    inputs = inputs + np.where(keeps, 0.0, fraction * (given.inputs[:, following] - inputs))
+    filled = last != following
+    return replace(
+        given,
+        inputs=inputs,
+        outputs=np.where(filled, np.nan, given.outputs[:, last]),
+        rows=given.rows[following],
+        times=times,
+        filled=filled,
+    )
 
 
 def _rests(values: Array) -> bool:

@@ -8,6 +8,7 @@ Begin with `record` and `frequency_response`.
 | `frequency_response` | the frequency response of one input-output pair |
 | `transient_spectrum` | Fourier integrals of the signals of one manoeuvre |
 | `test_segment` | one test within a record, and the table of several |
+| `clock` | the steps of a record: uniform, in coarse stamps, a schedule; and where rows are lost |
 | `intersample` | signals between their samples: held or continuous |
 | `units` | conversion of units to SI |
 | `time_column` | time columns of tables, and the clocks that wrote them |

@@ -1,8 +1,8 @@
 """Measured time histories: one experiment on one time base, and all records of a log file."""
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
+from functools import cached_property
 from itertools import chain
 from typing import Any, ClassVar, Self
 
@@ -18,6 +18,14 @@ from greybox.data.checked_array import (
     seconds_from_first,
     within_range,
 )
+from greybox.data.clock import (
+    Clock,
+    Gaps,
+    clock_of,
+    described_gaps,
+    lost_rows,
+    require_gaps,
+)
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 from greybox.files.arrays import (
@@ -25,11 +33,13 @@ from greybox.files.arrays import (
     BoolArray,
     IntArray,
     Interval,
+    Labels,
     Named,
     NamedArrays,
     NamedStrings,
     Strings,
     Values,
+    array_of,
     attributes,
     frozen,
     selected,
@@ -46,13 +56,6 @@ from greybox.files.text_table import (
     write_out,
 )
 
-# A step longer than this number of median steps is a gap, across which nothing is interpolated. One
-# lost sample makes a step of two, which is not a gap; the half allows for jitter.
-GAP = 2.5
-
-# Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest
-# to its own place.
-JITTER = 0.25
 NOT_STORED = {"stored": False}  # in the file of a fit
 
 
@@ -89,6 +92,10 @@ class Record(Printed):
         Problems of the record, in words.
     has_time : bool
         False for rows without a time.
+    gaps : "auto", "bridge" or "cut"
+        What a long step is: "bridge" if the inputs are known across it, as in a schedule, so that a
+        model runs on; "cut" if rows are lost wherever a step is longer than one and a half median
+        steps, so that a new stretch begins. By default decided as in `greybox.data.clock`.
 
     Raises
     ------
@@ -118,6 +125,7 @@ class Record(Printed):
     hold: Values = field(default_factory=dict)
     findings: Strings = field(default=(), metadata=NOT_STORED)
     has_time: bool = True
+    gaps: Gaps = "auto"
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
@@ -127,6 +135,7 @@ class Record(Printed):
                 raise TypeError(f"{what} is {given!r:.60}: give {{name: values}}.")
             # The columns of a data frame may be numbered.
             vars(self)[what] = {all_printable(str(name)): x for name, x in given.items()}
+        require_gaps(self.gaps)
         if self.time is None:
             rows = next(map(np.size, self.signals.values()), 0)
             vars(self).update(time=np.arange(rows, dtype=float), has_time=False)
@@ -168,7 +177,11 @@ class Record(Printed):
                 )
         hold = {name: checked_hold(name, seconds) for name, seconds in self.hold.items()}
         # A given checksum is that of the file: excerpts of one log are recognized by it.
-        checksum = self.checksum or checksum_of(time, *chain.from_iterable(signals.items()))
+        # The numbers of other stretches are other data.
+        stated = () if self.gaps == "auto" else (self.gaps,)
+        checksum = self.checksum or checksum_of(
+            time, *chain.from_iterable(signals.items()), *stated
+        )
         findings = (*self.findings, *lost)
         vars(self).update(
             time=time, signals=signals, hold=hold, checksum=checksum, findings=findings
@@ -185,22 +198,22 @@ class Record(Printed):
             )
         return self.signals[name]
 
+    @cached_property
+    def clock(self) -> Clock:
+        """The usual step, and where rows are missing; a step of 1 for rows without a time."""
+        if not self.has_time:
+            return Clock(1.0, "uniform", np.zeros(0, dtype=int))
+        return clock_of(self.time)
+
     @property
     def step(self) -> float:
-        """Median sampling interval, s; NaN for a single sample, and 1 for rows without a time."""
-        return median_step(self.time) if self.has_time else 1.0
+        """Usual sampling interval, s; NaN for a single sample, and 1 for rows without a time."""
+        return self.clock.step
 
     @property
     def is_irregular(self) -> bool:
-        """Whether more than a tenth of the samples lie off a uniform grid of steps.
-
-        Such a record has no gaps.
-        """
-        if not self.has_time or len(self) < 3:
-            return False
-        steps = np.diff(self.time) / self.step
-        off = np.abs(steps - np.maximum(np.round(steps), 1)) > JITTER
-        return bool(np.mean(off) > 0.1)
+        """Whether more than a tenth of the samples lie off a grid of the steps around them."""
+        return self.clock.kind == "irregular"
 
     @property
     def rate(self) -> float:
@@ -219,7 +232,10 @@ class Record(Printed):
 
     @property
     def pieces(self) -> tuple["Record", ...]:
-        """The stretches between gaps, as records; rows without a time are one piece."""
+        """The stretches in which no row is missing, as records; rows without a time are one piece.
+
+        A model runs on from one to the next if its inputs are known in between, see `stretches`.
+        """
         if not self.has_time:
             return (self,)
         # As slices, which copy nothing.
@@ -228,16 +244,41 @@ class Record(Printed):
 
     @property
     def independent_pieces(self) -> list[IntArray]:
-        """The rows of each stretch between gaps; without a time, each row by itself."""
-        if self.is_irregular:
+        """The rows of each stretch in which no row is missing; without a time, each by itself."""
+        if not self.has_time:
+            return list(np.arange(len(self))[:, None])
+        ends = self.clock.holes
+        if self.gaps != "auto":
+            ends = lost_rows(self.time, np.zeros((0, len(self))), self.clock, self.gaps)
+        return np.split(np.arange(len(self)), ends + 1)
+
+    def stretches(self, inputs: Labels) -> list[IntArray]:
+        """Return the rows of each stretch through which a model with these inputs runs on.
+
+        A new stretch begins where the inputs are unknown, see `greybox.data.clock`; missing values
+        of an input are not regarded. Rows without a time are one stretch.
+        """
+        if not self.has_time:
             return [np.arange(len(self))]
-        # Relative to the median step: the mean would grow with the gaps.
-        return runs_between_gaps(self.time, GAP * self.step if self.has_time else 0)
+        values = array_of(self, inputs).reshape(len(inputs), len(self))
+        ends = lost_rows(self.time, values, self.clock, self.gaps)
+        return np.split(np.arange(len(self)), ends + 1)
+
+    def gaps_described(self, inputs: Labels) -> str:
+        """Return what the long steps are for a model with these inputs, or "" if there is none."""
+        if not self.has_time:
+            return ""
+        cut = len(self.stretches(inputs)) - 1
+        return described_gaps(self.time, self.clock, cut, self.gaps)
 
     def is_same_as(self, other: "Record") -> bool:
-        """Return whether another record has the same times, and values of the signals of both."""
+        """Return whether another record has the same times, and values of the signals of both.
+
+        What is stated of gaps must be the same, too.
+        """
         # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
-        is_same = self.checksum == other.checksum and np.array_equal(self.time, other.time)
+        is_same = (self.checksum, self.gaps) == (other.checksum, other.gaps)
+        is_same = is_same and np.array_equal(self.time, other.time)
         shared = self.signals.keys() & other.signals.keys()
         return is_same and all(
             np.array_equal(self[name], other[name], equal_nan=True) for name in shared
@@ -441,15 +482,6 @@ class Recording(Mapping[str, Record]):
         )
 
 
-def median_step(values: Array) -> float:
-    """Return the median step between values (n,); NaN for a single one."""
-    # np.median imports masked arrays, which takes a hundredth of a second.
-    steps = np.sort(np.diff(values))
-    if not steps.size:
-        return math.nan
-    return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
-
-
 def runs_between_gaps(values: Array | IntArray, gap: float) -> list[IntArray]:
     """Return the places of every run of `values` (n,) whose steps are at most `gap`."""
     return np.split(np.arange(len(values)), np.flatnonzero(np.diff(values) > gap) + 1)
@@ -463,6 +495,24 @@ def require_time(record: Record, what: str) -> None:
             "time: give their times, Record(time, ...), or for a table a column named 'time [s]' "
             "or a rate."
         )
+
+
+def unrounded(record: Record) -> Record:
+    """Return a record in coarse stamps with the times of its uniform clock, others as they are.
+
+    Stamps of a clock that drifts by more than they round stay, too.
+    """
+    if record.clock.kind != "rounded":
+        return record
+    times = record.time.copy()
+    quantum = float(np.diff(times).min())
+    for rows in record.independent_pieces:
+        # The best line through the stamps.
+        ticks, stamps = (values - values.mean() for values in (rows, record.time[rows]))
+        step = ticks @ stamps / max(float(ticks @ ticks), 1.0)
+        if np.abs(stamps - step * ticks).max() < 0.75 * quantum:
+            times[rows] = record.time[rows].mean() + step * ticks
+    return replace(record, time=times)
 
 
 def share_samples(a: Record, b: Record) -> bool:

@@ -24,7 +24,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
 )
-from greybox.files.text_table import one_line
+from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.prior import Prior
 from greybox.formulation.time_criteria import Inputs, described_inputs
@@ -332,6 +332,21 @@ class FittedRecord(FittedPart):
         if self.is_static:
             return {}
         return described_inputs(self.inputs, self.input_names, self.data)
+
+    @property
+    def gaps(self) -> str:
+        """What the long steps of the record are, in words; empty without one."""
+        if self.is_static:
+            return ""
+        text = self.data.gaps_described(self.input_names)
+        unused = self.unused
+        return f"{text}; {counted(unused, 'sample')} not used" if unused and text else text
+
+    @property
+    def unused(self) -> int:
+        """Number of samples with a measured output of which none is compared."""
+        measured = np.any([np.isfinite(self.data[name]) for name in self.outputs], axis=0)
+        return int(np.count_nonzero(measured)) - self.compared
 
     @property
     def compared_numbers(self) -> int:

@@ -202,7 +202,8 @@ def _simulated(part: RecordPart, trajectory: Trajectory | None) -> NamedArrays:
     for stretch, values in zip(part.data.stretches, outputs, strict=True):
         for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
             left_out = np.isfinite(record[name][stretch.rows]) & ~np.isfinite(measured)
-            signals[name][stretch.rows] = np.where(left_out, np.nan, row)
+            compared = np.where(left_out, np.nan, row)
+            signals[name][stretch.own_rows] = compared[stretch.own]
     return signals
 
 

@@ -249,7 +249,7 @@ def shortened(part: RecordPart, trajectory: Trajectory, numbers: Sequence[int]) 
     def chosen(shorter: RecordPart, values: Array) -> Array:
         rows = np.zeros((len(values), len(part.model.record)))
         for stretch, row in zip(part.data.stretches, part.data.unpadded(values), strict=True):
-            rows[:, stretch.rows] = row
+            rows[:, stretch.own_rows] = row[:, stretch.own]
         return shorter.data.at_samples(rows)
 
     def along(shorter: RecordPart) -> Trajectory:

@@ -130,6 +130,7 @@ def closeness(fit: Any) -> list[StringPair]:
     texts = (
         ("data", [data_text(fit)]),
         ("prior", _prior_texts(fit)),
+        ("clock", _gap_texts(fit.records)),
         ("inputs", _input_texts(fit.records)),
         ("output", _output_texts(fit.records)),
         ("hold", _hold_texts(fit.responses)),
@@ -256,6 +257,16 @@ def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
         for name, way in part.between.items():
             alike.setdefault(way, {})[name] = None
     return [f"{', '.join(names)} {way}" for way, names in alike.items()]
+
+
+def _gap_texts(records: Sequence[FittedRecord]) -> list[str]:
+    """Say what long steps are; of many records, of the first ones."""
+    with_gaps = [part for part in records if part.gaps]
+    texts = [
+        f"{part.gaps} ({part.name})" if len(records) > 1 else part.gaps for part in with_gaps[:MANY]
+    ]
+    rest = len(with_gaps) - len(texts)
+    return [*texts, f"and long steps in {counted(rest, 'more record')}"] if rest else texts
 
 
 def _hold_texts(responses: Sequence[FittedResponse]) -> list[str]:
@@ -408,6 +419,16 @@ def summary(result: Any, level: float = 0.95) -> Fields:
                 }
                 for part in (*result.records, *result.spectra)
                 for k, name in enumerate(part.outputs)
+            ],
+            "gaps": [
+                {
+                    "part": part.name,
+                    "text": part.gaps,
+                    "stretches": max(map(len, part.initial.values()), default=1),
+                    "unused": part.unused,
+                }
+                for part in result.records
+                if part.gaps
             ],
             "responses": [
                 {"part": part.name, "magnitude_phase_cost": part.magnitude_phase_cost}

@@ -19,7 +19,7 @@ def several(
     badly has little weight. To give records of one sensor equal weight, give its standard
     deviation, ``criterion=OutputError(noise={"y": 0.1})``; for a single output any value will do,
     since the standard errors use the residual variance. Or join the records to one record with gaps
-    in its time.
+    in its time, and ``gaps="cut"``.
 
     Parameters
     ----------

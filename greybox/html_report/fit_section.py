@@ -116,6 +116,7 @@ def _restrictions(fit: Fit) -> list[Element]:
             )
         if isinstance(part, FittedRecord):
             facts[f"solved by{place}"] = part.method
+            facts |= {f"clock{place}": part.gaps} if part.gaps else {}
             facts |= {f"input {name}{place}": text for name, text in part.between.items()}
         elif part.at:
             facts[f"operating point{place}"] = ", ".join(

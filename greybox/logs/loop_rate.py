@@ -22,8 +22,9 @@ import math
 
 import numpy as np
 
+from greybox.data.clock import median_step
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Recording, median_step
+from greybox.data.record import Recording
 from greybox.files.arrays import Array, ComplexArray, FloatPair, Values, frozen
 from greybox.logs.ardupilot.filters import CONTROLLERS
 

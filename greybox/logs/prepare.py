@@ -7,10 +7,19 @@ from typing import Any, Literal
 
 import numpy as np
 
+from greybox.data.clock import (
+    ONE_LOST,
+    Gaps,
+    clock_of,
+    lost_rows,
+    median_step,
+    require_gaps,
+    runs_between_holes,
+)
 from greybox.data.intersample import HELD, intersample
-from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
+from greybox.data.record import Record, Recording, require_time
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, ArrayPair, Labels, Strings, frozen, nans, unique
+from greybox.files.arrays import Array, ArrayPair, IntArray, Labels, Strings, frozen, nans, unique
 from greybox.files.text_table import as_names, counted, is_finite_number, require_kind
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
@@ -62,14 +71,16 @@ def prepare(
     start: float = -math.inf,
     end: float = math.inf,
     held: Labels = (),
+    gaps: Gaps | None = None,
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
 
     Angles are unwrapped and units become SI, see `greybox.data.units`. Unknown units are not
     converted; the findings name them and ambiguous ones. A signal that is sampled faster than
     `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new rate. Nothing is
-    interpolated across a gap: the record has the same gap, and `Record.pieces` are the stretches
-    between gaps.
+    interpolated across a hole of more than one lost row: the record has the same hole, and
+    `Record.pieces` are the stretches between holes. A schedule, a change of rate and an irregular
+    clock have no holes, see `greybox.data.clock`.
 
     ArduPilot truncates angles to hundredths of a degree. Half a hundredth is added, see
     `greybox.logs.ardupilot.truncated_angles`.
@@ -90,6 +101,9 @@ def prepare(
         Cut to this stretch of the log's clock.
     held : sequence of str
         New names of signals that are held until their next sample, if the log does not say so.
+    gaps : "auto", "bridge" or "cut", optional
+        "bridge" interpolates across every hole; "cut" makes a hole of every step of more than one
+        and a half median steps. By default as `recording` states, see `Record`.
 
     Returns
     -------
@@ -117,6 +131,8 @@ def prepare(
         records = {recording.name or "record": recording}
         recording = Recording(records, recording.source, recording.checksum, recording.metadata)
     require_kind("signals", signals, Mapping, "{'u': 'RATE.POut'} and so on")
+    if gaps is not None:
+        require_gaps(gaps)
     if not signals:
         raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
 
@@ -132,7 +148,7 @@ def prepare(
         for name, item in signals.items()
     }
     sources = {
-        name: _source(recording, name, start, end)
+        name: _source(recording, name, start, end, gaps)
         for item in derived.values()
         for name in item.inputs
     }
@@ -173,6 +189,7 @@ def prepare(
             n: f for n, item in derived.items() if (f := _known_filters(recording, item.inputs))
         },
         findings=unique(text for source in sources.values() for text in source.findings),
+        gaps=_common_gaps(sources),
     )
 
 
@@ -186,6 +203,16 @@ class _Source:
     findings: Strings
     hold: float | None
     step: float  # s, median of the requested stretch: the rate may differ elsewhere
+    gaps: Gaps
+
+    @property
+    def runs(self) -> list[IntArray]:
+        """The places of every run of samples across which values are interpolated."""
+        clock = clock_of(self.time)
+        if self.gaps == "auto":
+            return runs_between_holes(self.time, clock, ONE_LOST * self.step)
+        ends = lost_rows(self.time, self.values[None], clock, self.gaps)
+        return np.split(np.arange(self.time.size), ends + 1)
 
     @property
     def is_held(self) -> bool:
@@ -204,7 +231,15 @@ class _Source:
         return self.step if self.is_filtered(rate) else HELD
 
 
-def _source(recording: Recording, signal: str, start: float, end: float) -> _Source:
+def _common_gaps(sources: Mapping[str, _Source]) -> Gaps:
+    """Return what all sources state of their long steps, else "auto"."""
+    stated: tuple[Gaps, ...] = unique(source.gaps for source in sources.values())
+    return stated[0] if len(stated) == 1 else "auto"
+
+
+def _source(
+    recording: Recording, signal: str, start: float, end: float, gaps: Gaps | None
+) -> _Source:
     record, field = recording.locate(signal)
     require_time(record, "prepare")
     finite = np.isfinite(record[field])
@@ -236,11 +271,15 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
         )
 
     inside = time[(time >= start) & (time <= end)]
-    step = median_step(inside if inside.size > 1 else time)
+    inside = inside if inside.size > 1 else time
+    # In coarse stamps, no step is the usual one.
+    clock = clock_of(inside)
+    step = clock.step if clock.kind == "rounded" else median_step(inside)
     # Before any filter or interpolation, which would smear a jump from 2π to 0.
     values = np.unwrap(values) if unit == "rad" else values
 
-    return _Source(time, values, unit, findings, record.hold.get(field), step)
+    gaps = record.gaps if gaps is None else gaps
+    return _Source(time, values, unit, findings, record.hold.get(field), step, gaps)
 
 
 def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float) -> Array:
@@ -278,7 +317,7 @@ def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
 
     result = nans(grid.size)
-    for run in runs_between_gaps(source.time, GAP * source.step):
+    for run in source.runs:
         time, values = source.time[run], source.values[run]
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
         if time.size < 2 or not inside.any():

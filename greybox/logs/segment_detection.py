@@ -8,14 +8,8 @@ from statistics import median
 
 import numpy as np
 
-from greybox.data.record import (
-    GAP,
-    Record,
-    Recording,
-    median_step,
-    require_time,
-    runs_between_gaps,
-)
+from greybox.data.clock import ONE_LOST, clock_of, median_step, runs_between_holes
+from greybox.data.record import Record, Recording, require_time
 from greybox.data.test_segment import Segment, Segments
 from greybox.data.units import known_unit
 from greybox.files.arrays import (
@@ -290,7 +284,9 @@ def stretches(
     turn = math.tau / conversion.factor if conversion and conversion.si == "rad" else 0.0
     return unit, [
         (time[run], np.unwrap(values[run], period=turn) if turn else values[run])
-        for run in runs_between_gaps(time, max(longest_gap, GAP * record.step))
+        for run in runs_between_holes(
+            time, clock_of(time), max(longest_gap, ONE_LOST * record.step)
+        )
     ]
 
 

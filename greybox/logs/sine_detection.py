@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from greybox.data.record import median_step
+from greybox.data.clock import median_step
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, ArrayPair, FloatPair, IntArray
 

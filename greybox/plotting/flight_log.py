@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from greybox.data.record import Record, Recording, median_step, runs_between_gaps
+from greybox.data.clock import median_step
+from greybox.data.record import Record, Recording, runs_between_gaps
 from greybox.data.test_segment import Segment, Segments, checked_segments
 from greybox.files.arrays import Array, Labels
 from greybox.files.grouping import grouped

@@ -145,7 +145,7 @@ def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
 def _coherence(part: FittedRecord, output: str, inputs: NamedArrays) -> Figure:
     from scipy.signal import coherence  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    piece = max(part.data.independent_pieces, key=len)
+    piece = max(part.data.stretches(part.input_names), key=len)
     e = np.nan_to_num(part.residual(output)[piece])
     # Half overlapping segments count as so many.
     series = [rule(1 - 0.01 ** (1 / PARTS), "99 % by chance")]

@@ -109,7 +109,7 @@ def history_figure(
     for name in inputs:
         data = next(history.data for history in drawn if name in history.data.signals)
         values = shown_unit(data.units, name)[0] * data[name]
-        series = _drawn("", data, values, data.independent_pieces, columns, INK)
+        series = _drawn("", data, values, _lines(data, [name]), columns, INK)
         panels.append(Panel(signal_label(data, name), series, height=0.5))
 
     data = drawn[0].data
@@ -127,11 +127,13 @@ def history_figure(
 
 def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> list[Panel]:
     """Return the panels of an output and of its residuals; `drawn` has histories by label."""
-    data = next(history.data for history in drawn.values() if name in history.outputs)
+    history = next(history for history in drawn.values() if name in history.outputs)
+    data = history.data
     factor, unit = shown_unit(data.units, name)
     measured = factor * data[name]
     is_finite = np.isfinite(measured)
-    outputs = _drawn("measured", data, measured, data.independent_pieces, columns, GRAY)
+    lines = _lines(data, history.inputs)
+    outputs = _drawn("measured", data, measured, lines, columns, GRAY)
     # Dots show which samples there are; many of them look like a line, and take longer to draw.
     if is_finite.sum() <= 400:  # dots of more samples would touch
         dots = _along(data)[is_finite], measured[is_finite]
@@ -158,7 +160,12 @@ def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> lis
 def _history(item: Fit | Prediction, record: int) -> History:
     if isinstance(item, Prediction):
         return History(
-            item.title, item.data, item.record, item.outputs, item.inputs, list(item.rows)
+            item.title,
+            item.data,
+            item.record,
+            item.outputs,
+            item.inputs,
+            [rows[rows >= 0] for rows in item.rows],
         )
     require_drawable(item, Fit, "a Fit or a Prediction")
     part = chosen(item.records, record, "record")
@@ -169,8 +176,13 @@ def _history(item: Fit | Prediction, record: int) -> History:
         part.simulated,
         part.outputs,
         part.input_names,
-        part.data.independent_pieces,
+        _lines(part.data, part.input_names),
     )
+
+
+def _lines(data: Record, inputs: Labels) -> list[IntArray]:
+    """Return the rows between which lines are drawn: those through which a model runs on."""
+    return data.stretches(inputs) if data.has_time else data.independent_pieces
 
 
 def _along(data: Record) -> Array:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.data.record import Record, require_time
+from greybox.data.record import Record, require_time, unrounded
 from greybox.files.arrays import (
     Array,
     Labels,
@@ -172,6 +172,7 @@ def equation_error(
         raise ValueError(f"{model.label} has no free parameter here: name some with free=(...).")
 
     system = dynamics(model)
+    record = unrounded(record)
     for piece in record.pieces:
         check_uniform(piece.time, record)
     start = start_values(unknown)

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from greybox.data.clock import median_step
 from greybox.data.intersample import Intersample
-from greybox.data.record import Record, median_step
+from greybox.data.record import Record
 from greybox.files.arrays import Array, as_arrays, nans
 from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations

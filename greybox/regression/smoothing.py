@@ -17,7 +17,8 @@ import math
 
 import numpy as np
 
-from greybox.data.record import GAP, median_step, runs_between_gaps
+from greybox.data.clock import ONE_LOST, median_step
+from greybox.data.record import runs_between_gaps
 from greybox.files.arrays import Array, ArrayPair, IntArray, nans, sum_of_squares
 
 POWER = 8  # twice the order of the smoothing spline
@@ -113,7 +114,7 @@ def without_holes(time: Array, values: Array) -> Array:
 
     filled = np.array(values, dtype=float)
     present = np.isfinite(values)
-    for part in _cut(time, np.flatnonzero(present), GAP):
+    for part in _cut(time, np.flatnonzero(present), ONE_LOST):
         if part.size < 4:  # a cubic needs four samples
             continue
         holes = np.setdiff1d(np.arange(part[0], part[-1]), part)

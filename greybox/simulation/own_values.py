@@ -35,7 +35,7 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters, lower_and_upper
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.simulation.prediction import Windows, cut
+from greybox.simulation.prediction import ROUNDING, Windows, cut
 from greybox.simulation.simulator import Simulator
 from greybox.simulation.state_estimation import whitening
 from greybox.statistics.column_space import pseudo_inverse
@@ -165,15 +165,14 @@ def _longer(model: ModelAtEstimate, windows: Windows) -> Iterator[Windows]:
         return
 
     # No window reaches across a gap, behind which the state is unknown.
-    stretches = gapless(record, model.system.inputs, outputs)
-    most = max(map(len, stretches)) - windows.lead
-    lead = windows.lead * record.step
-    horizon = windows.horizon
-    while horizon < most:
+    inputs = windows.inputs
+    lead, horizon = windows.lengths
+    longest = max(float(s.steps.sum()) for s in gapless(record, inputs, outputs))
+    most = longest - lead
+    while horizon < (1 - ROUNDING) * most:
         horizon = min(4 * horizon, most)
         with contextlib.suppress(ValueError):  # no outputs were measured in them
-            duration = horizon * record.step
-            yield cut(record, model.system.inputs, outputs, lead=lead, horizon=duration)
+            yield cut(record, inputs, outputs, lead=lead, horizon=horizon)
 
 
 def _determined(

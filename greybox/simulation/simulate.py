@@ -1,12 +1,12 @@
 """Simulation and prediction of records with a model at one estimate."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.compiled.sampled_data import gapless
+from greybox.compiled.sampled_data import Stretch, gapless
 from greybox.data.record import Record, share_samples
 from greybox.files.arrays import (
     Array,
@@ -15,6 +15,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
     all_finite,
+    array_of,
     nans,
     selected,
     unique,
@@ -62,7 +63,7 @@ def simulate(
         constant error of a sensor. A `Fit` also gives covariance, biases, and how its inputs ran.
     record : Record
         With all inputs; by default that of the fit.
-    initial : mapping of state to value, or to one value for each stretch without a gap
+    initial : mapping of state to value, or to one value for each stretch of known inputs
         Other states begin where the model declares (`StateSpace.state_starts`), by default at
         zero; the name of the result says so. By default those of the fit where the record is its
         own.
@@ -81,12 +82,14 @@ def simulate(
     Record
         At the times of `record`: the outputs as their sensors show them (with the biases of the
         fit), then the states that do not have the name of an output; NaN where an input is missing.
-        A new simulation begins behind a gap. With a `Fit` also ``<output>_error``, the standard
-        error of an output, from those of the parameters (to first order) and of the initial states,
-        if these are from the fit. It is NaN where an unstable model runs too long for that, and for
-        an output that depends on a parameter which the data of the fit do not determine; the name
-        of the record states which. A parameter at its bound counts as exact, as in the standard
-        errors of the fit. The noise of the sensors is not included.
+        A new simulation begins where the inputs are unknown, behind lost rows, see
+        `greybox.data.clock`; the name of the result says so. With a `Fit` also
+        ``<output>_error``, the standard error of an output, from those of the parameters (to first
+        order) and of the initial states, if these are from the fit. It is NaN where an unstable
+        model runs too long for that, and for an output that depends on a parameter which the data
+        of the fit do not determine; the name of the record states which. A parameter at its bound
+        counts as exact, as in the standard errors of the fit. The noise of the sensors is not
+        included.
 
     Raises
     ------
@@ -118,12 +121,15 @@ def simulate(
 
     # Without states and delays, samples are independent of one another.
     static = not (estimated.system.states or estimated.system.delayed)
-    stretches = gapless(record, estimated.system.inputs, (), shortest=1 if static else 2)
-    if not stretches:
+    stretches = gapless(record, estimated.system.inputs, (), held=estimated.held)
+    # From one sample alone, nothing moves.
+    if max(map(len, stretches), default=0) < (1 if static else 2):
         what = "sample" if static else "two consecutive samples"
         raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
     fitted = estimated.part and estimated.part.data
     fitted_initial = initial is None and fitted is not None and fitted.is_same_as(record)
+    if fitted_initial:
+        stretches = _fitted_stretches(estimated, stretches)
     states = _initial_states(estimated, initial, len(stretches), fitted_initial)
 
     errors = [] if estimated.covariance is None else [name + ERROR for name in outputs]
@@ -143,11 +149,11 @@ def simulate(
             name = next(name for name, row in signals.items() if not abs(row[when]) < DIVERGED)
             raise ValueError(
                 f"the simulation of {estimated.label} diverges at "
-                f"{record.time[stretch.rows][when]:.6g} s, {name} first: predict an unstable model "
+                f"{record.time[stretch.rows[when]]:.6g} s, {name} first: predict an unstable model "
                 f"over windows instead of simulating it, or {DOMAINS}."
             )
         for name, row in {**signals, **of_outputs}.items():
-            columns[name][stretch.rows] = row
+            columns[name][stretch.own_rows] = row[stretch.own]
 
     units = {
         n: record.units[signal]
@@ -160,6 +166,8 @@ def simulate(
         starts = zip(estimated.system.states, states[0], strict=True)
         begun = [f"{name} = {start:.4g}" for name, start in starts if name not in (initial or {})]
         remark += f", from {some(begun)}" if begun else ""
+    if not static and len(stretches) > 1:
+        remark += f", begun anew behind {counted(len(stretches) - 1, 'gap')}"
     name = f"simulation of {estimated.label}{remark}"
     return Record(record.time, columns, units, name=name, has_time=record.has_time)
 
@@ -178,12 +186,13 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from the state that its lead-in gives.
 
-    The windows follow one another through every stretch without a gap; each row without a time is a
-    window. A free simulation of an unstable plant diverges however good the model is. Over windows
-    of about its time to double, prediction errors show the quality of the model. The first state is
-    the maximum a posteriori one (see `greybox.simulation.state_estimation`), with the noise of the
-    fit or, if unknown, of the residuals in the lead-ins. With innovations (`PredictionError`), the
-    states are corrected in the lead-in but not in the horizon.
+    The windows follow one another through every stretch of known inputs, on an uneven clock by
+    time; each row without a time is a window. A free simulation of an unstable plant diverges
+    however good the model is. Over windows of about its time to double, prediction errors show the
+    quality of the model. The first state is the maximum a posteriori one (see
+    `greybox.simulation.state_estimation`), with the noise of the fit or, if unknown, of the
+    residuals in the lead-ins. With innovations (`PredictionError`), the states are corrected in the
+    lead-in but not in the horizon.
 
     If the model was not fitted to the record, values that belong to a record are estimated from it
     (see `greybox.simulation.own_values`), as `Prediction.notes` states: biases of sensors,
@@ -263,12 +272,18 @@ def predict_windows(
     reason, without a full stop.
     """
     model = model.driven_by(windows.record)
-    lead = windows.lead * windows.record.step
-    horizon = windows.horizon * windows.record.step
+    lead, horizon = windows.lengths
     if windows.lead and np.max(model.delays, initial=0.0) >= lead:
         raise ValueError(
             f"the delay of {model.label} is {np.max(model.delays):.3g} s, and lead={lead:.3g} s "
             "does not cover it: give a longer lead."
+        )
+
+    if windows.repeated.any() and model.criterion.corrects_states:
+        raise ValueError(
+            f"{model.label} corrects its states by a constant gain, and "
+            f"{windows.record.name or 'the record'} is not uniformly sampled: prepare it with "
+            "rate=..., which resamples it."
         )
 
     # On its own record the fit has estimated these values already.
@@ -281,9 +296,12 @@ def predict_windows(
     error, unknown = simulator.standard_errors(simulated)
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
 
+    there = ~(windows.repeated | windows.filled)[:, windows.lead :]
+
     def ahead(values: Array) -> Array:
         # Lead-ins were used for the states, and would look too good.
-        return np.moveaxis(values[:, windows.lead :], -1, 0)
+        later = np.moveaxis(values[:, windows.lead :], -1, 0)
+        return later if there.all() else np.where(there, later, np.nan)
 
     prediction = Prediction(
         label=model.label,
@@ -293,7 +311,7 @@ def predict_windows(
         states=model.system.states,
         lead=lead,
         horizon=horizon,
-        rows=windows.rows[:, windows.lead :],
+        rows=np.where(there, windows.rows[:, windows.lead :], -1),
         predicted=ahead(simulated.outputs),
         error=ahead(error),
         noise=simulated.initial.noise,
@@ -301,6 +319,7 @@ def predict_windows(
         one_step=ahead(simulator.one_step(simulated)),
         notes=notes,
         own=values,
+        elapsed=windows.elapsed,
     )
     return prediction, simulated.not_finite, _not_finite(simulated, windows, model)
 
@@ -348,6 +367,14 @@ def _model_and_record(
         record = estimated.part.data
     require_signals(record, estimated.system.inputs, estimated.label)
     return estimated, record
+
+
+def _fitted_stretches(model: ModelAtEstimate, stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Return the stretches of the fit's record that the fit has used."""
+    # Others have too few measured values to say anything of the model.
+    simulated = array_of(model.part.simulated, model.part.outputs)
+    used = np.flatnonzero(np.isfinite(simulated).any(axis=0))
+    return [stretch for stretch in stretches if np.isin(stretch.own_rows, used).any()]
 
 
 def _initial_states(

@@ -191,6 +191,8 @@ class Simulator:
         elif fitted_initial:
             part, rows = model.part, stretch.rows
             compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
+            if stretch.filled is not None:
+                compared[stretch.filled] = False
             places = places_of(part.outputs, self._outputs)
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
             by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
@@ -207,7 +209,7 @@ class Simulator:
         w, length = windows.rows.shape
         # Rows without a time have no lead-in: all of them show the size of the errors.
         lead = windows.lead or length
-        data = sample_data(windows, model.system.inputs, model.delays)
+        data = sample_data(windows, model.system.inputs, model.delays, model.held)
         k = len(self._outputs)
         _, values, present, _ = np.split(data, [-1 - 2 * k, -1 - k, -1])
         measured = np.moveaxis(np.where(present, values, np.nan), 0, -1)
@@ -239,7 +241,7 @@ class Simulator:
             whole = Segments(step, w, length, active)
             return _Run(whole, estimates.states, model.q, _columns(whole, predicting), estimates)
 
-        result = self._accurate(windows.record.step, run)
+        result = self._accurate(float(data[-1].max()), run)
         assert result.estimates is not None
         segments = result.segments
         return WindowSimulations(

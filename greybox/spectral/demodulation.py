@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from greybox.data.record import median_step
+from greybox.data.clock import median_step
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import GAP, Record, require_time
+from greybox.data.record import Record, require_time
 from greybox.data.test_segment import Segments
 from greybox.files.arrays import Array, Interval, Labels, Strings
 from greybox.files.text_table import Printed, counted, some
@@ -164,10 +164,10 @@ def _gaps(record: Record, segments: Segments) -> Findings:
     # Gaps between tests lose nothing.
     time = record.time
     within = np.any([(time[1:] > start) & (time[:-1] < end) for start, end in spans], axis=0)
-    steps = np.diff(time)[within]
-    wide = steps[steps > GAP * record.step]
+    holes = record.clock.holes
+    wide = np.diff(time)[holes[within[holes]]]
     if wide.size:
-        share = wide.sum() / steps.sum()
+        share = wide.sum() / np.diff(time)[within].sum()
         # Nothing is interpolated across gaps: a larger share costs data but not accuracy, so the
         # limit is a convention.
         severity = "warning" if share > 0.01 else "note"
@@ -183,7 +183,7 @@ def jitter(record: Record) -> Findings:
     """Yield a finding if the sampling interval varies."""
     steps = np.diff(record.time)
     # Gaps have a finding of their own.
-    steady = steps[steps <= GAP * record.step]
+    steady = np.delete(steps, record.clock.holes)
     jitter = float(np.std(steady) / record.step) if steady.size else 0.0
     # If rows are taken for times, a
     # signal of ten samples per period then has a phase error of 2π/10 · 0.1 = 0.06 rad.

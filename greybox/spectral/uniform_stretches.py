@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.data.frequency_response import Stretch
-from greybox.data.record import Record, require_time, runs_between_gaps
+from greybox.data.record import Record, require_time, runs_between_gaps, unrounded
 from greybox.files.arrays import Array, Labels, array_of
 from greybox.files.text_table import checked_items
 
@@ -45,7 +45,7 @@ def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> li
     stretches = []
     for record in checked_items("records", records, Record, "a Record or several of them"):
         require_time(record, "a frequency response")
-        for piece in record.pieces:
+        for piece in unrounded(record).pieces:
             values = array_of(piece, signals)
             present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
             for run in runs_between_gaps(present, 1):

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from greybox.data.clock import Gaps
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
@@ -37,9 +38,11 @@ def read_data(
     model: Model,
     input: str = "",
     output: str = "",
+    *,
     columns: NamedStrings | None = None,
     rate: float | None = None,
     prepare: Named | None = None,
+    gaps: Gaps | Literal[""] = "",
 ) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record:
     """Return a response, or the only record with the model's signals.
 
@@ -47,7 +50,8 @@ def read_data(
 
     `columns` name the columns of a table, with units: ``{"theta": "pitch:deg"}``. They are those of
     a response if they contain its frequency or magnitude. The `rate`, in Hz, is the sampling rate
-    of a table without a time. `prepare` has the arguments of `gb.prepare`, for a log.
+    of a table without a time. `prepare` has the arguments of `gb.prepare`, for a log. `gaps` state
+    what long steps of a record are, see `Record`.
 
     Raises
     ------
@@ -55,8 +59,9 @@ def read_data(
         If the file does not exist, has no or several such records, or its columns do not exist.
     """
     path = require_file(path)
+    options: Fields = {"columns": columns, "rate": rate, "gaps": gaps or "auto"}
     if prepare:
-        return prepared(read(path, columns=columns, rate=rate), **prepare)
+        return prepared(read(path, **options), **prepare)
     # Only the beginning of a table has its header: a log may have gigabytes.
     with path.open("rb") as file:
         head = file.read(65536)
@@ -64,6 +69,8 @@ def read_data(
     is_response = _is_response(names, columns or {})
     if rate and is_response:
         raise ValueError(f"rate={rate:g} is for a table of signals, and {path} is something else.")
+    if gaps and is_response:
+        raise ValueError(f"gaps={gaps} is for a table of signals, and {path} is something else.")
     name, value = ("input", input) if input else ("output", output)
     if value and not is_response:
         raise ValueError(
@@ -82,7 +89,7 @@ def read_data(
             model, read_response(path, input=input, output=output, columns=columns)
         )
 
-    return _record_of(read(path, columns=columns, rate=rate), path, model)
+    return _record_of(read(path, **options), path, model)
 
 
 def _is_response(names: Strings | None, columns: NamedStrings) -> bool:

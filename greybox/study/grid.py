@@ -41,9 +41,9 @@ def grid(models: Any = None, data: Any = None, **settings: Any) -> list[Member]:
     **settings
         The other keys of a study file, named like the options of `greybox fit`: criterion, delay,
         method, at, fix, free, bounds, start, starts_box, prior, starts, seed, search; for files
-        columns, rate, input, output, and prepare, the arguments of `gb.prepare`; ``joint=[...]``,
-        the data of one joint fit; ``held="flights/f9.csv"``, data that are left out, and by which
-        the structures are compared;
+        columns, rate, gaps, input, output, and prepare, the arguments of `gb.prepare`;
+        ``joint=[...]``, the data of one joint fit; ``held="flights/f9.csv"``, data that are left
+        out, and by which the structures are compared;
         ``band=(0.5, 20)``, the frequencies of responses that are fitted, in rad/s; problem, a
         Problem instead of models and data; solver_options.
 

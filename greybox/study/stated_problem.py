@@ -29,7 +29,7 @@ from greybox.modeling.transfer_function import TransferFunction
 from greybox.study.catalog import find_model, find_problem, shipped
 from greybox.study.data_file import read_data
 
-OF_FILES = ("input", "output", "columns", "rate", "prepare")
+OF_FILES = ("input", "output", "columns", "rate", "gaps", "prepare")
 # Options with values by name of a parameter, and the fields of a problem that they change.
 OF_PARAMETERS = {
     "fix": "fixed",

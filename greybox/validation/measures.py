@@ -204,5 +204,6 @@ def _in_time_order(prediction: Prediction, output: str) -> list[Array]:
     """Return the errors one step ahead along the record, NaN between windows, cut at its gaps."""
     along = nans(len(prediction.data))
     errors = prediction.one_step[prediction.outputs.index(output)]
-    along[prediction.rows.ravel()] = errors.ravel()
+    there = prediction.rows >= 0
+    along[prediction.rows[there]] = errors[there]
     return [along[rows] for rows in prediction.data.independent_pieces]

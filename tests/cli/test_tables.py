@@ -199,3 +199,20 @@ def _lag():
     namespace = {}
     exec(RECORD, namespace)
     return namespace["Lag"]()
+
+
+def test_what_long_steps_are_is_said_and_can_be_stated(table, folder, capsys):
+    table("time [ms],u,y", 1e3 * TIME)
+    lines = (folder / "a.csv").read_text().splitlines()
+    (folder / "a.csv").write_text("\n".join(lines[:121] + lines[151:]) + "\n")  # 0.6 s are lost
+    words = ["fit", "--model", "tables_my.py:Lag", "--data", "a.csv", "--json"]
+    said = {}
+    for gaps in ("", "bridge", "cut"):
+        _, out, _ = run(capsys, *words, *(["--gaps", gaps] if gaps else []))
+        (said[gaps],) = json.loads(out)["gaps"]
+    assert [said[gaps]["stretches"] for gaps in said] == [2, 1, 2]
+    assert "inputs are unknown at 1, where a new stretch begins" in said[""]["text"]
+    assert "known there, as stated" in said["bridge"]["text"]
+    assert "cut at 1 step longer than 1.5 median steps, as stated" in said["cut"]["text"]
+    status, _, error = run(capsys, *words, "--gaps", "fill")
+    assert (status, "fill" in error) == (2, True)

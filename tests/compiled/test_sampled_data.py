@@ -251,9 +251,12 @@ def jittered(size, n=60):
 
 
 def test_small_jitter_counts_as_uniform_and_large_keeps_its_steps():
-    assert np.ptp(cut(jittered(0.02)).steps) == 0
-    data = jittered(0.45)
-    assert_allclose(cut(data).steps[0, : len(data) - 1], np.diff(data.time))
+    """Where an input may be delayed, samples are counted; otherwise times count as they are."""
+    assert np.ptp(cut(jittered(0.02), lead=0.1).steps) == 0
+    assert np.ptp(cut(jittered(0.0002)).steps) == 0
+    for size in (0.02, 0.45):
+        data = jittered(size)
+        assert_allclose(cut(data).steps[0, : len(data) - 1], np.diff(data.time))
     with pytest.raises(ValueError, match=r"not uniform .* prepare the record with rate"):
         cut(data, lead=0.1)
 
@@ -376,9 +379,13 @@ def test_samples_lie_within_a_quarter_of_a_step(off, is_uniform):
     time = STEP * np.arange(60)
     time[30] += off * STEP
     data = gb.Record(time, {"u": RANDOM.normal(size=60), "y": np.arange(60.0)})
-    (stretch,) = cut(data).stretches
-    assert len(stretch) == 60
-    assert (stretch.times is None) == is_uniform
+    if is_uniform:
+        (stretch,) = cut(data, lead=STEP).stretches
+        assert len(stretch) == 60
+        assert stretch.times is None
+    else:
+        with pytest.raises(ValueError, match="not uniform"):
+            cut(data, lead=STEP)
 
 
 @pytest.mark.parametrize(("step", "stretches"), [(1.4, 1), (1.6, 2)])

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.data.record import Record
+from greybox.spectral.sweeps_and_noise import spectral_response
 from greybox.spectral.uniform_stretches import JITTER, uniform_stretches
 
 TIME = np.arange(100) / 50
@@ -61,3 +63,20 @@ def test_single_samples_are_no_stretch_and_constants_no_signal():
     assert len(uniform_stretches(parts, ["u"])) == 2
     with pytest.raises(ValueError, match="u, y are never all present in two samples in a row"):
         uniform_stretches(Record(TIME, {"u": RAMP, "y": np.full(100, np.nan)}), ["u", "y", "u"])
+
+
+@pytest.mark.parametrize(("rate", "quantum"), [(75, 0.01), (800, 1e-3)])
+def test_coarse_stamps_give_the_spectra_of_the_clock_that_they_round(rate, quantum):
+    time = np.arange(6000) / rate
+    u = np.sin(np.cumsum(np.linspace(0.01, 0.4, 6000)))
+    y = np.convolve(u, 0.1 * 0.9 ** np.arange(80))[:6000]
+    y += 0.001 * np.random.default_rng(0).standard_normal(6000)
+    omega = np.array([0.03, 0.1, 0.3]) * rate
+    exact, rounded = (
+        spectral_response(gb.Record(t, {"u": u, "y": y}), "u", "y", omega=omega).response
+        for t in (time, np.round(time / quantum) * quantum)
+    )
+    np.testing.assert_allclose(rounded, exact, rtol=2e-3)
+    uneven = time + 0.3 / rate * np.random.default_rng(1).uniform(-1, 1, 6000)
+    with pytest.raises(ValueError, match=r"not uniformly sampled .*prepare it with rate="):
+        spectral_response(gb.Record(uneven, {"u": u, "y": y}), "u", "y", omega=omega)

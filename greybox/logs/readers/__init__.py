@@ -28,6 +28,7 @@ from inspect import signature
 from pathlib import Path
 from typing import NamedTuple
 
+from greybox.data.clock import Gaps, require_gaps
 from greybox.data.record import Recording
 from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.escapes import in_sentences
@@ -100,6 +101,7 @@ def read(
     messages: Collection[str] | None = None,
     columns: NamedStrings | None = None,
     rate: float | None = None,
+    gaps: Gaps = "auto",
 ) -> Recording:
     """Read a flight log or a table of measured signals, whatever its format.
 
@@ -117,6 +119,9 @@ def read(
         numbers: ``{"time": "1", "u": "2", "theta": "3:deg"}``.
     rate : float, Hz, optional
         The sampling rate of a table without a time.
+    gaps : "auto", "bridge" or "cut", optional
+        What long steps of the clock are: "bridge" where the inputs are known across them, "cut"
+        where rows are lost, see `Record`.
 
     Returns
     -------
@@ -139,6 +144,7 @@ def read(
     """
     if rate is not None and not (is_finite_number(rate) and rate > 0):
         raise ValueError(f"rate={rate!r} must be a number of Hz above 0.")
+    require_gaps(gaps)
     path = require_file(path)
     names = (messages,) if isinstance(messages, str) else messages
     kind = _format(path)
@@ -150,6 +156,8 @@ def read(
     else:
         raise ValueError(f"{path} is a log ({kind.about}): columns and rate are those of a table.")
     log = reader.read(path, names, **table_options)
+    if gaps != "auto":
+        log = replace(log, records={n: replace(record, gaps=gaps) for n, record in log.items()})
     if not columns:
         return log
     # The readers of tables refuse more than one when columns are named.

@@ -13,8 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.clock import median_step
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.data.record import Record, median_step
+from greybox.data.record import Record
 from greybox.files.arrays import Array, Values
 from greybox.files.delimited_text import Heading, are_numbers
 

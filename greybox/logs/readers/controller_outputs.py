@@ -15,8 +15,8 @@ import re
 from collections.abc import Iterable
 from dataclasses import replace
 
+from greybox.data.clock import median_step
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.data.record import median_step
 from greybox.files.arrays import NamedStrings, Values
 from greybox.logs.readers.messages import Messages
 

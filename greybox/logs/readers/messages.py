@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.data.record import GAP, Record
+from greybox.data.record import Record
 from greybox.files.arrays import (
     Array,
     IntArray,
@@ -132,7 +132,7 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
     longest = []
     for name, record in by_name.items():
         steps = np.diff(record.time)
-        wide = int(np.count_nonzero(steps > GAP * record.step))
+        wide = record.clock.holes.size
         # 20 steps show the usual one. A message with gaps in 5 % of its steps comes irregularly.
         if steps.size >= 20 and 0 < wide <= 0.05 * steps.size:
             start = record.time[steps.argmax()]
