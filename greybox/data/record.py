@@ -344,7 +344,7 @@ class Record(Printed):
         if others.pop("has_time", True):
             moments, column, findings = times_of(frame, time)
         columns = columns_of(frame, without=column)
-        described = selected(frame.attrs, ("units", "hold", "name", "source"))
+        described = selected(frame.attrs, ("units", "hold", "name", "source", "gaps"))
         described["findings"] = findings
         # Those of columns that were dropped later stay in `attrs`.
         for what in {"units", "hold"} & described.keys():
@@ -357,14 +357,14 @@ class Record(Printed):
     def to_pandas(self) -> Frame:
         """Return the signals as columns of a pandas data frame with the time in s as index.
 
-        ``frame.attrs`` has the units, holds, name and source.
+        ``frame.attrs`` has the units, holds, name, source and what is stated of gaps.
 
         Raises
         ------
         ModuleNotFoundError
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
-        about = attributes(self, "units", "hold", "name", "source")
+        about = attributes(self, "units", "hold", "name", "source", "gaps")
         return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
 
     def rows(self, rows: IntArray | slice) -> "Record":

@@ -127,6 +127,7 @@ def test_what_is_stated_of_gaps_holds():
         for one in stated.values():
             assert one.between(0, 8).gaps == one.gaps
             assert one.with_signals(v=one["u"]).gaps == one.gaps
+            assert gb.Record.from_pandas(one.to_pandas()).gaps == one.gaps
             assert not one.is_same_as(record)
             assert one.checksum != record.checksum
     with pytest.raises(ValueError, match="gaps is 'fill': use 'bridge' where the inputs are known"):
