@@ -2,14 +2,16 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array, Arrays, Indices, IntArray, frozen
 from greybox.files.rebuilt import Rebuilt
-from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.runs import Outcome, Outcomes, Runs
+from greybox.solve.minima import Minimum, Multistart, same_cost
+from greybox.solve.runs import Outcome, Outcomes, Runs, spent
+from greybox.solve.stationarity import is_above
 
 
 @frozen
@@ -75,6 +77,49 @@ class LocalSolver(Runner):
     nlp: CompiledProblem
     starts: int = 20
     promising: ClassVar[Indices] = (4, 3)
+
+    # --- no run ends above its start
+
+    @abstractmethod
+    def led(self, starts: Array) -> Outcomes:
+        """Return the runs from the rows of `starts` (r, p), however they are led to minima.
+
+        Costs are the stated ones.
+        """
+
+    @abstractmethod
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where the stated cost alone leads from the rows of `starts` (r, p)."""
+
+    @abstractmethod
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the stated costs (r,) at the starts (r, p) of runs with these ends.
+
+        They are infinite where a constraint is missed, or a start surely costs more than the end.
+        """
+
+    def run(self, start: Array) -> Outcome:
+        """Make the run from the parameters `start` (p,)."""
+        return self.run_together(start[None])[0]
+
+    def run_together(self, starts: Array) -> Outcomes:
+        """Make the runs from the rows of `starts` (r, p); none ends above its start.
+
+        Barriers, smoothing, other criteria, weights and soft continuity lead runs to good minima,
+        but may lead them away from a better one at the start.
+        """
+        outcomes = self.led(starts)
+        begun = self.costs_at(starts, outcomes)
+        above = [k for k, end in enumerate(outcomes) if is_above(end.cost, begun[k])]
+        direct = self.descended(starts[above]) if above else []
+        for k, end in zip(above, direct, strict=True):
+            # A descent moves the cost by its smoothing, and IPOPT may climb.
+            if is_above(end.cost, begun[k]):
+                is_near = end.cost - begun[k] <= same_cost(self.nlp, begun[k])
+                converged = end.converged and is_near
+                end = replace(end, estimate=starts[k], cost=begun[k], converged=converged)  # noqa: PLW2901
+            outcomes[k] = spent(end, outcomes[k])
+        return outcomes
 
     @abstractmethod
     def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:

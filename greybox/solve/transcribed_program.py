@@ -22,9 +22,10 @@ from greybox.files.arrays import Array, Arrays, Named
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.ipopt import CONVERGED, Ipopt
+from greybox.solve.ipopt import Ipopt
+CONVERGED = ('Solve_Succeeded','Solved_To_Acceptable_Level')
 from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.runs import NOT_FINITE, Outcome
+from greybox.solve.runs import NOT_FINITE, Outcome, Outcomes
 
 
 class TranscribedProgram(LocalSolver):
@@ -101,7 +102,19 @@ class TranscribedProgram(LocalSolver):
         """Return the Gauss-Newton solver of the problem, which is near the minimum already."""
         return self._gauss_newton.with_problem(nlp)
 
-    def run(self, start: Array) -> Outcome:
+    def led(self, starts: Array) -> Outcomes:
+        """Return the runs from all starts (r, p)."""
+        return [self._led(start) for start in starts]
+
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where Gauss-Newton steps lead from the starts (r, p)."""
+        return self._gauss_newton.descended(starts)
+
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the costs (r,) at the starts (r, p) with their best states."""
+        return self._gauss_newton.costs_at(starts, ends)
+
+    def _led(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         z = self._gauss_newton.limits.clipped(self.nlp.scaling.to_solver(start))

@@ -15,14 +15,14 @@ from greybox.files.arrays import Array, Arrays
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
 from greybox.solve.gauss_newton.settings import Settings
+from greybox.solve.stationarity import rounding_of
 
-COST_ROUNDING = 1e-9  # relative change of the cost that counts as rounding
 GAP_CLOSINGS = 5  # iterations of the second-order correction
 
 
 def with_rounding(cost: float) -> float:
     """Return the largest cost that may differ from this one by rounding alone."""
-    return cost + COST_ROUNDING * max(1.0, abs(cost))
+    return cost + rounding_of(cost)
 
 
 class AllParts:

@@ -10,8 +10,8 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.solve.constraints import Limits, constraints_of
+from greybox.modeling.one_thread import cached_property
+from greybox.solve.constraints import Limits, limits_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed
 from greybox.solve.gauss_newton.iteration import SINGULAR, descend
@@ -21,7 +21,7 @@ from greybox.solve.gauss_newton.settings import USUAL, Settings
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
-from greybox.solve.runs import NOT_FINITE, Outcome, spent
+from greybox.solve.runs import NOT_FINITE, Outcome, Outcomes, spent
 
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(all="ignore")
@@ -49,7 +49,7 @@ class GaussNewton(LocalSolver):
         """Build what every run shares; by default the limits are those of the problem."""
         self.nlp = nlp
         self.settings = settings
-        self.limits = limits or _limits(nlp)
+        self.limits = limits or limits_of(nlp)
         self._parts = AllParts(nlp, self.limits, settings)
         # Where runs of all samples of a long record ended, by the minimum of its excerpts.
         self._ends: dict[bytes, Outcome] = {}
@@ -69,7 +69,28 @@ class GaussNewton(LocalSolver):
     # --- runs
 
     @DIVERGING
-    def run(self, start: Array) -> Outcome:
+    def led(self, starts: Array) -> Outcomes:
+        """Return the runs from all starts (r, p)."""
+        return [self._led(start) for start in starts]
+
+    @DIVERGING
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where the cost alone leads from the starts (r, p) and their best states."""
+        return [self._solved(self._at(start, self._best_nodes(start)), EXACT) for start in starts]
+
+    @DIVERGING
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the costs (r,) at the starts (r, p) with their best states."""
+        return np.array([self._cost_at(*pair) for pair in zip(starts, ends, strict=True)])
+
+    def _cost_at(self, start: Array, end: Outcome) -> float:
+        profile = self.profile(start)
+        return profile.cost if profile.converged else math.inf
+
+    def _best_nodes(self, x: Array) -> Nodes:
+        return [part.nodes for part in self.profile(x).trajectories]
+
+    def _led(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,), or from where short segments lead from there.
 
         It is moved if predictions over whole segments are worse than the means of the outputs. With
@@ -79,7 +100,7 @@ class GaussNewton(LocalSolver):
         begin = parts.at(self._nearest(start))
         left = parts.unexplained(begin)
         if self._excerpts:
-            first = self._excerpts.run(start)
+            first = self._excerpts._led(start)
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
@@ -136,7 +157,7 @@ class GaussNewton(LocalSolver):
     def near(self, x: Array, nodes: Nodes | None = None) -> Outcome:
         """Solve from parameters x (p,) near a minimum, whose states are solved first if unknown."""
         # From states of the data, a run may leave for another minimum.
-        return self.solved_from(x, nodes or [part.nodes for part in self.profile(x).trajectories])
+        return self.solved_from(x, nodes or self._best_nodes(x))
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
@@ -307,10 +328,3 @@ class GaussNewton(LocalSolver):
         if self._polished and self._polished[0] is x and self._polished[1] is nodes:
             return self._polished[2]
         return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.groups.joined(nodes))
-
-
-@one_thread_at_a_time
-def _limits(nlp: CompiledProblem) -> Limits:
-    """Return the bounds and constraints in the solver's variables."""
-    z = ca.SX.sym("z", len(nlp.free))
-    return Limits(*nlp.bounds, constraints_of(nlp.limits_at(z), z))

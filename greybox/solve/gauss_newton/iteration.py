@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, frozen
-from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts, with_rounding
+from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
     CONVERGED,
     EXACT,
@@ -31,6 +31,7 @@ from greybox.solve.gauss_newton.stability import (
 )
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE, TOO_COARSE
+from greybox.solve.stationarity import ROUNDING
 
 SINGULAR = "singular"  # the nodes of a record are not determined
 EXCEEDED = "iterations exceeded"
@@ -161,7 +162,7 @@ def _iterated(
             return End(end, CONVERGED, count, step.hessian)
         # Beside a kink, as at a whole sample of a delay, steps to and fro gain as little as
         # rounding, and none fails: 9 of 80 fits of a held input ended after 2100 iterations.
-        rests = looks and last_look - start <= 10 * COST_ROUNDING * abs(start)
+        rests = looks and last_look - start <= 10 * ROUNDING * abs(start)
         last_look = start if looks else last_look
 
         # Line search.
@@ -228,7 +229,7 @@ def _is_settled(
     states_only: bool,
 ) -> bool:
     """Return whether little is left to gain, also by a step that is not damped."""
-    negligible = max(parts.settings.tol, COST_ROUNDING * abs(merit))
+    negligible = max(parts.settings.tol, ROUNDING * abs(merit))
     little = (1 + progress.damping) * step.decrease <= negligible
     if not (progress.is_exact and little and parts.is_continuous(iterate)):
         return False
