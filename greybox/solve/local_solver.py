@@ -117,7 +117,8 @@ class LocalSolver(Runner):
             if is_above(end.cost, begun[k]):
                 is_near = end.cost - begun[k] <= same_cost(self.nlp, begun[k])
                 converged = end.converged and is_near
-                end = replace(end, estimate=starts[k], cost=begun[k], converged=converged)  # noqa: PLW2901
+                at_start = {"estimate": starts[k], "cost": begun[k]}
+                end = replace(end, **at_start, converged=converged)  # noqa: PLW2901
             outcomes[k] = spent(end, outcomes[k])
         return outcomes
 

@@ -114,11 +114,7 @@ class ResponseSolver(LocalSolver):
         """Return where the problem's own criterion leads from the starts (r, p)."""
         if self.together == 1:
             return self._with_costs([self._solved(start, SMOOTHING, WARM) for start in starts])
-
-        def search(z: Array) -> Ends:
-            return self.batches[-1].minimize(z, **self.limits, from_near=True)
-
-        return self._arrived(starts, search)
+        return self._arrived(starts, self.settled)
 
     def costs_at(self, starts: Array, ends: Outcomes) -> Array:
         """Return the costs (r,) at the starts (r, p); infinite where a constraint is missed."""
@@ -260,6 +256,10 @@ class ResponseSolver(LocalSolver):
             ends = continued(ends, batch.minimize(ends.z, **limits))
         return ends
 
+    def settled(self, z: Array, **limits: Any) -> Ends:
+        """Return where the problem's own criterion leads, without a barrier, from z (p, m)."""
+        return self.batches[-1].minimize(z, **{**self.limits, "from_near": True, **limits})
+
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Repeat the searches from z (p, m) that ended at a response of zero."""
         program = self.nlp.programs[0]
@@ -396,11 +396,10 @@ class ResponseSolver(LocalSolver):
 
     def _refined(self, best: Minimum, smoothing: float, most: int) -> tuple[Array, int]:
         """Return the end (p,) of a batched search from a minimum, and its number of iterations."""
-        ends = self.batches[-1].minimize(
+        ends = self.settled(
             self.nlp.scaling.to_solver(best.estimate)[:, None],
             max_iterations=most,
             tolerance=self.polished_to,
-            from_near=True,
             smoothing=smoothing,
         )
         estimate = self.nlp.estimate_at(ends.z[:, 0])
