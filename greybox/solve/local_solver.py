@@ -78,50 +78,6 @@ class LocalSolver(Runner):
     starts: int = 20
     promising: ClassVar[Indices] = (4, 3)
 
-    # --- no run ends above its start
-
-    @abstractmethod
-    def led(self, starts: Array) -> Outcomes:
-        """Return the runs from the rows of `starts` (r, p), however they are led to minima.
-
-        Costs are the stated ones.
-        """
-
-    @abstractmethod
-    def descended(self, starts: Array) -> Outcomes:
-        """Return where the stated cost alone leads from the rows of `starts` (r, p)."""
-
-    @abstractmethod
-    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
-        """Return the stated costs (r,) at the starts (r, p) of runs with these ends.
-
-        They are infinite where a constraint is missed, or a start surely costs more than the end.
-        """
-
-    def run(self, start: Array) -> Outcome:
-        """Make the run from the parameters `start` (p,)."""
-        return self.run_together(start[None])[0]
-
-    def run_together(self, starts: Array) -> Outcomes:
-        """Make the runs from the rows of `starts` (r, p); none ends above its start.
-
-        Barriers, smoothing, other criteria, weights and soft continuity lead runs to good minima,
-        but may lead them away from a better one at the start.
-        """
-        outcomes = self.led(starts)
-        begun = self.costs_at(starts, outcomes)
-        above = [k for k, end in enumerate(outcomes) if is_above(end.cost, begun[k])]
-        direct = self.descended(starts[above]) if above else []
-        for k, end in zip(above, direct, strict=True):
-            # A descent moves the cost by its smoothing, and IPOPT may climb.
-            if is_above(end.cost, begun[k]):
-                is_near = end.cost - begun[k] <= same_cost(self.nlp, begun[k])
-                converged = end.converged and is_near
-                at_start = {"estimate": starts[k], "cost": begun[k]}
-                end = replace(end, **at_start, converged=converged)  # noqa: PLW2901
-            outcomes[k] = spent(end, outcomes[k])
-        return outcomes
-
     @abstractmethod
     def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
@@ -157,3 +113,52 @@ class LocalSolver(Runner):
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum as exact as the arithmetic allows."""
         return search
+
+
+class Descent(LocalSolver):
+    """A solver of which no run ends above the stated cost of its start.
+
+    Barriers, smoothing, other criteria, weights and soft continuity lead its runs to good minima,
+    but may lead them away from a better one at the start.
+    """
+
+    @abstractmethod
+    def led(self, starts: Array) -> Outcomes:
+        """Return the runs from the rows of `starts` (r, p), however they are led to minima.
+
+        Costs are the stated ones.
+        """
+
+    @abstractmethod
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where the stated cost alone leads from the rows of `starts` (r, p)."""
+
+    @abstractmethod
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the stated costs (r,) at the starts (r, p) of runs with these ends.
+
+        They are infinite where a constraint is missed, or a start surely costs more than the end.
+        """
+
+    def run(self, start: Array) -> Outcome:
+        """Make the run from the parameters `start` (p,)."""
+        return self._no_higher(start[None])[0]
+
+    def run_together(self, starts: Array) -> Outcomes:
+        """Make the runs from the rows of `starts` (r, p), at most `together`."""
+        return self._no_higher(starts) if self.together > 1 else super().run_together(starts)
+
+    def _no_higher(self, starts: Array) -> Outcomes:
+        """Return the runs from `starts` (r, p); those that are led higher begin again, unguided."""
+        outcomes = self.led(starts)
+        begun = self.costs_at(starts, outcomes)
+        above = [k for k, end in enumerate(outcomes) if is_above(end.cost, begun[k])]
+        direct = self.descended(starts[above]) if above else []
+        for k, end in zip(above, direct, strict=True):
+            # A descent moves the cost by its smoothing, and IPOPT may climb.
+            if is_above(end.cost, begun[k]):
+                is_near = end.cost - begun[k] <= same_cost(self.nlp, begun[k])
+                at_start = {"estimate": starts[k], "cost": begun[k]}
+                end = replace(end, **at_start, converged=end.converged and is_near)  # noqa: PLW2901
+            outcomes[k] = spent(end, outcomes[k])
+        return outcomes

@@ -25,7 +25,7 @@ from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.constraints import Limits, limits_of
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONFIRMING, WARM, Ipopt
-from greybox.solve.local_solver import LocalSolver, Profile, Screened
+from greybox.solve.local_solver import Descent, Profile, Screened
 from greybox.solve.minima import (
     AT_ONCE,
     RIVAL,
@@ -50,10 +50,11 @@ AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches loos
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 FEW = 10  # iterations that suffice for the last digits where no residual is zero
 NO_OPTIONS: Named = MappingProxyType({})
+NEGLIGIBLE = 1e-14  # decrease of the cost for every number: squares of relative errors of 1e-7
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
 
-class ResponseSolver(LocalSolver):
+class ResponseSolver(Descent):
     """Newton's method on batches of starts, and IPOPT: without a batch, and to confirm the minima.
 
     Where another criterion locates the minimum, IPOPT solves with that one first.
@@ -162,7 +163,11 @@ class ResponseSolver(LocalSolver):
         estimate = nlp.estimate_at(z)
         z = nlp.scaling.to_solver(estimate)
         converged = status not in CUT_SHORT and is_minimum(
-            self._limits, z, *stage.derivatives(z, p), self.limits["tolerance"]
+            self._limits,
+            z,
+            *stage.derivatives(z, p),
+            tolerance=self.limits["tolerance"],
+            negligible=NEGLIGIBLE * nlp.numbers,
         )
         seconds = time.perf_counter() - began
         return Outcome(estimate, status, iterations, seconds, converged)

@@ -24,11 +24,11 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import Ipopt
 CONVERGED = ('Solve_Succeeded','Solved_To_Acceptable_Level')
-from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.local_solver import Descent, Profile
 from greybox.solve.runs import NOT_FINITE, Outcome, Outcomes
 
 
-class TranscribedProgram(LocalSolver):
+class TranscribedProgram(Descent):
     """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
     @one_thread_at_a_time

@@ -79,7 +79,7 @@ def test_relaxations_go_on_until_the_cost_stays(
 
     monkeypatch.setattr(transcribed, "_ipopt", SimpleNamespace(solve=solve))
     monkeypatch.setattr(transcribed, "_outcome", outcome)
-    found = transcribed.run(np.array([2.0]))
+    [found] = transcribed.led(np.array([[2.0]]))
     assert len(asked) == runs
     assert asked[1:] == [2.0 * k for k in range(1, runs)]  # weights follow from the last residuals
     assert (found.status, found.iterations) == (status, 3 * runs)
@@ -101,10 +101,10 @@ def test_an_end_without_continuous_states_is_no_answer(monkeypatch, transcribed)
     monkeypatch.setattr(transcribed, "_outcome", lambda solution, w: (5.0, w, True))
     broken = replace(transcribed.profile(np.array([2.0])), converged=False)
     monkeypatch.setattr(transcribed._gauss_newton, "profile", lambda x, nodes: broken)
-    found = transcribed.run(np.array([2.0]))
+    [found] = transcribed.led(np.array([[2.0]]))
     assert (found.status, found.converged) == ("no continuous states at the estimate", False)
     monkeypatch.setattr(transcribed._gauss_newton, "smoothed", lambda z: None)
-    found = transcribed.run(np.array([2.0]))
+    [found] = transcribed.led(np.array([[2.0]]))
     assert (found.status, found.converged, found.cost, found.iterations) == (
         NOT_FINITE,
         False,

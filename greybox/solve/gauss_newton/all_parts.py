@@ -65,6 +65,17 @@ class AllParts:
         run = [replace(part.trajectory(z, simulated=True), simulated=False) for part in self.parts]
         return Iterate(z, tuple(sharing(self.parts, run)))
 
+    def continuous(self, iterate: Iterate) -> Iterate:
+        """Return the iterate after a step of its nodes alone that closes all gaps."""
+        if not iterate.finite:
+            return iterate
+        nodes = []
+        for part, t in self.along(iterate):
+            weight = part.initial_weight()
+            condensed = part.condense(part.linearize(t, weight), t, weight=weight)
+            nodes.append(t.nodes + condensed.change_of_nodes(np.zeros(len(iterate.z))))
+        return self.at(iterate.z, nodes, iterate)
+
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
         return zip(self.parts, iterate.trajectories, *others, strict=True)
