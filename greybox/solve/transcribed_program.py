@@ -23,9 +23,8 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import Ipopt
-CONVERGED = ('Solve_Succeeded','Solved_To_Acceptable_Level')
 from greybox.solve.local_solver import Descent, Profile
-from greybox.solve.runs import NOT_FINITE, Outcome, Outcomes
+from greybox.solve.runs import CUT_SHORT, NOT_FINITE, Outcome, Outcomes
 
 
 class TranscribedProgram(Descent):
@@ -136,22 +135,22 @@ class TranscribedProgram(Descent):
             cost, w, same_data = self._outcome(solution, w)
             # A tenth of a standard error changes the cost by 0.005, and costs are rarely above 1e5.
             settled = abs(cost - last) <= 1e-9 * max(1.0, abs(cost)) and same_data
-            if settled or status not in CONVERGED or not math.isfinite(cost):
+            # A program that IPOPT did not solve is not worth another one.
+            if settled or not status.startswith("Solve") or not math.isfinite(cost):
                 break
             last = cost
         else:
             status = "relaxations exceeded"
 
         estimate = self.nlp.estimate_at(solution[: len(z)])
-        converged = status in CONVERGED and math.isfinite(cost)
-        signature = None
-        if converged:
+        signature, converged = None, False
+        if status not in CUT_SHORT and math.isfinite(cost):
             profile = self.profile(estimate)
+            converged = self._gauss_newton.is_minimum(estimate, profile)
             pairs = zip(self.nlp.parts, profile.trajectories, strict=True)
             signature = np.concatenate([part.signature(trajectory) for part, trajectory in pairs])
             if not profile.converged:
                 status = reason_to_end() or "no continuous states at the estimate"
-                converged = False
         return Outcome(
             estimate, status, iterations, time.perf_counter() - began, converged, cost, signature
         )

@@ -83,13 +83,27 @@ def test_relaxations_go_on_until_the_cost_stays(
     assert len(asked) == runs
     assert asked[1:] == [2.0 * k for k in range(1, runs)]  # weights follow from the last residuals
     assert (found.status, found.iterations) == (status, 3 * runs)
-    assert found.converged == (status == SOLVED and math.isfinite(costs[runs - 1]))
     assert found.cost == costs[runs - 1]
     scaling = transcribed.nlp.scaling
     assert found.estimate == pytest.approx(
         scaling.to_parameters(scaling.to_solver(np.array([2.0])) + 0.001 * runs)
     )
-    assert (found.signature is not None) == found.converged
+    assert (found.signature is not None) == math.isfinite(costs[runs - 1])
+
+
+@pytest.mark.parametrize("status", [SOLVED, LOST, "Search_Direction_Becomes_Too_Small"])
+def test_an_end_is_judged_by_its_place_and_not_by_its_status(monkeypatch, transcribed, status):
+    minimum = transcribed.led(np.array([[2.0]]))[0].estimate
+    for x, is_minimum in ((minimum, True), (1.2 * minimum, False)):
+        z = transcribed.nlp.scaling.to_solver(x)
+
+        def solve(solution, w, bounds, z=z):
+            return np.append(z, solution[1:]), status, 1
+
+        with monkeypatch.context() as patched:
+            patched.setattr(transcribed, "_ipopt", SimpleNamespace(solve=solve))
+            [end] = transcribed.led(np.array([[2.0]]))
+        assert (end.status, end.converged) == (status, is_minimum)
 
 
 def test_an_end_without_continuous_states_is_no_answer(monkeypatch, transcribed):

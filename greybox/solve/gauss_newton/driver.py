@@ -15,6 +15,7 @@ from greybox.solve.constraints import Limits, limits_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed
 from greybox.solve.gauss_newton.iteration import SINGULAR, descend
+from greybox.solve.gauss_newton.kinks import status_at_kink
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
 from greybox.solve.gauss_newton.screening import can_move, can_screen, distinct, improved
 from greybox.solve.gauss_newton.settings import USUAL, Settings
@@ -297,6 +298,18 @@ class GaussNewton(Descent):
         cost = self._parts.cost(iterate, 0.0)
         trajectories = tuple(self._parts.groups.split(iterate.trajectories))
         return Profile(trajectories, cost, converged)
+
+    @DIVERGING
+    def is_minimum(self, x: Array, profile: Profile) -> bool:
+        """Return whether no step from the parameters x (p,) and their best nodes gains anything."""
+        iterate = self._at(x, [trajectory.nodes for trajectory in profile.trajectories])
+        # IPOPT widens bounds and constraints by 1e-8.
+        if not profile.converged or self.limits.violation(iterate.z, rounding=1e-7) > 0:
+            return False
+        try:
+            return status_at_kink(self._parts, iterate, states_only=False).startswith(CONVERGED)
+        except np.linalg.LinAlgError:
+            return False
 
     def cost(self, values: Array) -> float:
         """Return the smallest cost at all values (k,), continuity exact; NaN if there is none.
