@@ -9,7 +9,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array, Arrays, Indices, IntArray, frozen
 from greybox.files.rebuilt import Rebuilt
-from greybox.solve.minima import Minimum, Multistart, same_cost
+from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Outcome, Outcomes, Runs, spent
 from greybox.solve.stationarity import is_above
 
@@ -131,7 +131,10 @@ class Descent(LocalSolver):
 
     @abstractmethod
     def descended(self, starts: Array) -> Outcomes:
-        """Return where the stated cost alone leads from the rows of `starts` (r, p)."""
+        """Return where the stated cost alone leads from the rows of `starts` (r, p).
+
+        None that counts as converged ends higher, but for the smoothing.
+        """
 
     @abstractmethod
     def costs_at(self, starts: Array, ends: Outcomes) -> Array:
@@ -155,10 +158,8 @@ class Descent(LocalSolver):
         above = [k for k, end in enumerate(outcomes) if is_above(end.cost, begun[k])]
         direct = self.descended(starts[above]) if above else []
         for k, end in zip(above, direct, strict=True):
-            # A descent moves the cost by its smoothing, and IPOPT may climb.
+            # A descent lowers the smoothed cost: the minimum of the stated one is then nearer here.
             if is_above(end.cost, begun[k]):
-                is_near = end.cost - begun[k] <= same_cost(self.nlp, begun[k])
-                at_start = {"estimate": starts[k], "cost": begun[k]}
-                end = replace(end, **at_start, converged=end.converged and is_near)  # noqa: PLW2901
+                end = replace(end, estimate=starts[k], cost=begun[k])  # noqa: PLW2901
             outcomes[k] = spent(end, outcomes[k])
         return outcomes

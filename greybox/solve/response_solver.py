@@ -39,6 +39,7 @@ from greybox.solve.runs import CUT_SHORT, IMPROVED, POLISHED, Outcome, Outcomes,
 from greybox.solve.stationarity import is_above, is_minimum
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
+EXCEEDED = "Maximum_Iterations_Exceeded"  # IPOPT's status at its limit
 
 # Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order
 # up to 200. IPOPT continues those that need more.
@@ -50,7 +51,6 @@ AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches loos
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 FEW = 10  # iterations that suffice for the last digits where no residual is zero
 NO_OPTIONS: Named = MappingProxyType({})
-NEGLIGIBLE = 1e-14  # decrease of the cost for every number: squares of relative errors of 1e-7
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
 
@@ -113,9 +113,20 @@ class ResponseSolver(Descent):
 
     def descended(self, starts: Array) -> Outcomes:
         """Return where the problem's own criterion leads from the starts (r, p)."""
-        if self.together == 1:
-            return self._with_costs([self._solved(start, SMOOTHING, WARM) for start in starts])
-        return self._arrived(starts, self.settled)
+        if self.together > 1:
+            return self._arrived(starts, self.settled)
+        ends = [self._solved(start, SMOOTHING, WARM) for start in starts]
+        # IPOPT may climb, and is then at another minimum.
+        climbed = [
+            is_above(self._smoothed_cost(end.estimate), self._smoothed_cost(start))
+            for start, end in zip(starts, ends, strict=True)
+        ]
+        pairs = zip(ends, climbed, strict=True)
+        return self._with_costs([replace(e, converged=e.converged and not up) for e, up in pairs])
+
+    def _smoothed_cost(self, x: Array) -> float:
+        z = self.nlp.scaling.to_solver(x)
+        return float(self.nlp.programs[-1].function(z, SMOOTHING, self.nlp.data)[0])
 
     def costs_at(self, starts: Array, ends: Outcomes) -> Array:
         """Return the costs (r,) at the starts (r, p); infinite where a constraint is missed."""
@@ -159,18 +170,23 @@ class ResponseSolver(Descent):
             if status in CUT_SHORT:
                 break
 
-        # IPOPT respects bounds to a tolerance only.
-        estimate = nlp.estimate_at(z)
-        z = nlp.scaling.to_solver(estimate)
-        converged = status not in CUT_SHORT and is_minimum(
-            self._limits,
-            z,
-            *stage.derivatives(z, p),
-            tolerance=self.limits["tolerance"],
-            negligible=NEGLIGIBLE * nlp.numbers,
-        )
+        # IPOPT scales the cost by its gradient at the start. At a steep one, its tolerance is loose
+        # and leaves parameters some standard errors from the minimum: a second run begins there.
+        converged = status not in CUT_SHORT and self._is_minimum(stage, z, p)
+        if not (converged or status in (*CUT_SHORT, EXCEEDED)):
+            last = stage.variant({**CONFIRMING, **self._options})
+            end, again, count = last.solve(z, p, self._bounds)
+            iterations += count
+            if self._is_minimum(last, end, p):
+                z, status, converged = end, again, True
         seconds = time.perf_counter() - began
-        return Outcome(estimate, status, iterations, seconds, converged)
+        return Outcome(nlp.estimate_at(z), status, iterations, seconds, converged)
+
+    def _is_minimum(self, stage: Ipopt, z: Array, p: Array) -> bool:
+        """Return whether z (p,) is a minimum of IPOPT's program with the parameters p."""
+        # IPOPT respects bounds to a tolerance only.
+        z = self.nlp.scaling.to_solver(self.nlp.estimate_at(z))
+        return is_minimum(self._limits, z, *stage.derivatives(z, p), self.limits["tolerance"])
 
     @cached_property
     def _limits(self) -> Limits:

@@ -27,32 +27,22 @@ def is_above(cost: float, begun: float) -> bool:
     return math.isfinite(begun) and not cost <= begun + rounding_of(begun)
 
 
-def is_minimum(  # noqa: PLR0913  (the model of the cost at a point, and what is tolerated)
-    limits: Limits,
-    z: Array,
-    cost: float,
-    gradient: Array,
-    hessian: Array,
-    *,
-    tolerance: float,
-    negligible: float,
+def is_minimum(
+    limits: Limits, z: Array, cost: float, gradient: Array, hessian: Array, tolerance: float
 ) -> bool:
     """Return whether a point z (p,) is a minimum within all limits, as far as rounding shows.
 
-    Either its projected gradient is at most the `tolerance`, as IPOPT defines it, or the quadratic
-    model promises no visible decrease (Newton's decrement, which does not depend on scales):
-    at most a `negligible` one, or one that is rounding beside the cost.
+    The quadratic model promises no decrease that could be seen (Newton's decrement, which does not
+    depend on scales): for every variable at most the `tolerance`, with which IPOPT's barrier holds
+    variables off their bounds, or one that is rounding beside the cost.
     """
     if not (math.isfinite(cost) and all_finite(gradient, hessian)):
         return False
     # IPOPT widens bounds and constraints by 1e-8.
     if limits.violation(z, rounding=1e-7) > 0:
         return False
-    step = _step(limits, z, np.eye(len(z)), gradient)
-    if np.abs(step).max() <= tolerance * max(abs(cost), 1.0):
-        return True
     promised = promised_decrease(limits, z, gradient, hessian)
-    return promised <= max(negligible, ROUNDING * abs(cost))
+    return promised <= max(len(z) * tolerance, ROUNDING * abs(cost))
 
 
 def promised_decrease(limits: Limits, z: Array, gradient: Array, hessian: Array) -> float:
@@ -62,13 +52,8 @@ def promised_decrease(limits: Limits, z: Array, gradient: Array, hessian: Array)
     """
     values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
     curved = (vectors * np.abs(values)) @ vectors.T
-    step = _step(limits, z, curved, gradient)
-    return float(-gradient @ step - 0.5 * step @ curved @ step)
-
-
-def _step(limits: Limits, z: Array, hessian: Array, gradient: Array) -> Array:
-    """Return the step (p,) to the minimum of a model within all limits and a start box around z."""
     normals, least = limits.linearized(z)
     box = np.vstack([np.eye(len(z)), -np.eye(len(z))])
     normals, least = np.vstack([normals, box]), np.append(least, np.full(2 * len(z), -1.0))
-    return solve_small_qp(hessian, gradient, normals, least)
+    step = solve_small_qp(curved, gradient, normals, least)
+    return float(-gradient @ step - 0.5 * step @ curved @ step)

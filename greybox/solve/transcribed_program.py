@@ -42,8 +42,8 @@ class TranscribedProgram(Descent):
         # A spectrum eliminates its end terms numerically: IPOPT needs a symbolic expression.
         if spectra:
             raise ValueError(
-                f"the method transcribes records for IPOPT and {spectra[0].name!r} is a "
-                "TransientSpectrum: leave out method, or use MultipleShooting()."
+                f"IPOPT takes records as one program and {spectra[0].name!r} is a TransientSpectrum: "
+                "use method=MultipleShooting() and search='batched', the defaults."
             )
 
         # The parameters come first: they are all that the parts share.
