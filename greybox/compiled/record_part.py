@@ -417,8 +417,8 @@ class RecordProgram:
         self.part = part
         if part.model.driven:
             raise ValueError(
-                f"{part.problem.name!r} has process_noise, whose gains the program of IPOPT does not "
-                "follow: use method=MultipleShooting() and search='batched', the defaults."
+                f"{part.problem.name!r} has process_noise, whose gains the program of IPOPT does "
+                "not follow: use method=MultipleShooting() and search='batched', the defaults."
             )
 
         q = part.model.locate.function(z)[0]

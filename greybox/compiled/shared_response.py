@@ -45,9 +45,8 @@ from greybox.modeling.state_space import input_delays
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian, parameter_names
 from greybox.modeling.trim import trim_of
 
-
-# Step of differences, as a share of a start box: third derivatives and rounding disturb a Hessian by
-# less than a millionth.
+# Step of differences, as a share of a start box: third derivatives and rounding disturb a Hessian
+# by less than a millionth.
 DIFFERENCE = 1e-7
 
 
@@ -305,7 +304,9 @@ class SharedResponses:
         hessian = (columns + columns.swapaxes(0, 1)) / 2
         return cost, gradient, hessian.reshape(p * p, k)
 
-    def _derivatives(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array, Array]:
+    def _derivatives(
+        self, z: Array, smoothing: Array, data: Array
+    ) -> tuple[Array, Array, Array, Array]:
         """Return cost (k,), gradient (p, k), Jacobian (k, p, 2 N), second derivatives (n, k)."""
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)

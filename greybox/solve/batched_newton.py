@@ -162,8 +162,9 @@ class BatchedNewton:
 
         A `smoothing` replaces those of the levels. A search ends where its projected gradient is at
         most the `tolerance`, relative to the cost where that is above one, where Newton's step
-        promises a decrease that rounding hides, or when it has passed the `last` level. The columns of `given` (g, m) are the data of each search, and `bounds`,
-        (p, m) or (p, 1), replace the problem's.
+        promises a decrease that rounding hides, or when it has passed the `last` level. The columns
+        of `given` (g, m) are the data of each search, and `bounds`, (p, m) or (p, 1), replace the
+        problem's.
         """
         m = z.shape[1]
         data = np.repeat(self._data, m, axis=1) if given is None else given
@@ -297,7 +298,7 @@ def layout(p: int) -> Vectors:
     return Vectors(*starmap(slice, pairwise(ends)), size=ends[-1])
 
 
-def advanced(p: int, loose: float) -> ca.Function:
+def advanced(p: int, loose: float) -> ca.Function:  # noqa: PLR0915  (one iteration, in its order)
     """Return the function that judges a trial, and finds the next one by Newton's step.
 
     Its arguments are (numbers, barrier, tolerance, cost, gradient, Hessian), its result the next
@@ -360,16 +361,13 @@ def advanced(p: int, loose: float) -> ca.Function:
     hessian_of_free = hessian * (free @ free.T) + ca.diag(1 - free)
     # The pivots are all positive for a definite Hessian.
     pivots, factor, order = ca.ldl(hessian_of_free, False)
-    newton = -ca.ldl_solve(free * gradient, pivots, factor, order)
+    newton = -ca.ldl_solve(free * gradient, pivots, factor, order)  # zero where it is not free
     is_definite = ca.mmin(pivots) > FLATTEST * ca.mmax(pivots)
 
-    # Whether the search ends, or goes to the next level. At a light mode with small errors, a
-    # gradient is rounded to more than any tolerance, but the step promises less than the cost is
-    # rounded to.
+    # Whether the search ends, or goes to the next level.
     slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
     is_flat = slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0)
-    promise = -0.5 * ca.dot(free * gradient, newton)
-    is_rounding = ca.logic_and(is_definite, promise <= INVISIBLE * tolerance * ca.fabs(cost))
+    is_rounding = ca.logic_and(is_definite, _is_rounding(gradient, newton, cost, tolerance))
     is_minimum = ca.logic_and(level >= LAST, ca.logic_or(is_flat, is_rounding))
     # A radius below 1e-15 cannot change the cost by more than rounding.
     end = ca.if_else(is_minimum, 1.0, -(radius < 1e-15))
@@ -411,6 +409,15 @@ def bounded(p: int) -> ca.Function:
     along = _within(radius, eigenvectors.T @ (free * gradient), positive)
     trial = _moved(z, eigenvectors @ along, free, numbers[LEVEL] < LAST, lower, upper)
     return ca.Function("bounded", [numbers, curvature, directions], [trial])
+
+
+def _is_rounding(gradient: ca.SX, newton: ca.SX, cost: ca.SX, tolerance: ca.SX) -> ca.SX:
+    """Return whether rounding hides the decrease that Newton's step (p,) promises.
+
+    At a light mode with small errors, the gradient is rounded to more than any tolerance.
+    """
+    promise = -0.5 * ca.dot(gradient, newton)
+    return promise <= INVISIBLE * tolerance * ca.fabs(cost)
 
 
 def _free(z: ca.SX, gradient: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:

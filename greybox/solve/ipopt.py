@@ -191,7 +191,7 @@ class Ipopt:
     @cached_property
     @one_thread_at_a_time
     def _hessian(self) -> ca.Function:
-        """The Hessian as IPOPT takes it: it has none if an option asks for an approximation."""
+        """Return the Hessian that IPOPT takes, also if an option of IPOPT approximates it."""
         _ = self.solver
         if "hess_lag" in self._derivatives:
             return self._derivatives["hess_lag"]

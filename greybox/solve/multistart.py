@@ -47,7 +47,8 @@ def solver_for(
 
     Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps, or as one sparse
     program by IPOPT if the method or the search asks for it; others by `ResponseSolver` or
-    `SharedSolver`, which compare the starts and improve many at once if the search is ``"batched"``.
+    `SharedSolver`, which compare the starts and improve many at once if the search is
+    ``"batched"``.
 
     Raises
     ------

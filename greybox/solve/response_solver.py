@@ -165,19 +165,19 @@ class ResponseSolver(Descent):
         changed = {**options, **self._options} if options else {}
         stages = [self._stages[-1].variant(changed)] if options else self._stages
         for stage in stages:
-            z, status, count = stage.solve(z, p, self._bounds)
-            iterations += count
-            if status in CUT_SHORT:
-                break
+            if status not in CUT_SHORT:
+                z, status, count = stage.solve(z, p, self._bounds)
+                iterations += count
 
         # IPOPT scales the cost by its gradient at the start. At a steep one, its tolerance is loose
         # and leaves parameters some standard errors from the minimum: a second run begins there.
-        converged = status not in CUT_SHORT and self._is_minimum(stage, z, p)
+        own = stages[-1]
+        converged = status not in CUT_SHORT and self._is_minimum(own, z, p)
         if not (converged or status in (*CUT_SHORT, EXCEEDED)):
-            last = stage.variant({**CONFIRMING, **self._options})
-            end, again, count = last.solve(z, p, self._bounds)
+            near = own.variant({**CONFIRMING, **self._options})
+            end, again, count = near.solve(z, p, self._bounds)
             iterations += count
-            if self._is_minimum(last, end, p):
+            if self._is_minimum(near, end, p):
                 z, status, converged = end, again, True
         seconds = time.perf_counter() - began
         return Outcome(nlp.estimate_at(z), status, iterations, seconds, converged)

@@ -115,7 +115,9 @@ class SharedSolver(ResponseSolver):
             return super().settled(z, **limits)
         ends = super().settled(z, **{**limits, "max_iterations": FEW})
         rest = np.flatnonzero(~ends.at_minimum)
-        curved = self._curved.minimize(ends.z[:, rest], **{**self.limits, "from_near": True, **limits})
+        curved = self._curved.minimize(
+            ends.z[:, rest], **{**self.limits, "from_near": True, **limits}
+        )
         return continued(ends, curved, rest)
 
     @cached_property

@@ -42,8 +42,8 @@ class TranscribedProgram(Descent):
         # A spectrum eliminates its end terms numerically: IPOPT needs a symbolic expression.
         if spectra:
             raise ValueError(
-                f"IPOPT takes records as one program and {spectra[0].name!r} is a TransientSpectrum: "
-                "use method=MultipleShooting() and search='batched', the defaults."
+                f"IPOPT takes records as one program and {spectra[0].name!r} is a TransientSpectrum"
+                ": use method=MultipleShooting() and search='batched', the defaults."
             )
 
         # The parameters come first: they are all that the parts share.
@@ -151,6 +151,7 @@ class TranscribedProgram(Descent):
             signature = np.concatenate([part.signature(trajectory) for part, trajectory in pairs])
             if not profile.converged:
                 status = reason_to_end() or "no continuous states at the estimate"
+                cost = math.inf  # that of IPOPT's states is none of the model
         return Outcome(
             estimate, status, iterations, time.perf_counter() - began, converged, cost, signature
         )

@@ -27,8 +27,8 @@ from greybox.solve.runs import NOT_FINITE, Outcome, Outcomes, spent
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(all="ignore")
 
-# Unit of log-likelihood for every number: by this much a cost is in doubt after a step of the states.
-# It is that of residuals that are larger by a tenth.
+# Units of log-likelihood for every number by which a cost is in doubt after one step of the states:
+# those of residuals that are larger by a tenth.
 DOUBTFUL = 0.1
 
 # A run of a record of more than four times this number of samples begins on excerpts of so many. A
@@ -89,7 +89,7 @@ class GaussNewton(Descent):
         return np.array([self._cost_at(*pair) for pair in zip(starts, ends, strict=True)])
 
     def _cost_at(self, start: Array, end: Outcome) -> float:
-        """Return the cost at the parameters `start` (p,), infinite if it is surely above the end's."""
+        """Return the cost at the parameters `start` (p,); infinite if surely above the end's."""
         parts = self._parts
         z = self.nlp.scaling.to_solver(start)
         if self.limits.violation(z) > 0 or np.any(z != self.limits.clipped(z)):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from greybox.solve.stationarity import ROUNDING
 from greybox.solve.gauss_newton.line_search import REDUCTION, SHORTEST_STEP, line_search
+from greybox.solve.stationarity import ROUNDING
 
 
 @dataclass
