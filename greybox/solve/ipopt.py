@@ -25,15 +25,6 @@ WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200
 # would count as a minimum, since no step is tried.
 CONFIRMING = {**WARM, "mu_init": 1e-7}
 
-# Options of a run that begins where another stagnated. In directions that the data do not determine
-# only the barrier has a slope, and its long steps leave a curved valley again and again: without a
-# barrier 127 of 129 such runs, on random structures with a redundant product, ended at a minimum,
-# the median after 4 iterations; with that of WARM 33. The cost has a larger unit, since rounding of
-# a log-likelihood of tiny errors exceeds IPOPT's tolerance: of 12 runs that stagnated at relative
-# errors of 1e-4, 10 then ended at the minimum. From the start on, the barrier would outweigh such a
-# cost.
-WITHOUT_BARRIER = {**WARM, "mu_init": 1e-11, "max_iter": 50, "obj_scaling_factor": 0.01}
-
 
 class StopCheck(ca.Callback):
     """Ends a run of IPOPT after Ctrl-C, at a time limit, or when the run makes no progress.

@@ -1,9 +1,9 @@
 """The solver of frequency responses: Newton's method improves many starts, IPOPT confirms minima.
 
 Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT.
-IPOPT then solves one run of every distinct minimum again: a minimum counts only where IPOPT's
-conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems for which
-`fits_a_batch` is false, except for the large ones that `shared_solver` serves.
+IPOPT then begins at one run of every distinct minimum again: a minimum counts only where IPOPT
+finds nothing lower. IPOPT alone makes all runs of problems for which `fits_a_batch` is false,
+except for the large ones that `shared_solver` serves.
 """
 
 import time

@@ -1,6 +1,7 @@
 """The Gauss-Newton iteration: linearize, condense, step, line search, until it has converged.
 
-A run that fails begins once more, at its start, with nodes that are simulated.
+A run that fails begins once more, at its start, with nodes that are simulated. At the limit of
+iterations, a run counts if it has arrived.
 """
 
 from dataclasses import replace
