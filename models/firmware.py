@@ -562,7 +562,17 @@ def safe_gains_of_log(fits, recording, gains=(), axis="", *, signals=None, **req
     ranges = {names[name]: ends for name, ends in gains.items()}
     safe = gb.safe_gains(fits, flown.controllers, ranges, **requirements)
     values, today = (dict(zip(gains, m.values(), strict=True)) for m in (safe.values, safe.today))
-    return replace(safe, values=values, today=today, notes=(*flown.notes, *safe.notes))
+    comparison = safe.comparison
+    if comparison:
+        named = dict(zip(gains, comparison.gains.values(), strict=True))
+        comparison = replace(comparison, gains=named)
+    return replace(
+        safe,
+        values=values,
+        today=today,
+        comparison=comparison,
+        notes=(*flown.notes, *safe.notes),
+    )
 
 
 def disagreements(model, measured):

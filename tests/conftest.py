@@ -10,9 +10,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Without bytecode on disk, every process that a test starts compiles greybox anew: 0.9 s each.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+import atexit
 import gc
+import shutil
 import signal
 import sys
+import tempfile
 from contextlib import contextmanager
 from importlib import import_module
 
@@ -20,6 +23,11 @@ import pytest
 from hypothesis import settings
 
 sys.dont_write_bytecode = False
+
+# The key of the user of these tests: they leave nothing in the home of whoever runs them.
+if "GREYBOX_TESTS" not in os.environ:
+    os.environ["GREYBOX_TESTS"] = os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp("greybox")
+    atexit.register(shutil.rmtree, os.environ["GREYBOX_TESTS"], ignore_errors=True)
 
 # Collection makes millions of objects and no garbage: a third of its time is the collector's.
 gc.disable()
@@ -79,12 +87,12 @@ def few_draws(monkeypatch):
     """
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
     # By their paths: `greybox.experiment.margins` is the function.
-    for path in ("experiment.drawn_loops", "experiment.margins", "plotting.loops"):
+    modules = ("drawn_loops", "margins", "safe_gains")
+    for path in (*(f"experiment.{name}" for name in modules), "plotting.loops"):
         module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])
     safe_gains = import_module("greybox.experiment.safe_gains")
-    monkeypatch.setattr(safe_gains, "DRAWS", 64)
     monkeypatch.setattr(safe_gains, "POINTS", {1: 11, 2: 5, 3: 3})
 
 

@@ -1,8 +1,9 @@
 """The command `greybox batch`: many fits, stored in a folder as they are made."""
 
 import argparse
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from greybox.cli.options import UsageError
@@ -17,7 +18,8 @@ from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
 from greybox.study.batch import Member, batch
-from greybox.study.store import DATABASE, is_study, locked
+from greybox.study.running import is_running
+from greybox.study.store import DATABASE, is_study, locked, require_own
 from greybox.study.study import Study, progress, read_study
 
 EXAMPLES = (
@@ -40,7 +42,8 @@ study STUDY
 --seconds S
     time limit of the study
 --status
-    print how far the study in the folder STUDY is, also while it runs, and fit nothing
+    print how far the study in the folder STUDY is and whether a process is working on it, and fit
+    nothing
 --plot FILE
     with --status: draw the costs so far
 --resume
@@ -50,6 +53,7 @@ study STUDY
     command again to compute that
 --dry-run
     print the members and their numbers of starts, and fit nothing
+--trust
 --workers
 --scheduler
 """
@@ -60,13 +64,20 @@ def run(options: argparse.Namespace) -> Answer:
     """Run the batch, or continue it."""
     if options.status:
         study = read_study(options.study)
+        running = is_running(study.folder)
         drawn = save_figure(options.plot, "estimates", study, "cost")
-        return as_json(study), "\n".join([progress(study), *drawn])
+        answer = {**as_json(study), "running": running}
+        return answer, "\n".join([progress(study), *_who_works(study, running=running), *drawn])
     folder = Path(options.study)
     if options.check:
-        return _checked(folder)
+        return _checked(folder, options.trust)
     folder = folder if options.resume else options.out
-    place, starts = stated_inputs(folder) if options.resume else (options.study, None)
+    # Before anything of the folder is run, or written into it.
+    if not (options.trust or folder is None):
+        require_own(folder)
+    place, starts = options.study, None
+    if options.resume:
+        place, starts = stated_inputs(Path(options.study), trust=options.trust)
     note_opened_files()
     path, starts = find_study(place), options.starts or starts
     members = read_study_file(path, starts)
@@ -79,25 +90,39 @@ def run(options: argparse.Namespace) -> Answer:
     write("\n".join(notes), sys.stderr)
     try:
         with stated_executor(options) as executor:
-            study = batch(members, folder, executor=executor, seconds=options.seconds)
+            study = batch(
+                members, folder, executor=executor, seconds=options.seconds, trust=options.trust
+            )
     except Interrupted as stopped:
-        answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME.format(folder)}."}
+        answer = {
+            **as_json(stopped.study),
+            "error": f"interrupted; {RESUME.format(quoted(folder))}.",
+        }
         return answer, str(stopped.study)
     # Another process writes to the folder, or it is a file: the study has not failed.
     except (BlockingIOError, FileExistsError):
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
-        return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(folder)}."},)
+        return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(quoted(folder))}."},)
     return _answer(study)
 
 
-def _checked(folder: Path) -> Answer:
+def _who_works(study: Study, *, running: bool | None) -> Iterator[str]:
+    """Say whether the members that are missing will come."""
+    if running:
+        yield "a process is working on it now."
+    elif study.count("unfinished"):
+        cause = "no process is" if running is False else "it cannot be seen whether a process is"
+        yield f"{cause} working on it: {RESUME.format(quoted(study.folder))}."
+
+
+def _checked(folder: Path, trust: bool) -> Answer:
     """Return what is whole in a study; what can be mended is mended first."""
     require_file(folder / DATABASE)
-    with locked(folder):
+    with locked(folder, trust=trust):
         if not is_study(folder):  # a damaged database was set aside
-            return ({"error": f"no member is complete; {RESUME.format(folder)}."},)
+            return ({"error": f"no member is complete; {RESUME.format(quoted(folder))}."},)
         return _answer(read_study(folder))
 
 
@@ -107,7 +132,7 @@ def _answer(study: Study) -> Answer:
     missing = [member.name for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
-        hint = f"; {RESUME.format(study.folder)}" if study.count("unfinished") else ""
+        hint = f"; {RESUME.format(quoted(study.folder))}" if study.count("unfinished") else ""
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {some(missing)}{hint}."
         )
@@ -123,6 +148,11 @@ def _listed(members: Sequence[Member]) -> Answer:
     rows = [[name, str(count)] for name, count in starts.items()]
     errors = [f"{m.name} fails: {m.problem}" for m in members if not m.problem.parts]
     return {"starts": starts}, text_table(["member", "starts"], rows), *errors, total
+
+
+def quoted(path: Path) -> str:
+    """Return a path as a shell reads it."""
+    return shlex.quote(str(path))
 
 
 def as_json(study: Study) -> Fields:

@@ -5,6 +5,7 @@ import argparse
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import stated_fit
 from greybox.cli.workers import stated_executor
+from greybox.files.arrays import Fields
 from greybox.study.bootstrap import bootstrap
 
 EXAMPLES = (
@@ -23,6 +24,7 @@ result RESULT
 --level
 --out DIR
     store the replicates in this folder; the same command continues there
+--trust
 --workers
 --scheduler
 """
@@ -32,6 +34,7 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fit and repeat it."""
     # Before the fit is read: a wrong folder should not cost the time of compiling.
     fit, problem = stated_fit(options)
+    trust: Fields = {"trust": True} if options.trust else {}
     try:
         with stated_executor(options) as executor:
             result = bootstrap(
@@ -41,6 +44,7 @@ def run(options: argparse.Namespace) -> Answer:
                 seed=options.seed,
                 executor=executor,
                 folder=options.out,
+                **trust,
             )
     # Replicates in a folder survive Ctrl-C; without a folder all of them are lost.
     except KeyboardInterrupt:

@@ -12,6 +12,7 @@ from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_ans
 from greybox.cli.terminal import write
 from greybox.files.arrays import Fields
 from greybox.files.error_place import error_place
+from greybox.files.escapes import sentence
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
 
@@ -56,10 +57,10 @@ def _answer(options: argparse.Namespace) -> tuple[Fields, str, int]:
             if isinstance(error, ExecutorLostError):
                 stored = "; the same command continues with the stored runs" if options.out else ""
                 return {"error": f"{str(error).rstrip('.')}{stored}."}, "", FAILED
-            sentence, status = _explain(error)
+            message, status = _explain(error)
             if not isinstance(error, UsageError):
-                sentence = as_options(sentence, options)
-            return {"error": sentence}, "", status
+                message = as_options(message, options)
+            return {"error": sentence(message)}, "", status
 
 
 def _explain(error: Exception) -> tuple[str, int]:
@@ -69,17 +70,17 @@ def _explain(error: Exception) -> tuple[str, int]:
     """
     is_key_error = isinstance(error, KeyError) and error.args
     message = error.args[0] if is_key_error else error  # str() of a KeyError adds quotes
-    sentence = " ".join(str(message).split()) or type(error).__name__
+    text = " ".join(str(message).split()) or type(error).__name__
     if isinstance(error, UsageError):
-        return sentence, BAD_INPUT
+        return text, BAD_INPUT
 
     if place := error_place(error):
         if isinstance(error, SyntaxError):  # its sentence ends with the place
             return f"{place}{error.msg}.", BAD_INPUT
-        return f"{place}{type(error).__name__}: {sentence}", BAD_INPUT
+        return f"{place}{type(error).__name__}: {text}", BAD_INPUT
 
     # The library raises these for bad input; anything else is a defect of greybox.
     if isinstance(error, ValueError | TypeError | LookupError | OSError | ModuleNotFoundError):
-        return sentence, BAD_INPUT
-    sentence = f"internal error, {type(error).__name__}: {sentence}"
-    return f"{sentence}; run again with --debug and report it.", FAILED
+        return text, BAD_INPUT
+    text = f"internal error, {type(error).__name__}: {text}"
+    return f"{text}; run again with --debug and report it.", FAILED

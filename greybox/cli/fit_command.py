@@ -28,7 +28,7 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.multistart import BATCHED, SEARCHES
 from greybox.solve.runs import RunStorageError
-from greybox.study.store import StoredRuns, folder_beside, runs_beside
+from greybox.study.store import StoredRuns, folder_beside, is_study, runs_beside
 
 EXAMPLES = (
     "pitch_hover",
@@ -57,6 +57,7 @@ OPTIONS = f"""
     print the transfer functions at the estimate in factors; all data must be responses
 --seconds S
     time limit of the fit
+--trust
 --workers
 --scheduler
 --plot FILE
@@ -69,13 +70,13 @@ OPTIONS = f"""
 def run(options: argparse.Namespace) -> Answer:
     """Fit the problem of the options; save and draw the result if asked to."""
     # An interrupted fit has saved its best result so far, which the complete one may replace.
-    continues = options.out is not None and folder_beside(options.out).is_dir()
+    continues = options.out is not None and is_study(folder_beside(options.out))
     require_fit_file(options.out, options.force or continues)
     require_figure(options.plot, options.force or continues)
     end = end_after(options.seconds)
     with limited(end), building():
         stated = _stated_fit(options)
-    store = nullcontext() if options.out is None else runs_beside(options.out)
+    store = nullcontext() if options.out is None else runs_beside(options.out, trust=options.trust)
     with store as stored, stated_executor(options) as executor, limited(end):
         stated["executor"] = executor
         return _answer(options, stored, *_fitted(stored, stated, options))

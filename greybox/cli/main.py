@@ -46,7 +46,7 @@ GROUPS = {
         "report": "write a page about results that can be shared",
         "export": "write a fit as a table, JSON or C source",
         "margins": "compute stability margins of a fit in the loop of a controller",
-        "tune": "compute safe gains of a controller, and the best of them",
+        "tune": "compute safe gains of a controller, and which of them are better than today's",
     },
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}

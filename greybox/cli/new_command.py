@@ -1,6 +1,7 @@
 """The command `greybox new`: a commented file to start from, with a model and its problem."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -48,5 +49,5 @@ def run(options: argparse.Namespace) -> Answer:
     name = "".join(word[:1].upper() + word[1:] for word in path.stem.split("_"))
     name = name if name[:1].isalpha() else f"Model{name}"
     write_text(path, problem_file(path.name, name, in_time=options.in_time))
-    command = f"greybox fit {path}"
+    command = shlex.join(["greybox", "fit", str(path)])
     return {"file": str(path), "next": [command]}, f"wrote {path}", f"next: {command}"

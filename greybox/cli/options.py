@@ -25,6 +25,8 @@ SHARED = """
     draw frequencies in Hz instead of rad/s
 --level P
     confidence level of the intervals (default: 0.95)
+--trust
+    continue with runs, and with --resume the Python files, that another user or machine left
 --workers N
     make the runs in N processes on this machine
 --scheduler ADDRESS

@@ -11,7 +11,6 @@ from greybox.cli.terminal import write
 from greybox.files.arrays import Fields, Labels
 from greybox.files.json_numbers import plain
 from greybox.files.safe_files import replacing
-from greybox.files.text_table import printable
 
 Answer = tuple[Any, ...]
 """The JSON object of a command, then the lines of its text for a person."""
@@ -29,12 +28,11 @@ def write_answer(result: Fields, text: str, as_json: bool, status: int = USABLE)
     """
     if error := result.get("error"):
         status = status or (INTERRUPTED if error.startswith("interrupted") else FAILED)
-        write(printable(f"greybox: {error}", keep="\n"), sys.stderr)
+        write(f"greybox: {error}", sys.stderr)
 
-    # The text contains names from files. Control characters in them would command the terminal.
-    text = printable(text, keep="\n\t")
     if as_json and result:
-        text = json.dumps(plain(result), allow_nan=False)
+        # JSON leaves this control character as it is.
+        text = json.dumps(plain(result), allow_nan=False).replace("\x7f", "\\u007f")
     trouble = write(text, sys.stdout) if text else ""
     if trouble:
         write(f"greybox: cannot write to standard output: {trouble}.", sys.stderr)

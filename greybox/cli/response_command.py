@@ -1,6 +1,7 @@
 """The command `greybox response`: a response, or a matrix of responses."""
 
 import argparse
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -68,8 +69,9 @@ def run(options: argparse.Namespace) -> Answer:
     if responses:
         lines += save_figure(options.plot, "bode", *responses, hz=options.hz)
     if is_matrix and options.out is not None:
-        pair = f"--input {responses[0].input} --output {responses[0].output}"
-        lines.append(f"  fit one: greybox fit --model MODEL --data {options.out} {pair}")
+        pair = ["--input", responses[0].input, "--output", responses[0].output]
+        command = ["greybox", "fit", "--model", "MODEL", "--data", str(options.out), *pair]
+        lines.append(f"  fit one: {shlex.join(command)}")
     return answer, *lines
 
 

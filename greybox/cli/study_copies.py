@@ -1,11 +1,14 @@
 """Copies of the files of a study in its folder, so that it resumes wherever the folder is moved.
 
 ``inputs/``            the files that were read with the study, in folders as they were.
-``inputs/study.json``  the place of the study file in it, and the option ``--starts``.
+``inputs/study.json``  the place of the study file in it, the option ``--starts``, and the mark of
+                       this user on all of these.
 
 A study file in Python, and the files with models that it names, read what they like: an audit hook
 of Python sees each file that is opened, and those in the folder of the study file are copied. Those
 elsewhere (``../flights``) are copied if greybox read them as data or as a model.
+
+To resume runs the Python files in the folder. Those of a stranger have no mark of this user.
 """
 
 import json
@@ -15,7 +18,10 @@ import sys
 from functools import cache
 from pathlib import Path
 
+from greybox.estimate.stored_values import require
+from greybox.files.json_numbers import parsed
 from greybox.files.safe_files import replacing, write_text
+from greybox.study.ownership import mark_of_files
 
 INPUTS = Path("inputs")
 STATED = INPUTS / "study.json"
@@ -70,22 +76,53 @@ def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
     for source in sources:
         place = folder / INPUTS / source.relative_to(base)
         place.parent.mkdir(parents=True, exist_ok=True)
+        if place.parent.resolve() != place.parent:  # files elsewhere would be replaced
+            raise ValueError(f"{place.parent} is a link: no study has such a thing.")
         with replacing(place) as temporary:
             shutil.copyfile(source, temporary)
-    write_text(folder / STATED, json.dumps([str(study.relative_to(base)), starts]))
+    name = study.relative_to(base).as_posix()
+    _remove_bytecode(folder)
+    write_text(folder / STATED, json.dumps([name, starts, _mark(folder, name, starts)]))
 
 
-def stated_inputs(folder: Path):
+def stated_inputs(folder: Path, *, trust: bool = False) -> tuple[str, int | None]:
     """Return the study file in a folder, and the starts.
 
     Raises
     ------
     FileNotFoundError
         If the folder has none, as that of a program.
+    ValueError
+        If another user wrote its files, without `trust`.
     """
-    if not (folder / STATED).exists():
+    path = folder / STATED
+    if not path.exists():
         raise FileNotFoundError(
             f"{folder} has no study file: run the command or the program that began it again."
         )
-    name, starts = json.loads((folder / STATED).read_text())
-    return str(folder / INPUTS / name), starts
+    try:
+        name, starts, stated_mark = parsed(path.read_bytes(), path.stat().st_size)
+        study = (folder / INPUTS / name).resolve()
+        require(study.is_relative_to((folder / INPUTS).resolve()), "it leads elsewhere")
+        require(starts is None or isinstance(starts, int), "its starts are no number")
+    except (ValueError, TypeError):
+        raise ValueError(
+            f"{path} is damaged: run the command that began the study again."
+        ) from None
+    _remove_bytecode(folder)
+    if not trust and stated_mark != _mark(folder, name, starts):
+        raise ValueError(
+            f"{folder / INPUTS} has files that your greybox batch has not put there: read them, "
+            "since to resume runs them, and give trust=True if you vouch for them."
+        )
+    return str(study), starts
+
+
+def _mark(folder: Path, *others: str | int | None) -> str:
+    return mark_of_files(folder / INPUTS, *others, but=folder / STATED)
+
+
+def _remove_bytecode(folder: Path) -> None:
+    """Remove the compiled files of Python, which it would run instead of the files themselves."""
+    for place in [*(folder / INPUTS).rglob("__pycache__")]:
+        shutil.rmtree(place)

@@ -5,6 +5,8 @@ import os
 import sys
 from typing import TextIO
 
+from greybox.files.escapes import terminal_text
+
 
 def make_writable() -> None:
     """Let standard output and error accept any text, whatever their encoding."""
@@ -18,12 +20,14 @@ def make_writable() -> None:
 def write(text: str, stream: TextIO | None) -> str:
     """Write text and a line end; return the reason if that was not possible, else nothing.
 
+    Everything that a command prints passes through here: names from files command no terminal.
+
     A reader that stops early, as in `greybox list | head`, is not a reason.
     """
     if stream is None:  # closed by the shell, >&-
         return ""
     try:
-        stream.write(text + "\n")
+        stream.write(terminal_text(text) + "\n")
         stream.flush()
     except BrokenPipeError:
         _discard(stream)

@@ -1,4 +1,4 @@
-"""The command `greybox tune`: gains that meet requirements on stability."""
+"""The command `greybox tune`: gains that meet requirements and are better than today's."""
 
 import argparse
 
@@ -45,8 +45,8 @@ fits RESULT...
 --names GAIN=PARAMETER...
     names of the gains in the firmware, for --parameters
 --parameters FILE
-    write the best gains to a file for a ground station: .param for ArduPilot, .params for PX4,
-    .txt for the command line of Betaflight
+    write the proposed gains to a file for a ground station: .param for ArduPilot, .params for PX4,
+    .txt for the command line of Betaflight; no file is written where today's gains are to be kept
 --plot FILE
     draw the allowed gains into this png, pdf or svg file
 --force
@@ -54,7 +54,7 @@ fits RESULT...
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Read the fits, try the gains, and return which of them are safe."""
+    """Read the fits, try the gains, and return the proposed ones, or to keep today's."""
     require_writable(
         options.parameters, options.force, (".param", ".parm", ".params", ".txt"), "parameter file"
     )
@@ -77,10 +77,12 @@ def run(options: argparse.Namespace) -> Answer:
         safe = safe_gains(fits, stated_controllers(options), options.gains, **required)
     answer = safe.to_dict()
     lines = save_figure(options.plot, "gains", safe)
-    if not safe.best:
+    if not safe.is_usable:
         answer["error"] = safe.verdict
+    elif options.parameters and not safe.best:
+        lines.append(f"{options.parameters} was not written.")
     elif options.parameters:
         names = options.names
         write_gains({names.get(n, n): value for n, value in safe.best.items()}, options.parameters)
-        lines.insert(0, f"The best gains are in {options.parameters}.")
+        lines.insert(0, f"The proposed gains are in {options.parameters}.")
     return answer, str(safe), *lines

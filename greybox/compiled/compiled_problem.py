@@ -35,6 +35,7 @@ from greybox.files.text_table import require_kind
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
+from greybox.modeling.fingerprint import function_key
 from greybox.modeling.harmonic_balance import enough_harmonics
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import Parameter, lower_and_upper
@@ -353,7 +354,7 @@ def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]
             label = f"constraints[{k}] of {part.name!r}"
             value = ca.SX(constraint(local))
             formula = ca.Function("formula", [x], [value])
-            limits.setdefault(formula.serialize(), (label, value))
+            limits.setdefault(function_key(formula), (label, value))
         for name in part.tied:
             sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
             for side, bound, sign in sides:

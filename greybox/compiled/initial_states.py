@@ -1,9 +1,9 @@
 """Initial states at the nodes: as the outputs show them, or else where the model is finite.
 
 A state begins as measured where an output shows it, or at the mean of an output that is mostly
-noise, and else at zero. A root, a logarithm or a division may exclude zero (the level of a tank, an
-airspeed, a temperature). Then sizes over many decades are tried for the states that no output
-shows; the model must come closest to the measured outputs.
+noise, and else where the model declares, by default at zero. A root, a logarithm or a division may
+exclude zero (the level of a tank, an airspeed, a temperature). Then sizes over many decades are
+tried for the states that no output shows; the model must come closest to the measured outputs.
 """
 
 import casadi as ca
@@ -40,6 +40,7 @@ class InitialStates:
         f = system.derivative(x, u, p)
         slopes = ca.vertcat(ca.vec(dense_jacobian(f, x)), ca.vec(dense_jacobian(y, x)))
         self._model = Columns(ca.Function("first", [x, u, p], [f, y, slopes]), shared=(2,))
+        self._starts = system.starts
         self._links = _links(y, x, ca.vertcat(u, p))
 
     def at(self, measured: Array, inputs: Array, p: Array, known: Array) -> Array:
@@ -47,7 +48,8 @@ class InitialStates:
 
         `known` (n,) are known initial states, else NaN. Zeros where the model is finite nowhere.
         """
-        measured_states = self.as_measured(np.zeros((self._n, inputs.shape[1])), measured)
+        starts = np.repeat(self._starts(p).full(), inputs.shape[1], axis=1)
+        measured_states = self.as_measured(starts, measured)
         hidden = np.ones(self._n, dtype=bool)
         hidden[list(self._links)] = False
         is_known = hidden & np.isfinite(known)

@@ -30,7 +30,6 @@ from greybox.files.arrays import (
     Strings,
     all_finite,
     frozen,
-    without,
 )
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
@@ -184,9 +183,10 @@ class Information:
         Real numbers in the data that count as independent, less those that nuisance unknowns use
         up.
     spread : function of a correction
-        Returns `bread` (a factor on JᵀJ) and `meat` (k, k), with the noise larger by the
-        correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
-        `greybox.formulation.frequency_criteria`.
+        Returns `bread` (a factor on JᵀJ) and a root L (m, k) of the meat M = LᵀL, with the noise
+        larger by the correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
+        `greybox.formulation.frequency_criteria`. M itself has the squares of the singular values
+        of L: of parameters that are hard to tell apart, it loses the digits that a root keeps.
     reach : (k,) array
         Lengths of the columns of the Jacobian before the initial states were fitted too: if
         initial states compensate for a value, the rest of its column is rounding.
@@ -229,8 +229,20 @@ class Information:
     noise_ratio: float | None = None
 
 
+class Elsewhere:
+    """Stands for a value of the user's in a process that does not have it."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Refuse to be used; `pickle` and `copy` look for special methods."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise RuntimeError(f"{name} is needed of a value that stayed where it was compiled.")
+
+
 class Portable:
     """A value that leaves the user's classes behind when it is pickled: solvers need none of them.
+
+    `Elsewhere` stands for them then, so that such a value can still be copied with other fields.
 
     Attributes
     ----------
@@ -242,7 +254,7 @@ class Portable:
 
     def __getstate__(self) -> Fields:
         """Return what travels."""
-        return without(vars(self), self.local)
+        return vars(self) | {name: Elsewhere() for name in self.local if name in vars(self)}
 
 
 class Part(Portable, ABC):

@@ -28,11 +28,15 @@ from greybox.modeling.symbolic_reading import as_column, called, dense_jacobian
 class RecordModel(Portable):
     """A record and its model, independent of segments and substeps.
 
-    Problem, record and criterion stay where they were compiled when this is pickled: solvers need
-    only the rest.
+    The problem, with its record and its criterion, stays where it was compiled when this is
+    pickled: solvers need only the rest.
 
     Attributes
     ----------
+    biases : tuple of str
+        Outputs and inputs with an unknown constant error.
+    corrects_states : bool
+        Whether the residuals of a sample correct the states.
     system : Dynamics
         Its delays include those of interpolated inputs.
     between : tuple of Intersample
@@ -67,13 +71,11 @@ class RecordModel(Portable):
         with it the fingerprint by which stored runs are found again.
     """
 
-    local = ("problem", "record", "criterion")
-
     problem: Problem
-    record: Record
     name: str
     weight: float
-    criterion: TimeCriterion
+    biases: Strings
+    corrects_states: bool
     has_bounded_errors: bool
     has_time: bool
     is_prior: bool
@@ -94,14 +96,32 @@ class RecordModel(Portable):
     steps: dict[tuple[Integrator, int], SampleStep]
     expressions: Strings
 
+    @property
+    def record(self) -> Record:
+        """The record, where it was compiled."""
+        return self.problem.record
+
+    @property
+    def criterion(self) -> TimeCriterion:
+        """The criterion, where it was compiled."""
+        criterion = self.problem.criterion
+        assert isinstance(criterion, TimeCriterion)
+        return criterion
+
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample, or return it where that was done before."""
         # Excerpts and parts with other outputs need no new sample.
         key = (integrator, substeps)
         if key not in self.steps:
-            held = [between.held for between in self.between]
+            # Another process compiles finer steps: nothing here may ask for the problem.
             self.steps[key] = sample_step(
-                self.system, held, self.criterion, self.parameters, integrator, substeps
+                self.system,
+                [between.held for between in self.between],
+                self.parameters,
+                integrator,
+                substeps,
+                biases=self.biases,
+                corrects_states=self.corrects_states,
             )
 
         return self.steps[key]
@@ -155,10 +175,10 @@ def record_model(
 
     return RecordModel(
         problem=problem,
-        record=record,
         name=problem.name,
         weight=float(problem.weight),
-        criterion=criterion,
+        biases=tuple(criterion.biases),
+        corrects_states=criterion.corrects_states,
         has_bounded_errors=criterion.settings.get("errors") == "huber",
         has_time=record.has_time,
         is_prior=criterion.is_prior,

@@ -1,6 +1,7 @@
 """One record of a problem, compiled."""
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -37,6 +38,7 @@ from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
+from greybox.statistics.column_space import triangle_of
 from greybox.statistics.huber import bounded
 
 
@@ -53,14 +55,12 @@ class RecordPart(SegmentedPart):
     ) -> None:
         """Build the functions, or take those that the model has compiled before.
 
-        A `covariance` is that of a part with other data: the criterion stays behind when a part is
-        sent to a worker.
+        A `covariance` is that of a part with other data, since a worker has no criterion.
         """
         scheme = model.method.scheme
         step = model.step(scheme, substeps)
-        # Compiled here, because a worker has no criterion. From free states, stiff models begin
-        # with fast transients in every segment. Whole implicit steps damp them; accurate ones took
-        # minutes for chains of enzymes.
+        # From free states, stiff models begin with fast transients in every segment. Whole implicit
+        # steps damp them; accurate ones took minutes for chains of enzymes.
         self.whole_step = model.step(replace(scheme, substeps=1), 1) if scheme.implicit else step
         super().__init__(
             model,
@@ -264,7 +264,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     weight = part.residual_weight(trajectory)
     slopes = sensitivity(part, trajectory, weight)
     weighted = slopes.weighted
-    score = slopes.triangle.T @ slopes.triangle
+    score = slopes.triangle
     unseen, known = slopes.by_covariance, part.covariance.known
     if known is not None and not model.is_prior:
         # The residuals show whether the given noise is right, unless there are so few that the
@@ -273,17 +273,19 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
         variances = np.diag(trajectory.products) / np.maximum(counts, 1)
         given = np.maximum(1 - (counts / 8) ** 2, 0.0)
         variance = variances + given * (np.square(known) - variances)
-        squares = np.array([J @ J.T for J in weighted])
-        score = np.tensordot(variance, squares, 1)
-        unseen = unseen + np.tensordot(np.maximum(variance - variances, 0.0), squares, 1)
+        excess = np.maximum(variance - variances, 0.0)
+        by_output = [triangle_of(J.T) for J in weighted]
+        score = np.vstack([math.sqrt(v) * J for v, J in zip(variance, by_output, strict=True)])
+        rows = [math.sqrt(v) * J for v, J in zip(excess, by_output, strict=True)]
+        unseen = np.vstack([unseen, *rows])
 
     initial = part.unknown_initial_states
     # Fitted initial states make residuals smaller than errors, and the covariance too small.
     independent = max(part.numbers, initial + 0.5)
-    meat = by_values.T @ score @ by_values * independent / (independent - initial)
+    meat = math.sqrt(independent / (independent - initial)) * score @ by_values
 
     def spread(correction: float) -> tuple[float, Array]:
-        return 1.0, meat * (1.0 if model.is_prior else correction**2)
+        return 1.0, meat * (1.0 if model.is_prior else correction)
 
     def colored(root: Array) -> ColoredErrors:
         directions = by_values[:, : len(root)] @ root
@@ -296,7 +298,8 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
             initial=data.unpadded(slopes.by_initial),
             shocks=slopes.shocks,
         )
-        return replace(errors, meat=errors.meat + directions.T @ unseen @ directions)
+        rows = unseen @ directions
+        return replace(errors, meat=errors.meat + rows.T @ rows)
 
     # Rows without a time have no neighbors with which they could be correlated.
     in_order = model.has_time and not model.is_prior
@@ -417,7 +420,7 @@ class RecordProgram:
         self.part = part
         if part.model.driven:
             raise ValueError(
-                f"{part.problem.name!r} has process_noise, whose gains the program of IPOPT does "
+                f"{part.name!r} has process_noise, whose gains the program of IPOPT does "
                 "not follow: use method=MultipleShooting() and search='batched', the defaults."
             )
 

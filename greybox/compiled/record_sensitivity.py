@@ -23,8 +23,8 @@ class Sensitivity:
     ----------
     triangle : (p, p) array
         A triangular factor of the Jacobian J.
-    by_covariance : (p, p) array
-        The share of JᵀJ that the covariance of the prediction errors of a filter contributes.
+    by_covariance : (c, p) array
+        The rows of J that the covariance of the prediction errors of a filter contributes.
     weighted : (k, p, samples) array
         WᵀJ.
     by_initial : (k, m, samples) array
@@ -82,14 +82,13 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
             by_output = weight.T @ columns.reshape(len(J), length, k, -1)
             result[:, :, batch] = by_output.transpose(2, 3, 0, 1)
 
-    by_covariance = np.zeros((p, p))
+    by_covariance = np.zeros((0, p))
     if placed.filter is not None:
         active = len(part.model.active)
         rows = filter_information(placed.filter, weight, part.compared_samples, active)
-        rows = rows @ placed.slope
-        squares += (rows**2).sum(axis=0)
-        triangle = triangle_of(np.vstack([triangle, rows]))
-        by_covariance = rows.T @ rows
+        by_covariance = rows @ placed.slope
+        squares += (by_covariance**2).sum(axis=0)
+        triangle = triangle_of(np.vstack([triangle, by_covariance]))
 
     first = by_nodes[data.begins_stretch] * noticed[:, None]
     by_initial = by_initial.reshape(k, m, s * length)

@@ -11,6 +11,7 @@ from greybox.compiled.part import (
     NO_NODES,
     SMOOTHING,
     CorrelatedPoints,
+    Elsewhere,
     Information,
     Part,
     Trajectory,
@@ -112,14 +113,12 @@ class ResponsePart(Part):
     def __getstate__(self) -> Fields:
         """Leave out a criterion of the user's too: its cost is compiled."""
         state = super().__getstate__()
-        if not self.travels_whole:
-            state.pop("criterion", None)
-        return state
+        return state if self.travels_whole else state | {"criterion": Elsewhere()}
 
     @property
     def travels_whole(self) -> bool:
         """True with one of the included criteria."""
-        return type(getattr(self, "criterion", None)) in INCLUDED
+        return type(self.criterion) in INCLUDED
 
     @property
     def error_model(self) -> Criterion:
@@ -223,14 +222,10 @@ class ResponsePart(Part):
         # because the fit follows these errors.
         independent = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
 
-        def common_meat(bread: float, directions: Array) -> Array:
-            shift = bread * directions.T @ common
-            return shift @ shift.T
-
         def spread(correction: float) -> tuple[float, Array]:
             bread, meat = criterion.spread(response, data, correction)
-            weighted = (independent * meat)[:, None] * jacobian
-            return bread, jacobian.T @ weighted + common_meat(bread, jacobian)
+            own = np.sqrt(independent * meat)[:, None] * jacobian
+            return bread, np.vstack([own, bread * common.T @ jacobian])
 
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
             if data.has_independent_errors:
@@ -253,7 +248,8 @@ class ResponsePart(Part):
                 middle, remaining_dof = averaged_meat(
                     complex_array(*halves)[order], errors, criterion.score_correlation, dof
                 )
-                return self.weight**2 * (middle + common_meat(bread, directions)), remaining_dof
+                shift = bread * common.T @ directions
+                return self.weight**2 * (middle + shift.T @ shift), remaining_dof
 
             return neighbors and (neighbors, averaged)
 

@@ -37,7 +37,7 @@ from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.fingerprint import value_fingerprint
+from greybox.modeling.fingerprint import function_key, value_fingerprint
 from greybox.modeling.harmonic_balance import compiled_balance
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.one_thread import Stored, cached_property, unchanged_in
@@ -192,7 +192,7 @@ class ResponseCompiler:
         structure = None if is_large else self.structure()
         if structure is None or not fits_a_batch(structure):
             return self.built()
-        return _stored.result((structure.serialize(), *self.weights), self.built)
+        return _stored.result((function_key(structure), *self.weights), self.built)
 
     def limits(self, named: Named) -> Any:
         """Return what must be >= 0 at values by name."""

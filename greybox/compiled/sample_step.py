@@ -14,7 +14,6 @@ import numpy as np
 from greybox.compiled.sampled_data import input_over_step
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, Strings, frozen
-from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, repeated, substep_function
 from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
@@ -115,18 +114,20 @@ class SampleStep:
 def sample_step(
     system: Dynamics,
     held: Sequence[bool],
-    criterion: TimeCriterion,
     names: Strings,
     integrator: Integrator,
     substeps: int,
+    *,
+    biases: Strings = (),
+    corrects_states: bool = False,
 ) -> SampleStep:
     """Compile one sample of the parameters `names`: the model's, then the criterion's.
 
     `held` (m,) says which inputs keep their values until the next sample; the others are
-    interpolated.
+    interpolated. `biases` are the outputs and inputs with an unknown constant error;
+    `corrects_states` says whether residuals correct the states.
     """
-    corrects = criterion.corrects_states
-    measurement = _measurement(system, tuple(held), criterion.biases, corrects, names)
+    measurement = _measurement(system, tuple(held), biases, corrects_states, names)
     substep = substep_function(system, integrator)
     # Copies of many operations take longer to compile than calls of one function to evaluate: a
     # chain of four masses, with 1400 in four substeps, takes twice the time.
@@ -135,7 +136,7 @@ def sample_step(
     x, q, d = symbols
     corrected, mean, change, residual, simulated = measurement(x, q, d)
     # The derivatives of a called function have no zeros: they fill a product of large matrices.
-    begin = corrected if corrects else x
+    begin = corrected if corrects_states else x
     p = q[: len(system.parameters)]
     end = repeated(substep, substeps, begin, mean, change, p, d[d.numel() - 1])
     # Outputs and derivatives of many models have terms in common.

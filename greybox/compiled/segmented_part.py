@@ -17,7 +17,15 @@ from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Course, Linearization, Segments
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    BoolArray,
+    Fields,
+    IntArray,
+    frozen,
+    without,
+)
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
@@ -71,7 +79,6 @@ class SegmentedPart(Part):
     covariance : ResidualCovariance
     """
 
-    local = ("problem", "_placed_data", "_linearized")
     has_states = has_nodes = is_likelihood = True
     _placed_data: ArrayPair | None = None
     _linearized: Any = None  # trajectory, weight and linearization
@@ -103,6 +110,10 @@ class SegmentedPart(Part):
         is_estimated = not (model.driven or model.is_prior)
         self.few = covariance.few() if is_estimated else 0 * covariance.counts
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
+
+    def __getstate__(self) -> Fields:
+        """Leave the results for the last delays and the last trajectory, which are large."""
+        return without(super().__getstate__(), ("_placed_data", "_linearized"))
 
     @property
     def problem(self) -> Problem:

@@ -37,6 +37,7 @@ from greybox.files.arrays import (
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.fingerprint import function_key
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
 from greybox.modeling.held_inputs import first_terms, folded_back
 from greybox.modeling.linearization import jacobians
@@ -346,7 +347,7 @@ def shared_systems(
         if not part.model.state_names or part.delay != "exact":
             return None
         at = repr(sorted(part.at.items()))
-        key = id(part.model), at, local[k].serialize(), part.sampled_hold
+        key = id(part.model), at, function_key(local[k]), part.sampled_hold
         groups.setdefault(key, []).append(k)
     for members in groups.values():
         systems.append(_system(parts, members, point, values[members[0]]))

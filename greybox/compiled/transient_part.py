@@ -442,7 +442,7 @@ class TransientPart(Part):
             self,
             jacobian,
             self.numbers - len(self.states),
-            lambda correction: (1.0, jacobian.T @ jacobian),
+            lambda correction: (1.0, jacobian),
             reach,
             colored=colored,
             # So unlikely with white errors are 1 % of 2500 fits with right models, and 91 % of

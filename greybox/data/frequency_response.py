@@ -29,7 +29,8 @@ from greybox.files.arrays import (
     frozen,
     nans,
 )
-from greybox.files.text_table import Printed, counted, printable, write_out
+from greybox.files.escapes import printable
+from greybox.files.text_table import Printed, counted, write_out
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
@@ -132,7 +133,7 @@ class FrequencyResponse(Printed):
 
     def _check_columns(self) -> None:
         for name in COLUMNS:
-            if getattr(self, name) is None:
+            if getattr(self, name) is None and name not in COLUMNS[:2]:
                 continue
             kind = complex if name == "response" else float
             convert = finite_array if name in COLUMNS[:2] else checked_array

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, ComplexArray, NamedStrings, Values
+from greybox.files.text_table import number
 
 HELD = math.inf
 CONTINUOUS = 0.0
@@ -27,6 +28,8 @@ CONTINUOUS = 0.0
 # seconds, or a fit has divided it out.
 HOLD = "hold of the input, s"
 NO_HOLD = "hold divided out, s"
+# Or nobody states how its input, with a sample in every so many seconds, ran between them.
+UNSTATED_HOLD = "hold of the input not stated; sampling interval, s"
 # Key of a response from a sweep or noise.
 SPACING = "spacing of the spectral lines, rad/s"
 # Key of a response that was multiplied by a function of frequency: it is not that of samples.
@@ -58,16 +61,28 @@ def hold_of_response(
 ) -> NamedStrings:
     """Return for how long values of the input of a response lasted, for `FrequencyResponse.about`.
 
-    `sampled` are `Record.hold` and the step of what it was measured from. Nothing where the records
-    do not state it, or disagree. An output that is held as well, such as the control in a response
-    to the setpoint, is as late as the input.
+    `sampled` are `Record.hold` and the step of what it was measured from. Where the records do not
+    state it, or disagree, it is the longest step, as unstated. An output that is held as well, such
+    as the control in a response to the setpoint, is as late as the input: then there is nothing.
     """
+    records = list(sampled)
+    if any(hold.get(output) for hold, _ in records):
+        return {}
     lasted = set()
-    for hold, step in sampled:
+    for hold, step in records:
         reading = intersample(hold.get(input, math.nan), step)
-        seconds = step if reading.held else 2 * reading.late
-        lasted.add("" if hold.get(output) or math.isnan(seconds) else f"{seconds:.6g}")
-    return {HOLD: lasted.pop()} if len(lasted) == 1 and "" not in lasted else {}
+        lasted.add(f"{step if reading.held else 2 * reading.late:.6g}")
+    if len(lasted) == 1 and all(input in hold for hold, _ in records):
+        return {HOLD: lasted.pop()}
+    return {UNSTATED_HOLD: f"{max((step for _, step in records), default=math.nan):.6g}"}
+
+
+def described_unstated_hold(about: NamedStrings) -> str:
+    """Return what an unstated hold of a response means for its delays; empty if it is stated."""
+    if UNSTATED_HOLD not in about:
+        return ""
+    late = number(500 * float(about[UNSTATED_HOLD]))
+    return f"not stated; if the input is held between its samples, delays are {late} ms too long"
 
 
 def response_of_hold(omega: Array, seconds: float) -> ComplexArray:

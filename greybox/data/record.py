@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from greybox.data.checked_array import (
     checked_array,
     checksum_of,
+    out_of_range,
     require,
     require_size,
     seconds_from_first,
@@ -134,11 +135,19 @@ class Record(Printed):
             raise ValueError("the record is empty: give at least one sample.")
         require("time", time, np.isfinite(time), "leave out the samples without a time")
         # Without a time, rows may be in any order.
-        back = np.flatnonzero(np.diff(time) <= 0)
+        with np.errstate(over="ignore"):
+            steps = np.diff(time)
+        back = np.flatnonzero(steps <= 0)
         if back.size and self.has_time:
             raise ValueError(
                 f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): sort the "
                 "samples and remove duplicates."
+            )
+        if self.has_time and out_of_range(steps).any():
+            step = steps[np.argmax(out_of_range(steps))]
+            raise ValueError(
+                f"time has a step of {step:g} s, whose square is beyond floating-point arithmetic: "
+                "give times in s."
             )
 
         measured = {name: _read_only(x, name) for name, x in self.signals.items()}
@@ -172,7 +181,7 @@ class Record(Printed):
     def __getitem__(self, name: str) -> Array:
         if name not in self.signals:
             raise KeyError(
-                f"the record has no signal {name!r}; it has {', '.join(self.signals) or 'none'}."
+                f"the record has no signal {name!r}; it has {alternatives(name, self.signals)}"
             )
         return self.signals[name]
 

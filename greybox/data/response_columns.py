@@ -21,6 +21,7 @@ from greybox.files.arrays import (
     Labels,
     NamedArrays,
     NamedStrings,
+    complex_array,
     selected,
 )
 from greybox.files.delimited_text import heading
@@ -142,7 +143,7 @@ def assembled(
     """
     omega = angular_frequency(values["frequency"], columns["frequency"].unit)
     if "alpha" in values:
-        response = values["alpha"] + 1j * values["beta"]
+        response = complex_array(values["alpha"], values["beta"])
     else:
         units = columns["magnitude"].unit, columns["phase"].unit
         response = complex_response(values["magnitude"], values["phase"], *units)
@@ -171,7 +172,7 @@ def extras(values: NamedArrays) -> Fields:
             raise ValueError(
                 f"there is no column {missing!r}: give both parts of a common error, or none."
             )
-        errors.append(values[alpha] + 1j * values[beta])
+        errors.append(complex_array(values[alpha], values[beta]))
 
     return optional | ({"common_errors": np.array(errors)} if errors else {})
 

@@ -20,6 +20,7 @@ from greybox.files.delimited_text import (
     read_delimited,
     write_delimited,
 )
+from greybox.files.escapes import in_sentences
 from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit
@@ -29,6 +30,7 @@ PAIR = "output", "input"  # columns of a table whose rows name their responses
 NAMES = ("input", "output", "name", "source", PAIRS)
 
 
+@in_sentences
 def read_response(
     path: str | Path,
     prefix: str = "",
@@ -99,6 +101,7 @@ def read_response(
         raise ValueError(f"{path}: {error}") from None
 
 
+@in_sentences
 def read_responses(
     path: str | Path, *, columns: NamedStrings | None = None
 ) -> tuple[FrequencyResponse, ...]:

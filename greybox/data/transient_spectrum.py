@@ -18,7 +18,8 @@ from greybox.files.arrays import (
     Strings,
     frozen,
 )
-from greybox.files.text_table import as_names, one_line, printable, write_out
+from greybox.files.escapes import printable
+from greybox.files.text_table import as_names, one_line, write_out
 
 
 @frozen

@@ -14,7 +14,8 @@ from functools import lru_cache
 
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import DelimitedText
-from greybox.files.text_table import is_number, nearest
+from greybox.files.escapes import is_number
+from greybox.files.text_table import nearest
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ class Accuracy:
 
 @frozen
 class _Share:
-    """The information of one part: a root (n, k) of its bread by all values, and its meat (p, p).
+    """The information of one part: roots of its bread (n, k) by all values and of its meat (m, p).
 
     `reach` (p,) has the lengths of the root's columns before the initial states were fitted too.
     `limit` is a factor on both that limits the weight of a part relative to others. `pull` (p,) is
@@ -477,7 +477,8 @@ def _corrected(part: Information, share: _Share, root: Array, noise: float | Non
 
     dof = math.inf if problem.criterion.known_noise else numbers
     share = _share(part, p, paid, noise)
-    meat = root.T @ share.meat @ root
+    turned = share.meat @ root
+    meat = turned.T @ turned
     points = part.correlated and part.correlated(share.correction, root, dof)
     return PartAccuracy(share, meat, dof, meat, numbers, bread, points=points, noise=noise)
 
@@ -566,8 +567,7 @@ def _share(part: Information, p: int, paid: float = 0.0, noise: float | None = N
     # Exact data would have infinite weight, and rounding in them would hide all other parts.
     limit = math.sqrt(min(scale, 1e12) / scale)
     pull = np.zeros(p) if part.offset is None else size * root[:, :p].T @ part.offset(correction)
-    meat, reach = weight**2 * meat[:p, :p], size * part.reach[:p]
-    return _Share(root, meat, reach, limit, pull, correction)
+    return _Share(root, weight * meat[:, :p], size * part.reach[:p], limit, pull, correction)
 
 
 def _at_bound(
@@ -586,7 +586,7 @@ def _at_bound(
     held = np.isfinite(bound) & (distance <= 1e-7 * np.maximum(np.abs(x), np.abs(bound)))
 
     curvature = np.sum(_stacked(shares, len(x)) ** 2, axis=0)
-    spread = np.sum([np.diag(share.meat) for share in shares], axis=0)
+    spread = np.sum([(share.meat**2).sum(axis=0) for share in shares], axis=0)
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     deviation = np.sqrt(np.where(is_seen, spread, 0.0))
     close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & ~held

@@ -227,6 +227,8 @@ def _interruptible() -> Iterator[None]:
 @_interruptible()
 @one_blas_thread()
 @traced_once()
+# Bounds may be as wide as numbers are: what overflows there is no minimum, which is checked.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_with_storage(
     storage: RunStorage | None,
     problem: AnyProblem,
@@ -258,6 +260,8 @@ def fit_with_storage(
             beside=profiles,
         )
         search = _with_progress(run, len(points), progress)
+        if not search.runs:  # Ctrl-C came before the end of the first one
+            raise KeyboardInterrupt
         # Ask now: a later Ctrl-C does not end the search, which is complete.
         interrupted = stop_requested()
         # Explain failures before a refinement replaces the compiled problem in which they happened.
@@ -267,9 +271,6 @@ def fit_with_storage(
         # A batch stops at a loose tolerance; IPOPT confirms each minimum once.
         search = solver.polished(search)
         search, solver = with_robust_errors(search, solver)
-
-    if not search.runs:
-        raise KeyboardInterrupt
 
     # Ctrl-C no longer ends the work: the search is complete, and judging it takes a moment.
     with responding(Response.FINISH):

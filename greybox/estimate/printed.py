@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.data.intersample import described_unstated_hold
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
@@ -19,6 +20,7 @@ from greybox.files.json_numbers import plain
 from greybox.files.text_table import (
     Sentences,
     counted,
+    listed,
     number,
     percent,
     some,
@@ -130,6 +132,7 @@ def closeness(fit: Any) -> list[StringPair]:
         ("prior", _prior_texts(fit)),
         ("inputs", _input_texts(fit.records)),
         ("output", _output_texts(fit.records)),
+        ("hold", _hold_texts(fit.responses)),
         ("response", _response_texts(fit.responses)),
         ("output", _spectrum_texts(fit.spectra)),
         ("model", [f"not tested for missing terms in {some(untested)}"] if untested else []),
@@ -253,6 +256,15 @@ def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
         for name, way in part.between.items():
             alike.setdefault(way, {})[name] = None
     return [f"{', '.join(names)} {way}" for way, names in alike.items()]
+
+
+def _hold_texts(responses: Sequence[FittedResponse]) -> list[str]:
+    """Say of which inputs of responses the hold is not stated, and what it may do to delays."""
+    alike: dict[str, dict[str, None]] = {}
+    for part in responses:
+        if text := described_unstated_hold(part.data.about):
+            alike.setdefault(text, {})[part.data.input] = None
+    return [f"of {listed([*names])} {text}" for text, names in alike.items()]
 
 
 def _output_texts(records: Sequence[FittedRecord]) -> Sentences:

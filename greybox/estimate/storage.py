@@ -21,9 +21,11 @@ import numpy as np
 from greybox.estimate.fitted_part import require_shapes
 from greybox.estimate.result import Fit, require_fit
 from greybox.estimate.stored_values import fields_of, read, require, write
+from greybox.files.escapes import in_sentences, printable
+from greybox.files.json_numbers import parsed
 from greybox.files.safe_files import HDF5
 from greybox.files.sealed_files import read_sealed, write_sealed
-from greybox.files.text_table import checked_items, printable
+from greybox.files.text_table import checked_items
 from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
@@ -64,6 +66,7 @@ def save(fit: Fit, path: str | Path) -> None:
     write_sealed(path, to_bytes(fit))
 
 
+@in_sentences
 def load(path: str | Path, models: ModelSource | Iterable[ModelSource] = ()) -> Fit:
     """Read a `Fit` that `save` wrote. The file may come from anyone, see SECURITY.md.
 
@@ -104,8 +107,12 @@ def to_bytes(fit: Fit) -> bytes:
     return json.dumps([LAYOUT, fit.checksum, write(replace(fit, runs=Runs.of(fit.runs)))]).encode()
 
 
-def from_bytes(data: bytes, models: Any, place: str = "the stored fit") -> Fit:
+def from_bytes(
+    data: bytes, models: Any, place: str = "the stored fit", stored: int | None = None
+) -> Fit:
     """Return the fit of `to_bytes`; `models` as in `load`, `place` for messages.
+
+    The bytes take `stored` bytes of a file, by default as many as they are.
 
     Raises
     ------
@@ -118,7 +125,7 @@ def from_bytes(data: bytes, models: Any, place: str = "the stored fit") -> Fit:
         source = module_from_file(entry) if isinstance(entry, str | Path) else entry
         given += models_of(source) if isinstance(source, ModuleType) else [source]
     try:
-        layout, checksum, values = json.loads(data)
+        layout, checksum, values = parsed(data, len(data) if stored is None else stored)
         # An older layout is refused, not converted: fits are cheap to repeat.
         if layout == LAYOUT:
             fit = read(values, Fit)

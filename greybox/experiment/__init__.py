@@ -14,7 +14,8 @@ test).
 | `margins` | these numbers with their errors, and those of measured loops |
 | `control_check` | whether a controller computes the control of a log |
 | `measured_loop` | broken loops from measured responses |
-| `safe_gains` | gains that meet requirements on them with a stated confidence |
+| `gain_comparison` | whether gains are worse than today's |
+| `safe_gains` | gains that meet requirements on margins, and are better than today's |
 | `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |
@@ -37,6 +38,7 @@ from greybox.experiment.expected_errors import (
     ExpectedErrors as ExpectedErrors,
     expected_errors as expected_errors,
 )
+from greybox.experiment.gain_comparison import GainComparison as GainComparison
 from greybox.experiment.gain_file import write_gains as write_gains
 from greybox.experiment.margins import (
     Margins as Margins,

@@ -342,13 +342,20 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     return {n: Located(np.where(loop.is_stable, v, math.inf), nowhere) for n, v in numbers.items()}
 
 
+def samples_to_settle(loop: SampledLoop, remaining: float = 1e-4) -> int:
+    """Return after how many samples this share of the slowest mode of the first plant remains."""
+    size = np.abs(loop.first.poles)
+    # A pole at one is a position that no controller holds.
+    slowest = size[size < 1 - 1e-7].max(initial=0.5)
+    return max(int(math.log(remaining) / math.log(slowest)), 100)
+
+
 def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair:
     """Return times (n,) and responses (plants, n) to a step of a setpoint, over their final values.
 
     They end when the slowest pole of the first plant has decayed.
     """
-    size = np.abs(loop.first.poles)
-    count = max(int(math.log(1e-4) / math.log(size[size < 1 - 1e-7].max(initial=0.5))), 100)
+    count = samples_to_settle(loop)
     # So many points of a step response take 70 MB for all draws.
     stride = -(-count // 2**14)
     length = math.isqrt(count // stride) + 1

@@ -1,4 +1,4 @@
-"""Gains of a controller that meet requirements on stability with a stated confidence.
+"""Gains of a controller that meet requirements on stability, and are no worse than today's.
 
 Begin with `safe_gains`.
 """
@@ -17,7 +17,14 @@ from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedRespons
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit, Fits
 from greybox.experiment.controller import Controller, Controllers
-from greybox.experiment.drawn_loops import drawn_loops
+from greybox.experiment.drawn_loops import BESIDE, drawn_loops
+from greybox.experiment.gain_comparison import (
+    ROUNDING,
+    GainComparison,
+    TodaysLoop,
+    todays_loop,
+    worst_changes,
+)
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
 from greybox.files.arrays import (
@@ -33,7 +40,7 @@ from greybox.files.arrays import (
     nans,
 )
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, checked_items, listed, number, text_table
+from greybox.files.text_table import Printed, checked_items, counted, listed, number, text_table
 from greybox.modeling.model import Names, require_known
 from greybox.spectral import spectral_response
 
@@ -58,6 +65,11 @@ PROMISE = (
 class SafeGains(Printed):
     """Sets of gains on a grid, and whether they meet the requirements. It prints its verdict first.
 
+    A set is proposed only if it meets the requirements, has a higher disturbance rejection
+    bandwidth than today's gains, and is not worse than these in any of: the peak of the
+    sensitivity, the peak response to a step moment, the noise at the actuator. Otherwise the answer
+    is to keep today's gains.
+
     Attributes
     ----------
     values : mapping of gain to (n,) array
@@ -72,6 +84,10 @@ class SafeGains(Printed):
         The gains of the given controller.
     today_confidence : float
     today_bandwidth : float, rad/s
+    comparison : GainComparison, optional
+        The proposed set against today's gains. If none is proposed: the one that was refused
+        although it has the highest bandwidth of those that meet the requirements; None if no such
+        set has a higher bandwidth than today's gains.
     requirements : mapping of name to float
         ``phase margin`` in degrees, ``gain margin`` in dB, ``delay`` in s, ``level``.
     cure : str
@@ -85,6 +101,7 @@ class SafeGains(Printed):
     today: Values
     today_confidence: float
     today_bandwidth: float
+    comparison: GainComparison | None
     requirements: Values
     cure: str
     notes: Strings
@@ -95,21 +112,67 @@ class SafeGains(Printed):
         return self.confidence >= self.requirements["level"]
 
     @property
+    def faster(self) -> BoolArray:
+        """Which allowed sets have a higher disturbance rejection bandwidth than today's gains.
+
+        All of them, if the estimate with today's gains does not meet the requirements.
+        """
+        return self.allowed & ~(self.bandwidth <= self.today_bandwidth * (1 + ROUNDING))
+
+    @property
     def best(self) -> dict[str, float]:
-        """The allowed gains with the highest disturbance rejection bandwidth; empty if none is."""
-        if not self.allowed.any():
-            return {}
-        place = np.where(self.allowed, self.bandwidth, -math.inf).argmax()
-        index = np.unravel_index(place, self.allowed.shape)
-        return {
-            name: float(row[k]) for (name, row), k in zip(self.values.items(), index, strict=True)
-        }
+        """The proposed gains; empty if today's gains are to be kept."""
+        if self.comparison and not self.comparison.worse:
+            return dict(self.comparison.gains)
+        return {}
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether there is an answer: gains that are proposed, or that today's are to be kept."""
+        is_compared = not self.comparison or self.comparison.today_is_stable
+        return bool(self.allowed.any()) and is_compared
 
     @property
     def verdict(self) -> str:
         """The answer in one sentence."""
-        if self.cure and not self.best:
-            return f"refused: the response was measured poorly at the crossover. {self.cure}"
+        if not self.allowed.any():
+            poor = "refused: the response was measured poorly at the crossover."
+            return f"{poor} {self.cure}" if self.cure else self._meeting
+        if self.best:
+            chosen = listed([f"{name} = {value:.4g}" for name, value in self.best.items()])
+            return (
+                f"proposed: {chosen}, the highest disturbance rejection bandwidth of the sets that "
+                "meet the requirements and are not worse than today's gains."
+            )
+        if self.comparison and not self.comparison.today_is_stable:
+            return (
+                "refused: the loop of today's gains is unstable with the fitted plant, so that no "
+                "gains can be compared with them. If they fly, the model or the gains are wrong; "
+                "otherwise give gains that stabilize the plant."
+            )
+        share = 100 * self.requirements["level"]
+        fails = self.today_confidence < self.requirements["level"]
+        although = f", although they do not meet the requirements with {share:g} % confidence"
+        keep = f"keep today's gains{although if fails else ''}"
+        if not self.comparison:
+            best, today = (
+                number(value, 3)
+                for value in (self.bandwidth[self.allowed].max(), self.today_bandwidth)
+            )
+            return (
+                f"{keep}: no set that meets the requirements has a higher disturbance rejection "
+                f"bandwidth ({best} rad/s, {today} today)."
+            )
+        found = counted(int(self.faster.sum()), "set")
+        faster = " and have a higher disturbance rejection bandwidth"
+        return (
+            f"{keep}: {found} would meet the requirements"
+            f"{'' if math.isnan(self.today_bandwidth) else faster}, but none is shown to be as "
+            "good in peak |S|, response to a moment and noise."
+        )
+
+    @property
+    def _meeting(self) -> str:
         wanted = self.requirements
         return (
             f"{self.allowed.sum()} of {self.allowed.size} sets of gains have a phase margin of "
@@ -118,10 +181,14 @@ class SafeGains(Printed):
         )
 
     def to_dict(self) -> Fields:
-        """Return the numbers as plain values."""
-        return plain(self) | {
+        """Return the numbers as plain values; without a proposal, `best` is None."""
+        fields = plain(self)
+        if self.comparison:
+            fields["comparison"]["worse"] = [*self.comparison.worse]
+        return fields | {
             "verdict": self.verdict,
-            "best": self.best,
+            "best": self.best or None,
+            "reason": None if self.best else self.verdict,
             "promise": PROMISE,
             "allowed": self.allowed.tolist(),
         }
@@ -133,27 +200,23 @@ class SafeGains(Printed):
             ends = (used[0], used[-1]) if used.size else (math.nan, math.nan)
             chosen = (self.best.get(name, math.nan), self.today[name])
             rows.append((name, *(number(v, 3) for v in (*ends, *chosen))))
-        header = ("allowed (not all combinations)", "from", "to", "best", "today")
-        some = f"Some sets were refused: {self.cure}" if self.cure and self.best else ""
+        header = ("allowed (not all combinations)", "from", "to", "proposed", "today")
+        some = f"Some sets were refused: {self.cure}" if self.cure and self.allowed.any() else ""
         at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
-        wider = f"At an end of the tried range: the best {listed(at_end)}." if at_end else ""
+        wider = f"At an end of the tried range: the proposed {listed(at_end)}." if at_end else ""
         share = number(100 * self.today_confidence, 3)
         today = f"Today's gains meet the requirements with {share} % confidence."
         if math.isnan(self.today_confidence):
             today = "Whether today's gains meet them is not known: their crossover lies there."
-        rejection = ""
-        if self.best:
-            pair = [self.bandwidth[self.allowed].max(), self.today_bandwidth]
-            best, now = (number(value, 3) for value in pair)
-            rejection = f"Disturbance rejection bandwidth: {best} rad/s with the best, {now} today."
         lines = [
             self.verdict[0].upper() + self.verdict[1:],
+            str(self.comparison) if self.comparison and self.is_usable else "",
+            self._meeting if self.allowed.any() else "",
             text_table(header, rows),
             wider,
             some,
             today,
-            rejection,
-            PROMISE,
+            PROMISE if self.best else "",
             *self.notes,
         ]
         return "\n".join(filter(None, lines))
@@ -172,13 +235,30 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     at: Values | None = None,
     parts: Sequence[int] = (0,),
 ) -> SafeGains:
-    """Return which gains meet requirements on the margins with a stated confidence.
+    """Return which gains meet requirements on the margins, and those that are better than today's.
 
     A set of gains is allowed if the loops of at least a share `level` of the draws from the
     distribution of the estimates are stable and have all the margins at once, in every flight; and
     if the response was measured well at the crossover: by points within a factor of two of each
     other, with a coherence of 0.6, a random error of 20 %, and within 30 % of the fitted response.
     Otherwise the set is refused, and `SafeGains.cure` says which flight would measure it.
+
+    Of the allowed sets, `SafeGains.best` is the one with the highest disturbance rejection
+    bandwidth that is not worse than today's gains in
+
+    - the peak of the sensitivity where the loop is broken, |S|;
+    - the peak response to a step moment: a step added to an input of the plant that the controllers
+      drive. The response is each signal that they measure, but for derivatives of other signals;
+    - the noise at the actuator: the rms of the same input from white noise on the samples of each
+      signal that the controllers measure.
+
+    A set is not worse if, for each of these numbers, the ratio to that of today's gains is at most
+    one at the estimate and in its whole interval, in every flight. The interval has the quantiles
+    ``(1 - level) / 2`` and ``(1 + level) / 2`` of the draws, and both numbers of a ratio are those
+    of the same drawn plant. A ratio that the data do not determine counts as worse, and so does a
+    loop that is unstable with the set. So the more uncertain the plant is, the fewer gains are
+    proposed. If no set remains whose bandwidth is higher than today's, nothing is proposed. The
+    additional `delay` is not in these numbers.
 
     Parameters
     ----------
@@ -245,25 +325,66 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     for name, value in wanted.items():
         if not value >= 0:
             raise ValueError(f"the required {name} is {value:g}: give 0 or more.")
-    answers = [
-        _judged(fit, part, drawn_loops(fit, controllers, at=at, part=part), laws, wanted, broken_at)
+    flown = [
+        (fit, part, drawn_loops(fit, controllers, at=at, part=part))
         for fit in flights
         for part in parts
     ]
+    answers = [_judged(fit, part, loops, laws, wanted, broken_at) for fit, part, loops in flown]
     confidences, bandwidths, cures = zip(*answers, strict=True)
     confidence, bandwidth = np.min(confidences, axis=0), np.min(bandwidths, axis=0)
     shape = [*map(len, values.values())]
-    return SafeGains(
+    safe = SafeGains(
         values,
         confidence[:-1].reshape(shape),
         bandwidth[:-1].reshape(shape),
         today,
         float(confidence[-1]),
         float(bandwidth[-1]),
+        None,
         wanted | {"level": level},
         " ".join(filter(None, cures)),
         tuple(f"The fit warns: {text}" for fit in flights for text in fit.warnings),
     )
+    todays = []
+    for _, _, loops in flown:
+        plants = np.arange(len(loops.A))
+        # The estimate, as many draws as above, and what the data do not determine.
+        some = loops.of(np.r_[plants[: 1 + DRAWS], plants[BESIDE]])
+        todays.append(todays_loop(controllers, some, DRAWS, broken_at or loops.inputs[0]))
+    return replace(safe, comparison=_comparison(safe, todays, laws, level))
+
+
+def _comparison(
+    safe: SafeGains,
+    todays: Sequence[TodaysLoop],
+    laws: Sequence[Sequence[Controller]],
+    level: float,
+) -> GainComparison | None:
+    """Return the first of the faster sets, the fastest first, that is not worse than today's gains.
+
+    Otherwise return the fastest one, and None if there is none.
+    """
+    bandwidth, faster = safe.bandwidth.ravel(), safe.faster.ravel()
+    candidates = [int(k) for k in np.argsort(-bandwidth, kind="stable") if faster[k]]
+    sets = list(itertools.product(*safe.values.values()))
+    fastest = None
+    for k in candidates:
+        pairs = [(t, linear_controller(laws[k], t.loops.sensors, t.loops.inputs)) for t in todays]
+        # The draws take far more time than the estimate.
+        if fastest and any(today.is_worse_at_the_estimate(control) for today, control in pairs):
+            continue
+        comparison = GainComparison(
+            dict(zip(safe.values, map(float, sets[k]), strict=True)),
+            float(bandwidth[k]),
+            safe.today_bandwidth,
+            worst_changes([today.changes(control, level) for today, control in pairs]),
+            level,
+        )
+        if not comparison.worse:
+            return comparison
+        fastest = fastest or comparison
+    return fastest
 
 
 def _divided(name: str, ends: Interval | None, today: float, count: int) -> Array:

@@ -99,7 +99,7 @@ class SampledLoop:
         """The loop of the first plant alone."""
         return self.of(slice(1))
 
-    def of(self, plants: slice) -> "SampledLoop":
+    def of(self, plants: slice | IntArray) -> "SampledLoop":
         """Return the loops of some of the plants."""
         arrays = ("A", "early", "late", "C", "D", "whole")
         return replace(self, **{name: getattr(self, name)[plants] for name in arrays})
@@ -177,28 +177,28 @@ class SampledLoop:
         """
         return 1 / self.gains(signal, [signal], omega, plant)[..., 0] - 1
 
-    def closed(self, command: str, signal: str) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C, D (plants, ...) of the closed loops from a command to a signal.
+    def closed(self, added_to: str, signal: str) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C, D (plants, ...) of the closed loops from an addition to a signal.
 
-        ``x[k+1] = A x[k] + B e[k]`` and ``signal[k] = C x[k] + D e[k]``, where `e` is added to the
-        command.
+        ``x[k+1] = A x[k] + B e[k]`` and ``signal[k] = C x[k] + D e[k]``, where `e` is added to a
+        command, or to what the controllers read of a measured signal.
 
         Raises
         ------
         ValueError
-            For a command that is not in the loop.
+            For a signal that is not in the loop.
         """
         commands, F, G, H, J = self.controller
         sensors = self.sensors
-        require_known([command], commands, "command", "the loop")
-        added = len(sensors) + commands.index(command)
+        require_known([added_to, signal], self.signals, "signal", "the loop")
+        added = self.signals.index(added_to)
         rows = places_of(self.inputs, commands)
         plants, n = self.A.shape[:2]
         m = len(self.inputs)
         length = int(self.whole.max()) + 1  # past controls that have not yet reached some plant
         size = n + len(F) + m * length
 
-        # The last column is the command. The newest past control of an input is its first one.
+        # The last column is the addition. The newest past control of an input is its first one.
         unit, controls = np.eye(size + 1), n + len(F)
         newest = controls + length * np.arange(m)
         earlier = unit[newest + self.whole]  # u[k-whole-1]
@@ -221,6 +221,8 @@ class SampledLoop:
         following[:, controls:] = np.eye(size - controls, size + 1, controls - 1)
         following[:, newest] = u
         read = np.hstack([y, total])[:, self.signals.index(signal)]
+        if signal == added_to and signal in sensors:
+            read[:, -1] += 1
         return following[..., :-1], following[..., -1], read[:, :-1], read[:, -1]
 
     @cached_property

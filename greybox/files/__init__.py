@@ -8,10 +8,11 @@ Begin with `text_table`.
 | `text_table` | tables and numbers as people read them, also in notebooks |
 | `delimited_text` | tables of numbers in files: separator, decimal mark, units, comments, facts |
 | `grouping` | items in groups that are alike |
-| `json_numbers` | values in JSON, without NaN and infinity |
+| `json_numbers` | values in JSON, without NaN and infinity, and bounded when they are read |
 | `packed` | compressed bytes |
 | `progress` | progress bars |
-| `error_place` | where an error arose in a file of the user |
+| `escapes` | texts of strangers in terminals, tables, LaTeX, pages and messages |
+| `error_place` | an error as a sentence, with its place in a file of the user |
 | `optional_package` | imports of optional packages |
 | `rebuilt` | values that are pickled as the arguments of their construction |
 | `safe_files` | atomic writes, and clear errors of reading |

@@ -21,8 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.files.arrays import Labels, NamedArrays, NamedStrings, Strings, by_name, frozen
+from greybox.files.escapes import csv_cell, is_number, printable
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import counted, is_number
+from greybox.files.text_table import counted
 
 COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separator
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
@@ -218,10 +219,11 @@ def write_delimited(
 ) -> None:
     """Write facts as comments ``# key: value``, then columns of numbers, for `read_delimited`."""
     text = io.StringIO()
-    text.writelines(f"# {key}: {value}\n" for key, value in facts.items())
+    # A comment ends with its line.
+    text.writelines(f"# {printable(f'{key}: {value}')}\n" for key, value in facts.items())
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    writer.writerow(map(csv_cell, columns))
+    writer.writerows(map(csv_cell, row) for row in zip(*columns.values(), strict=True))
     write_text(path, text.getvalue())
 
 

@@ -1,5 +1,6 @@
-"""Where an error arose in a file of the user."""
+"""An error as a sentence, with the place in a file of the user where it arose."""
 
+import re
 import site
 import traceback
 from pathlib import Path
@@ -12,6 +13,23 @@ OTHERS = (
     str(Path(traceback.__file__).parent),
     "<",
 )
+
+# Errors of a user's input, whose messages say enough; of others the class is named, too.
+SENTENCES = (ValueError, TypeError, RuntimeError)
+MOST = 500  # letters of a message
+
+
+def error_sentence(error: BaseException) -> str:
+    """Return the message of an error in one line, after its place in a file of the user."""
+    message = str(error)
+    # CasADi lists the functions that called one another, and its own files; the reason is last.
+    if message.startswith("Error in "):
+        message = re.sub(r"^\S+:\d+: ", "", message.splitlines()[-1])
+    message = " ".join(message.split())
+    message = message if len(message) <= MOST else f"{message[:MOST]}..."
+    if not (message and isinstance(error, SENTENCES)):
+        message = f"{type(error).__name__}: {message}".rstrip(": ")
+    return error_place(error) + message
 
 
 def _name(file: Path) -> str:
@@ -31,5 +49,6 @@ def error_place(error: BaseException) -> str:
         for frame, line in traceback.walk_tb(cause and cause.__traceback__)
         if not frame.f_globals.get("__name__", "").startswith("greybox.")
         and not frame.f_code.co_filename.startswith(OTHERS)
+        and "site-packages" not in frame.f_code.co_filename  # of another environment
     ]
     return places[-1] if places else ""

@@ -2,6 +2,10 @@
 
 import zlib
 
+# Bytes from a stranger may expand no further. Answers and fits expand 2 to 5 times; zlib reaches
+# 1030 where one byte is repeated, as in a short text with a long word.
+EXPANSION, SMALL = 30, 20_000
+
 
 def packed(value: bytes, like: bytes = b"") -> bytes:
     """Return compressed bytes, fewer if they share words with the end of `like`."""
@@ -20,8 +24,7 @@ def unpacked(value: bytes, like: bytes = b"") -> bytes:
     """
     inflate = zlib.decompressobj(zdict=like)
     try:
-        # Bytes from a stranger may expand no further; zlib reaches 1030 where one byte is repeated.
-        whole = inflate.decompress(value, 1000 * len(value))
+        whole = inflate.decompress(value, EXPANSION * len(value) + SMALL)
     except zlib.error as error:
         raise ValueError(str(error)) from None
     if not inflate.eof:

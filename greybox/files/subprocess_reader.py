@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Fields
+from greybox.files.escapes import printable
 from greybox.files.subprocess_main import REFUSED
-from greybox.files.text_table import printable
 
 SCRIPT = Path(__file__).with_name("subprocess_main.py")
 # The exit status of a process that used up its processor time; Windows has no such limit.

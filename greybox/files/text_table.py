@@ -14,27 +14,9 @@ from textwrap import indent
 from typing import Any
 
 from greybox.files.arrays import Labels, StringPair, Strings, unique
+from greybox.files.escapes import html_text, printable, sentence, terminal_text
 
 Sentences = Iterator[str]
-
-# Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
-# follows), halves of characters (no terminal takes them), line and paragraph separators.
-CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
-
-
-def printable(text: str, keep: str = "") -> str:
-    r"""Return a text with its control characters written out, as ``\x1b``, except those in `keep`.
-
-    Every name and text that comes from a file passes through here before it is printed.
-    """
-    if text.isprintable():
-        return text
-    return "".join(
-        c
-        if c in keep or unicodedata.category(c) not in CONTROLS
-        else c.encode("unicode_escape", "surrogatepass").decode("ascii")
-        for c in text
-    )
 
 
 def all_printable(thing: Any) -> Any:
@@ -73,7 +55,7 @@ def text_table(header: Labels, rows: Sequence[Labels], left: Sequence[int] = (0,
 
 def titled(title: str, lines: Iterable[str]) -> str:
     """Return a title, a blank line, and indented lines."""
-    return f"{title}\n\n" + indent("\n".join(lines), "  ")
+    return terminal_text(f"{title}\n\n" + indent("\n".join(lines), "  "))
 
 
 def number(value: float | None, digits: int = 5) -> str:
@@ -176,7 +158,7 @@ def alternatives(name: object, names: Iterable[str]) -> str:
     # An output of a model may be a state, too.
     names = unique(names)
     near = nearest(str(name), names)
-    return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
+    return sentence(", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
 
 
 def with_error(value: float, error: float) -> StringPair:
@@ -223,15 +205,6 @@ def in_greek(name: str) -> str:
     return re.sub(r"[^\W_]+", lambda word: greek(word[0]), name)
 
 
-def is_number(cell: str) -> bool:
-    """Return whether a cell of a table is a number."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
-
-
 def one_line(value: object, *facts: str) -> str:
     """Return ``<Class fact, fact>`` for the `repr` of a value, in less than 120 characters."""
     text = printable(" ".join(f"<{type(value).__name__} {', '.join(facts)}".split()))
@@ -241,8 +214,7 @@ def one_line(value: object, *facts: str) -> str:
 def preformatted(text: str) -> str:
     """Return lines of text as HTML."""
     # Names come from files, which must not write HTML into a notebook.
-    escaped = escape(printable(text, keep="\n"))
-    return f"<pre>{escaped}</pre>"
+    return f"<pre>{escape(html_text(text))}</pre>"
 
 
 class Printed:

@@ -24,7 +24,8 @@ from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Labels, by_name, frozen
-from greybox.files.text_table import is_number, number, percent, printable, with_error
+from greybox.files.escapes import html_text, is_number
+from greybox.files.text_table import number, percent, with_error
 from greybox.plotting.figure import Figure, Series
 
 Child = Element | str | Iterable["Child"]
@@ -37,13 +38,13 @@ def tag(name: str, *children: Child, **attributes: Any) -> Element:
     In names of attributes hyphens replace underscores; one at the end, as in ``class_``, is left
     out.
     """
-    # Texts come from files of strangers. The tree escapes markup, and `printable` the control
+    # Texts come from files of strangers. The tree escapes markup, and `html_text` the control
     # characters that HTML does not allow.
     element = Element(name)
     for key, value in attributes.items():
         if value is not None and value is not False:
             text = "" if value is True else str(value)
-            element.set(key.rstrip("_").replace("_", "-"), printable(text, keep="\n\t"))
+            element.set(key.rstrip("_").replace("_", "-"), html_text(text))
     _append(element, children)
     return element
 
@@ -55,7 +56,7 @@ def html(element: Element) -> str:
 
 def _append(element: Element, children: Child) -> None:
     if isinstance(children, str):
-        text = printable(children, keep="\n\t")
+        text = html_text(children)
         # This tree keeps a text in the element before it.
         if len(element):
             element[-1].tail = (element[-1].tail or "") + text

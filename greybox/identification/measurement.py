@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.data.checked_array import require_band
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.intersample import HOLD
+from greybox.data.intersample import HOLD, described_unstated_hold
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, Segments, segment_table
 from greybox.data.units import known_unit
@@ -250,6 +250,8 @@ class Measurement:
         about = self.response.about if self.response else {}
         for name in ("dropped", "left out", "converted", "refined", HOLD):
             choices += [f"{name}: {about[name]}."] if name in about else []
+        unstated = described_unstated_hold(about)
+        choices += [f"hold of the input: {unstated}."] if unstated else []
         return tuple(choices)
 
     def __repr__(self) -> str:

@@ -41,7 +41,12 @@ from greybox.files.arrays import (
     unit_length,
 )
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.formula_structure import has_switches, interval_means, walk
+from greybox.modeling.formula_structure import (
+    has_switches,
+    interval_means,
+    is_elementary,
+    walk,
+)
 from greybox.modeling.functions import exp
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals, require_known
@@ -390,12 +395,9 @@ def _harmonics(
     entries = ca.vec(partials.nz[:])
     terms = [ca.densify(ca.vertcat(formulas, entries))]
     program = ca.Function("terms", inputs, terms, {"cse": True})
-    # One operation on all samples at a time takes a quarter of the time of one sample after the
-    # other. Samples are columns: CasADi multiplies a long column by a matrix from the left several
-    # times as fast as a long row from the right.
-    samples = [ca.horzsplit(wave.T @ series.T) for wave in waves]
-    samples += map(ca.vertsplit, (sizes, p))
-    columns = [ca.MX.ones(points) * column for column in walk(program, samples, ca.MX)]
+    # Samples are columns: CasADi multiplies a long column by a matrix from the left several times
+    # as fast as a long row from the right.
+    columns = _at_samples(program, [wave.T @ series.T for wave in waves], [sizes, p])
     values = ca.horzcat(*columns[: formulas.numel()])
     parts = columns[formulas.numel() :]
 
@@ -415,6 +417,22 @@ def _harmonics(
         else:  # the harmonics of a linear term are those of its signal
             blocks[row][k] += part[0] * ca.MX.eye(width)
     return to_series[:width] @ values, ca.blockcat(blocks) @ by_every
+
+
+def _at_samples(program: ca.Function, sampled: list[Any], constant: list[Any]) -> list[Any]:
+    """Return the results of a program at all samples, a column (points, 1) each.
+
+    Its first inputs are `sampled`, (points, k) each, the others `constant`, (k, 1) each.
+    """
+    points = sampled[0].size1()
+    if not is_elementary(program):
+        columns = [signals.T for signals in sampled] + [ca.repmat(v, 1, points) for v in constant]
+        return ca.horzsplit(program.map(points).call(columns)[0].T)
+
+    # One operation on all samples at a time takes a quarter of the time of one sample after the
+    # other.
+    inputs = [*map(ca.horzsplit, sampled), *map(ca.vertsplit, constant)]
+    return [ca.MX.ones(points) * column for column in walk(program, inputs, ca.MX)]
 
 
 @cache

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from greybox.files.arrays import Fields, Named
-from greybox.files.text_table import printable
+from greybox.files.escapes import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import AnyModel, Model, class_of

@@ -16,8 +16,10 @@ from greybox.modeling.parameter import start_values
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import (
+    as_column,
     parameter_names,
     require_no_nan,
+    state_starts,
     symbols,
     traced,
     traced_column,
@@ -38,6 +40,8 @@ class Dynamics:
         (x, u, p) -> (n,) and (k,).
     delay : casadi.Function
         (p) -> the delay of every input (m,), s; zero where it is approximated by states.
+    starts : casadi.Function
+        (p) -> where the states (n,) begin in a search, by default at zero.
     undelayed : Dynamics or None
         Where delays are approximated by states that have an exact solution, the model that the
         delayed inputs drive. Its states come first.
@@ -55,6 +59,7 @@ class Dynamics:
     derivative: ca.Function
     output: ca.Function
     delay: ca.Function
+    starts: ca.Function
     undelayed: "Dynamics | None" = None
     delay_step: ca.Function = ca.Function()
     delay_rest: ca.Function = ca.Function()
@@ -128,7 +133,8 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     assert isinstance(model, StateSpace)
     # Of a single symbol, an empty slice has one row, which would count as a state.
     x, u = ca.vertsplit(z, [0, len(model.states), z.numel()])
-    delays = input_delays(model, parameter_names(model, p)).values()
+    values = parameter_names(model, p)
+    delays = input_delays(model, values).values()
     f = traced_column(model, "derivative", z, p)
 
     return _with_pade_states(
@@ -138,6 +144,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
             outputs=model.output_names,
             parameters=tuple(model.parameters),
             **_functions(x, u, p, f, traced_column(model, "output", z, p), ca.vertcat(*delays)),
+            starts=ca.Function("starts", [p], [as_column(state_starts(model, values))]),
         ),
         pade,
     )
@@ -182,6 +189,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
         outputs=(model.output,),
         parameters=tuple(model.parameters),
         **_functions(x, u, p, f, y, ca.SX(rational.delay)),
+        starts=ca.Function("starts", [p], [ca.SX.zeros(n)]),
     )
 
 
@@ -236,6 +244,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
             exact.output(x, delayed, p),
             ca.SX.zeros(u.numel()),
         ),
+        starts=ca.Function("starts", [p], [ca.vertcat(exact.starts(p), ca.SX.zeros(len(rows)))]),
         # Beyond order 6, rounding errors of `pade_step` exceed 1e-7 for a delay of 8000 steps.
         undelayed=exact if pade <= 6 else None,
         delay_step=delay_step,

@@ -1,12 +1,18 @@
 """Ordinary differential equations, x' = f(x, u, p), and static models, which have no states."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings
-from greybox.modeling.model import Model, require_known, require_signal_names
+from greybox.files.text_table import is_finite_number
+from greybox.modeling.model import (
+    Model,
+    ParameterFormula,
+    require_known,
+    require_signal_names,
+)
 
 
 class StateSpace(Model):
@@ -19,6 +25,11 @@ class StateSpace(Model):
 
     It may declare ``trim(self, at, p)``, which returns the remaining states and inputs at the
     operating point `at` by name; without it they follow from ``derivative = 0``.
+
+    `state_starts` (state to value, or to a function of the parameters) says where its states begin
+    in a search, as ``starts`` does of a parameter: one for the first entry of a quaternion, a level
+    above zero for a tank. Outputs that show a state, and initial states that a criterion knows,
+    come first. By default a state begins at zero.
 
     A delayed input is known before the record only if it rests at the beginning. If it moves, a fit
     leaves out as many seconds there as the upper bound of its delay, so give delays tight upper
@@ -46,6 +57,7 @@ class StateSpace(Model):
     inputs: Labels = ("u",)
     outputs: Labels = ("y",)
     delays: NamedStrings = MappingProxyType({})
+    state_starts: Mapping[str, float | ParameterFormula] = MappingProxyType({})
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Check the signal names of the declaration."""
@@ -60,6 +72,13 @@ class StateSpace(Model):
                 "names."
             )
 
+        require_known(cls.state_starts, cls.states, "state", f"{cls.__name__}.states")
+        for name, value in cls.state_starts.items():
+            if not (callable(value) or is_finite_number(value)):
+                raise ValueError(
+                    f"{cls.__name__}.state_starts[{name!r}] is {value!r}: give a finite number or "
+                    "a function of the parameters, such as lambda p: p.h_0."
+                )
         require_known(cls.delays, cls.inputs, "input", f"{cls.__name__}.inputs")
         require_known(cls.delays.values(), cls.parameters, "parameter", cls.__name__)
         if cls.states and cls.derivative is StateSpace.derivative:

@@ -120,6 +120,15 @@ def derivative_function(model: StateSpace) -> ca.Function:
     return ca.Function("derivative", [z, p], [traced_column(model, "derivative", z, p)])
 
 
+def state_starts(model: StateSpace, p: Any) -> list[Any]:
+    """Return where the states (n,) begin in a search, for parameters by name; by default at 0."""
+    starts = [(name, model.state_starts.get(name, 0.0)) for name in model.state_names]
+    return [
+        called(f"{model.label}.state_starts[{name!r}]", start, p) if callable(start) else start
+        for name, start in starts
+    ]
+
+
 def as_list(result: Any) -> list[Any]:
     """Return the values of a derivative or an output as a list; a single value needs no tuple."""
     return list(result) if isinstance(result, tuple | list) else [result]

@@ -17,6 +17,7 @@ from greybox.modeling.symbolic_reading import (
     derivative_function,
     input_symbols,
     parameter_names,
+    state_starts,
     symbols,
     traced,
 )
@@ -58,10 +59,10 @@ def trim_of(model: Model, at: Values) -> Trimmed:
     """Return states and inputs at the operating point `at` as functions of the parameters.
 
     A transfer function has no states, and rests without an input. The point of an ODE is the first
-    of these: the result of the model's own `trim`; the origin, if it is an equilibrium for all
-    parameter values (so that a hover, where ``C_x |v| v = 0`` has a double root, has finite
-    derivatives); the solution of ``derivative = 0``, differentiated by the implicit function
-    theorem.
+    of these: the result of the model's own `trim`; the origin, or where the states are declared to
+    begin, if it is an equilibrium for all parameter values (so that a hover, where
+    ``C_x |v| v = 0`` has a double root, has finite derivatives); the solution of
+    ``derivative = 0``, differentiated by the implicit function theorem.
 
     Raises
     ------
@@ -77,17 +78,21 @@ def trim_of(model: Model, at: Values) -> Trimmed:
     p = ca.SX.sym("p", len(model.parameters))
     if model.trim is not None:
         return _own_trim(model, at, p)
-    point = [at.get(name, 0.0) for name in (*model.state_names, *model.input_names)]
-    if not model.state_names:
-        return _closed_form(model, p, point)
+    if not isinstance(model, StateSpace) or not model.states:
+        return _closed_form(model, p, [at.get(name, 0.0) for name in model.input_names])
+
+    starts = dict(zip(model.states, state_starts(model, parameter_names(model, p)), strict=True))
+    point = [at.get(name, starts.get(name, 0.0)) for name in model.resting_signals]
+    closed = _closed_form(model, p, point)
     # Whether this is an equilibrium for all parameters, by eight random draws.
     derivative = derivative_function(model)
     random = np.random.default_rng(0)
     draws = ([q.draw(random) for q in model.parameters.values()] for _ in range(8))
-    if all(np.all(np.abs(derivative(point, draw).full()) < 1e-12) for draw in draws):
-        return _closed_form(model, p, point)
+    at_draws = (derivative(ca.vertcat(*closed.function(draw, [])), draw).full() for draw in draws)
+    if all(np.all(np.abs(values) < 1e-12) for values in at_draws):
+        return closed
 
-    return _implicit_trim(model, at)  # type: ignore[arg-type]
+    return _implicit_trim(model, at)
 
 
 def _closed_form(model: Model, p: ca.SX, point: Sequence[Any]) -> Trimmed:
@@ -146,7 +151,7 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
     point[unknown] = w
     derivative = ca.substitute(derivative, z, point)
     residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
-    guess, rows = _presolve(model, at, residual)
+    guess, rows = _presolve(model, at, residual, [names[k] for k in unknown])
     options = {"error_on_fail": False, "abstol": 1e-12, "max_iter": 50, "show_eval_warnings": False}
     equations = ca.vertcat(*[derivative[k] for k in rows])
     newton = ca.rootfinder("newton", "newton", {"x": w, "p": p, "g": equations}, options)
@@ -175,7 +180,9 @@ def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
     )
 
 
-def _presolve(model: StateSpace, at: Values, residual: ca.Function) -> tuple[Array, list[int]]:
+def _presolve(
+    model: StateSpace, at: Values, residual: ca.Function, unknown: Sequence[str]
+) -> tuple[Array, list[int]]:
     """Solve the trim at the start values; return it and as many independent equations."""
     start = start_values(model.parameters)
     size = residual.size1_in(0)
@@ -183,6 +190,15 @@ def _presolve(model: StateSpace, at: Values, residual: ca.Function) -> tuple[Arr
     # Zero itself is left out: kinks and roots have no slope there.
     guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)]
     guesses += list(random.normal(0, 3, (15, size)))
+    # First with the states where the model declares that they begin.
+    values = model.values(None)
+    starts = dict(zip(model.states, state_starts(model, Names(values, model.label)), strict=True))
+    declared = [k for k, name in enumerate(unknown) if name in model.state_starts]
+    for guess in guesses[: 5 if declared else 0][::-1]:
+        near = guess.copy()
+        near[declared] = [float(starts[unknown[k]]) for k in declared]
+        guesses.insert(0, near)
+
     for guess in guesses:
         root = guess
         # At a double root a Newton step only halves the distance: 60 steps reach rounding. Longer

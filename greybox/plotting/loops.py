@@ -135,10 +135,10 @@ def _plane(x: Array, y: Array, critical: FloatPair) -> list[Series]:
 
 
 def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
-    """Draw which sets of gains are allowed, with today's gains and the best ones.
+    """Draw which sets of gains are allowed, with today's gains and the proposed ones, if any.
 
-    A single gain has its confidence above it. With three gains, the first two are drawn at the best
-    value of the third, or today's if none is allowed.
+    A single gain has its confidence above it. With three gains, the first two are drawn at the
+    proposed value of the third, or today's if none is proposed.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def gains_figure(safe: SafeGains) -> Figure:
         ]
     for name, gains, height, look in (
         ("today", safe.today, heights[0], (INK, 3)),
-        ("best", safe.best, heights[1], (1, 1)),
+        ("proposed", safe.best, heights[1], (1, 1)),
     ):
         if gains:
             place = np.array([gains[names[0]]]), np.array([height])

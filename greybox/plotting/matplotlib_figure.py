@@ -380,7 +380,8 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
         _number_decades(ax.yaxis, *ax.get_ylim())
 
     # Below 60 degrees the steps 1, 2, 5 read well for angles too.
-    span = float(np.ptp(ax.get_ylim()))
+    low, high = ax.get_ylim()
+    span = float(high) - float(low)  # of Python, which warns of no overflow
     if panel.ticks:
         ax.set_yticks(range(1, len(panel.ticks) + 1), [*map(plain, panel.ticks)])
     elif not panel.is_logarithmic:

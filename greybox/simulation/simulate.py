@@ -63,8 +63,9 @@ def simulate(
     record : Record
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch without a gap
-        Other states begin at zero; the name of the result says so. By default those of
-        the fit where the record is its own, else zero.
+        Other states begin where the model declares (`StateSpace.state_starts`), by default at
+        zero; the name of the result says so. By default those of the fit where the record is its
+        own.
     inputs : "record", "linear" or "held", optional
         How inputs vary between samples; by default as in the fit, else as the record says, see
         `OutputError`.
@@ -156,8 +157,9 @@ def simulate(
     remark = f", {_not_known(unique(unknown), estimated)}" if unknown else ""
     # A user who simulates a fit expects the motion of the record, which hardly ever begins at rest.
     if estimated.covariance is not None and not fitted_initial:
-        zero = [name for name in estimated.system.states if name not in (initial or {})]
-        remark += f", from {some(zero)} = 0" if zero else ""
+        starts = zip(estimated.system.states, states[0], strict=True)
+        begun = [f"{name} = {start:.4g}" for name, start in starts if name not in (initial or {})]
+        remark += f", from {some(begun)}" if begun else ""
     name = f"simulation of {estimated.label}{remark}"
     return Record(record.time, columns, units, name=name, has_time=record.has_time)
 
@@ -351,14 +353,14 @@ def _model_and_record(
 def _initial_states(
     model: ModelAtEstimate, initial: Any, stretches: int, fitted_initial: bool
 ) -> Array:
-    """Return the first states (stretches, n) of every stretch; zero where none are given."""
+    """Return the first states (stretches, n) of every stretch; declared starts if none is given."""
     # On the record of the fit, its initial states were estimated with the parameters.
     if fitted_initial:
         initial = selected(model.part.initial, model.system.states)
     initial = {} if initial is None else initial
     require_kind("initial", initial, Mapping, "{state: value}")
     require_known(initial, model.system.states, "state", model.label)
-    states = np.zeros((stretches, len(model.system.states)))
+    states = np.repeat(model.system.starts(model.p).full().T, stretches, axis=0)
     for name, value in initial.items():
         values = np.asarray(value)
         is_number = values.dtype.kind in "iuf" and all_finite(values)

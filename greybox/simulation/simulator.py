@@ -139,7 +139,17 @@ class Simulator:
         system = model.system.observed(outputs)
         self._initial = InitialStates(system)
         # For an integrator and a number of substeps.
-        self._step = cache(partial(sample_step, system, model.held, model.criterion, model.names))
+        criterion = model.criterion
+        self._step = cache(
+            partial(
+                sample_step,
+                system,
+                model.held,
+                model.names,
+                biases=tuple(criterion.biases),
+                corrects_states=criterion.corrects_states,
+            )
+        )
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,)."""

@@ -3,7 +3,8 @@
 Begin with `run_all`. A worker receives the solver, pickled as compiled functions and numbers
 without the user's classes, and starts; it returns outcomes. They are taken in the order of the
 starts, whichever finishes first: the answer does not depend on the executor, on the number of
-workers, or on their speed.
+workers, or on their speed. A run that raises an error on a worker is made again in this process, so
+that it fails only where it would fail without workers.
 
 Dask's workers have ``MALLOC_TRIM_THRESHOLD_`` in their environment, which makes every run of IPOPT
 take twice as long: memory is released and requested again and again. Start them with it and
@@ -44,10 +45,11 @@ from threadpoolctl import ThreadpoolController
 
 from greybox.files.arrays import Array, Fields
 from greybox.files.text_table import require_whole
+from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import Stored
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.local_solver import Runner
-from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Memory, Outcome, Outcomes
+from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Memory, Outcome, Outcomes, has_raised
 
 Batch = list[tuple[int, Array]]
 Made = Iterator[tuple[int, Array, Outcome]]
@@ -79,9 +81,9 @@ def run_all(
     """Yield (number, start, outcome) for every run, until a stop is requested.
 
     The runs come in the order of the `count` starts (s,) in `numbered`. As many are made at once as
-    the solver runs together; if a stop cuts a batch short, its finished runs count. With an
-    executor the first batch is run here to measure how long a run takes. Runs in the `memory` are
-    not made again.
+    the solver runs together; if a stop cuts a batch short, its finished runs count. A run that
+    raises an error fails alone, with the error as its status. With an executor the first batch is
+    run here to measure how long a run takes. Runs in the `memory` are not made again.
 
     Raises
     ------
@@ -89,7 +91,11 @@ def run_all(
         If the executor has lost its workers.
     RunStorageError
         If the stored runs began from other starts.
+    ValueError
+        If an executor is given, and the solver calls Python, which workers cannot do.
     """
+    if executor is not None:
+        value_fingerprint(solver)  # refuses what cannot travel, before the first batch
     memory = memory or Memory()
     # If there are more starts than one batch, few come first: Ctrl-C soon has an answer. A batch of
     # a thousand takes a second.
@@ -102,9 +108,12 @@ def run_all(
         remaining -= len(batch)
 
         recalled = _recalled(memory, batch)
-        outcomes = recalled or solver.run_together(_starts(batch))
+        outcomes = recalled or solver.outcomes(_starts(batch))
         finished = [outcome.status not in CUT_SHORT for outcome in outcomes]
-        for run, is_finished in zip(_stored(memory, batch, outcomes), finished, strict=True):
+        # A run that saw a stop in its last moment, or in a batch with others, may have ended
+        # elsewhere than it would have alone: it counts now, but is made again.
+        target = Memory() if stop_requested() else memory
+        for run, is_finished in zip(_stored(target, batch, outcomes), finished, strict=True):
             if is_finished or not any(finished):
                 yield run
 
@@ -165,6 +174,9 @@ def _tasks(
     """Yield batches, joined up to this many starts, and stored ones with their outcomes."""
     starts: Batch = []
     for batch in batches:
+        # A stop cuts short what finds the starts, too: these may not be those of the search.
+        if stop_requested():
+            return
         recalled = _recalled(memory, batch)
         # A batch stays whole: the last digits of a run depend on how many are run together.
         if starts and (recalled is not None or len(starts) + len(batch) > most):
@@ -230,11 +242,22 @@ def _on_workers(
                 waiting.extendleft([submitted([start]) for start in reversed(batch)])
                 continue
             if outcomes is None:
-                start = batch[0][1]
-                outcomes = [Outcome(start, WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
-            yield from _stored(memory, batch, outcomes)
+                outcomes = [solver.without_end(batch[0][1], WORKER_LOST)]
+            yield from _stored(memory, batch, _made_here(solver, batch, outcomes))
     finally:
         _cancel(waiting)
+
+
+def _made_here(solver: Runner, batch: Batch, outcomes: Outcomes) -> Outcomes:
+    """Return the outcomes of a task; batches in which a run raised an error are made again, here.
+
+    A worker may lack what the run needs; an error of the model comes again.
+    """
+    size = solver.together
+    for k in range(0, len(batch), size):
+        if any(has_raised(outcome.status) for outcome in outcomes[k : k + size]):
+            outcomes[k : k + size] = solver.outcomes(_starts(batch[k : k + size]))
+    return outcomes
 
 
 def _cancel(waiting: Iterable[tuple[Batch, Future[Any]]]) -> None:
@@ -269,10 +292,17 @@ def _result(future: Future[Outcomes]) -> Outcomes | None:
     except CancelledError as error:
         raise ExecutorLostError(LOST) from error
     except Exception as error:
+        # Dask has given the task to several workers, and lost all of them. By name, since the
+        # package that defines the class may be absent.
+        if type(error).__name__ == "KilledWorker":
+            return None
+        cure = "with the greybox, CasADi and NumPy of this process"
+        if isinstance(error, BrokenExecutor):
+            cure = "or use greybox.solve.WorkerPool, which replaces lost workers"
         message = " ".join(str(error).split())[:300].rstrip(".") or "no reason given"
         raise ExecutorLostError(
             f"a task of the executor failed, {type(error).__name__}: {message}. "
-            "Start its workers again, or use greybox.solve.WorkerPool, which replaces lost workers."
+            f"Start its workers again, {cure}."
         ) from error
 
 
@@ -296,7 +326,7 @@ def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> O
         solver = _solvers.result(payload, partial(unpickled, payload))
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
-        return [outcome for batch in batches for outcome in solver.run_together(batch)]
+        return [outcome for batch in batches for outcome in solver.outcomes(batch)]
 
 
 class WorkerLostError(RuntimeError):

@@ -83,7 +83,7 @@ class _State(threading.local):
     search_end = math.inf  # s since 1970
     listening = False
     noted = False
-    noted_at = 0.0  # s, on the monotonic clock
+    noted_at = -math.inf  # s, on the monotonic clock
     number = int(signal.SIGINT)
     response = Response.RAISE
 
@@ -163,6 +163,15 @@ def take_interrupt() -> bool:
     return noted
 
 
+def raise_interrupt(cause: BaseException | None = None) -> None:
+    """Raise KeyboardInterrupt if Ctrl-C was pressed since listening began, and nobody took it.
+
+    To be called where an error is caught: the error may be what a library made of Ctrl-C.
+    """
+    if _state.noted:
+        raise KeyboardInterrupt from cause
+
+
 def ended_status() -> int:
     """Return the exit status of a program that the last of these signals ended, as in a shell."""
     return 128 + _state.number
@@ -183,22 +192,32 @@ def listening() -> Iterator[None]:
     if _state.listening or not in_main_thread or not usual:
         yield
         return
-    _state.listening = True
-    _state.noted, _state.number = False, signal.SIGINT
-    for number in usual:
-        signal.signal(number, _note)
     try:
+        _state.listening = True
+        _state.noted, _state.noted_at, _state.number = False, -math.inf, signal.SIGINT
+        for number in usual:
+            signal.signal(number, _note)
         yield
     except Exception as error:
         # CasADi turns an interrupt into errors of other classes.
-        if _state.noted:
-            raise KeyboardInterrupt from error
+        raise_interrupt(error)
         raise
     finally:
-        for number, handler in usual.items():
-            signal.signal(number, handler)
-        _state.listening = False
-        _state.noted = False
+        with responding(Response.FINISH):  # what comes now must not leave a handler behind
+            for number, handler in usual.items():
+                signal.signal(number, handler)
+            _state.listening = _state.noted = False
+
+
+@contextmanager
+def one_interrupt() -> Iterator[None]:
+    """Raise KeyboardInterrupt for a Ctrl-C in the block that nobody took, whatever became of it."""
+    try:
+        yield
+    except Exception as error:
+        raise_interrupt(error)
+        raise
+    raise_interrupt()
 
 
 @contextmanager
@@ -215,10 +234,13 @@ def responding(response: Response) -> Iterator[None]:
 def _note(number: int, _frame: FrameType | None) -> None:
     now = time.monotonic()
     _state.number = number
+    # Raised again, it would end the storage of the results.
+    if now - _state.noted_at <= ECHO:
+        return
 
     # A second Ctrl-C must end the program even if a solver does not look.
-    again = _state.noted and now - _state.noted_at > ECHO
-    if not _state.noted:
+    again = _state.noted
+    if not again:
         _state.noted, _state.noted_at = True, now
     if again or _state.response is Response.RAISE:
         raise KeyboardInterrupt

@@ -1,5 +1,6 @@
 """The interface of every solver: a run from one start, and whatever else a search needs."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,9 +9,11 @@ from typing import ClassVar
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array, Arrays, Indices, IntArray, frozen
+from greybox.files.error_place import error_sentence
 from greybox.files.rebuilt import Rebuilt
+from greybox.solve.interruption import raise_interrupt
 from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.runs import Outcome, Outcomes, Runs, spent
+from greybox.solve.runs import RAISED, Outcome, Outcomes, Runs, spent
 from greybox.solve.stationarity import is_above
 
 
@@ -41,6 +44,24 @@ class Runner(Rebuilt, ABC):
     def run_together(self, starts: Array) -> Outcomes:
         """Make the runs from the rows of `starts` (r, s), at most `together`."""
         return [self.run(start) for start in starts]
+
+    def without_end(self, start: Array, status: str) -> Outcome:
+        """Return the outcome of a run from `start` (s,) that ended nowhere."""
+        return Outcome(start, status, 0, 0.0, converged=False, cost=math.inf)
+
+    def outcomes(self, starts: Array) -> Outcomes:
+        """Make the runs from the rows of `starts` (r, s); one that raises an error fails alone.
+
+        The status of its outcome has the error.
+        """
+        try:
+            return self.run_together(starts)
+        except Exception as error:
+            # CasADi turns Ctrl-C into errors of other classes.
+            raise_interrupt(error)
+            if len(starts) == 1:
+                return [self.without_end(starts[0], f"{RAISED}: {error_sentence(error)}")]
+        return [outcome for start in starts for outcome in self.outcomes(start[None])]
 
 
 @frozen

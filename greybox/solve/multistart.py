@@ -14,8 +14,8 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.settings import settings
-from greybox.solve.interruption import stop_requested
-from greybox.solve.local_solver import LocalSolver
+from greybox.solve.interruption import raise_interrupt, stop_requested
+from greybox.solve.local_solver import LocalSolver, Screened
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.other_minima import points_beside
 from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
@@ -28,6 +28,8 @@ from greybox.solve.runs import (
     Run,
     Runs,
     RunStorage,
+    has_no_end,
+    has_raised,
 )
 from greybox.solve.shared_solver import SharedSolver
 from greybox.solve.transcribed_program import TranscribedProgram
@@ -90,13 +92,18 @@ def multistart(
     never ranks before one that converged. When a stop is requested (`greybox.solve.interruption`),
     the current run is the last. With an executor its workers make the runs
     (`greybox.solve.executors`). Runs in the `storage` are not made again.
+
+    Raises
+    ------
+    Exception
+        If all runs raised an error: that of the first one.
     """
     # In 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
     # that of the conversion.
     points = FiniteStarts(solver, starts)
     memory = Memory(storage, solver)
     *counts, enough = promising or (len(starts), 0)
-    screened = solver.screened(starts) if counts[-1] < len(starts) else None
+    screened = _screened(solver, starts) if counts[-1] < len(starts) else None
 
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf
@@ -120,6 +127,7 @@ def multistart(
         results, runs, minima = _certified(solver, results)
         if stop_requested():
             break
+        _require_a_run(solver, runs, len(starts))
         if 0 < enough <= len(agreeing_runs(solver.nlp, runs, minima)):
             # Minima that these runs have missed take the places of starts that were not tried: the
             # last ones, since among equal minima the first start decides.
@@ -147,13 +155,29 @@ def multistart(
     return Multistart(runs, minima, nodes, ends)
 
 
+def _require_a_run(solver: LocalSolver, runs: Runs, count: int) -> None:
+    """Raise the error of the first run if all of the `count` runs raised one."""
+    # What no start avoids is a fault of the problem, and no result.
+    if len(runs) == count and all(map(has_raised, runs.status)):
+        solver.run(runs[0].start)
+
+
+def _screened(solver: LocalSolver, starts: Array) -> Screened | None:
+    """Compare the starts (r, p), unless the model raises an error at one of them."""
+    try:
+        return solver.screened(starts)
+    except Exception as error:
+        raise_interrupt(error)
+        return None
+
+
 def _continued(
     solver: LocalSolver, outcome: Outcome, lowest: float, memory: Memory, number: int
 ) -> Outcome:
     """Return the run from the start of this number; continued if it is unfinished and lowest."""
     # A run that a time limit or Ctrl-C has cut short must not continue.
     has_ended = outcome.converged or outcome.status in (NOT_FINITE, *CUT_SHORT)
-    if has_ended or not outcome.cost < lowest or stop_requested():
+    if has_ended or has_no_end(outcome.status) or not outcome.cost < lowest or stop_requested():
         return outcome
 
     # Runs that do not begin at a start have negative numbers.
@@ -170,7 +194,13 @@ def _certified(
     """Return the runs, by row and in columns, and their minima, certified by the solver."""
     rows = sorted(results)
     starts = [results[row][0] for row in rows]
-    outcomes = solver.judged([results[row][1] for row in rows])
+    outcomes = [results[row][1] for row in rows]
+    # There is nothing to judge after Ctrl-C in the first run, nor where the model raises an error.
+    ended = [k for k, outcome in enumerate(outcomes) if not has_no_end(outcome.status)]
+    if ended:
+        judged = solver.judged([outcomes[k] for k in ended])
+        for k, outcome in zip(ended, judged, strict=True):
+            outcomes[k] = outcome
     while True:
         pairs = [*zip(starts, outcomes, strict=True)]
 
@@ -197,12 +227,21 @@ class FiniteStarts:
     @cached_property
     def _home(self) -> Array | None:
         """Return the first start with a finite model."""
-        finite = (s for s in self.starts if stop_requested() or self.solver.is_finite_at(s))
+        finite = (s for s in self.starts if stop_requested() or self._is_finite_at(s))
         return next(finite, None)
+
+    def _is_finite_at(self, start: Array, *, raised: bool = False) -> bool:
+        """Return whether a run can begin at a start (p,), `raised` where the model raises."""
+        try:
+            return self.solver.is_finite_at(start)
+        except Exception as error:
+            raise_interrupt(error)
+            return raised
 
     def __getitem__(self, number: int) -> Array:
         start = self.starts[number]
-        if self.solver.is_finite_at(start) or self._home is None:
+        # A run from where the model raises an error fails with that error.
+        if self._is_finite_at(start, raised=True) or self._home is None:
             return start
 
         # The farthest point on the way, halved up to six times, in the solver's variables.
@@ -211,6 +250,6 @@ class FiniteStarts:
         away = nlp.scaling.to_solver(start) - home
         for halvings in range(1, 7):
             point = nlp.estimate_at(home + 0.5**halvings * away)
-            if self.solver.is_finite_at(point):
+            if self._is_finite_at(point):
                 return point
         return start

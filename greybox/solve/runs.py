@@ -18,8 +18,8 @@ from greybox.files.text_table import counted, one_line
 from greybox.modeling.fingerprint import value_fingerprint
 
 # Statuses of a run besides those of its solver: it could not begin, ended where the integration
-# misleads, was cut short, made no progress without being at a minimum, or ended its process every
-# time it was tried.
+# misleads, was cut short, made no progress without being at a minimum, ended its process every time
+# it was tried, or raised an error, which follows the word.
 NOT_FINITE = "not finite at the start"
 TOO_COARSE = "integration too coarse"
 INTERRUPTED = "interrupted"
@@ -27,6 +27,7 @@ SEARCH_OVER = "time limit of the fit"
 CUT_SHORT = (INTERRUPTED, SEARCH_OVER)
 STAGNATED = "stagnated"
 WORKER_LOST = "worker lost"
+RAISED = "error"
 
 # Stages of a run: only its start was compared with others, it was improved in a batch, or a solver
 # of single runs finished it.
@@ -123,6 +124,17 @@ class Outcome:
 
 
 Outcomes = list[Outcome]  # one for each start
+
+
+def has_raised(status: str) -> bool:
+    """Return whether a run ended by an error."""
+    return status.startswith(f"{RAISED}: ")
+
+
+def has_no_end(status: str) -> bool:
+    """Return whether a run ended nowhere: the model may not be evaluated where it began."""
+    return status == WORKER_LOST or has_raised(status)
+
 
 Texts = NDArray[np.object_]
 
@@ -272,9 +284,14 @@ class Memory:
         )
 
     def keep(self, number: int, start: Array, outcome: Outcome) -> None:
-        """Store a run, unless it is stored already, or was cut short and has to be made again."""
+        """Store a run, unless it is stored already, or has to be made again.
+
+        Runs that were cut short have to be, and those that raised an error, whose cause may be gone
+        the next time.
+        """
         # A task may be looked at twice: when it is finished, and when its turn comes.
         is_new = number not in self._added and self.recall(number, start) is None
-        if is_new and outcome.status not in CUT_SHORT:
+        is_whole = outcome.status not in CUT_SHORT and not has_raised(outcome.status)
+        if is_new and is_whole:
             self._added.add(number)
             self._storage.add(number, start, outcome)

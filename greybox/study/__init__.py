@@ -13,6 +13,9 @@ Begin with `batch`.
 | `ranking` | which structure describes the data sets best |
 | `latex` | tables for a paper |
 | `store` | a study on disk: one SQLite database |
+| `answer` | what a study stores of a fit, checked when it is read |
+| `ownership` | the mark of the user on stored runs and answers |
+| `running` | whether a process is working on a study |
 | `bootstrap` | repeat one fit on data that are drawn anew |
 | `replicates` | drawn responses and records, and their refits |
 """

@@ -21,9 +21,10 @@ from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.printed import data_names, summary
 from greybox.estimate.storage import to_bytes
 from greybox.files.arrays import Fields, Named, frozen, unique
-from greybox.files.error_place import error_place
+from greybox.files.error_place import error_sentence
+from greybox.files.escapes import printable
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, printable, require_kind
+from greybox.files.text_table import counted, require_kind
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in
@@ -41,6 +42,8 @@ from greybox.solve.interruption import (
     is_search_over,
     limited,
     listening,
+    one_interrupt,
+    raise_interrupt,
     responding,
 )
 from greybox.solve.local_solver import LocalSolver, Runner
@@ -49,11 +52,8 @@ from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome, RunStorageError
 from greybox.study.data_file import UnreadableError
 from greybox.study.ranking import held_out_error
-from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, locked
+from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, is_study, locked
 from greybox.study.study import Study, read_study
-
-# Errors of a user's input, whose messages say enough; of others the class is named, too.
-SENTENCES = (ValueError, TypeError, RuntimeError)
 
 
 @frozen
@@ -116,6 +116,7 @@ def batch(
     executor: Executor | None = None,
     seconds: float | None = None,
     progress: bool = True,
+    trust: bool = False,
 ) -> Study:
     """Fit many problems, one after the other, and store every run in a folder.
 
@@ -137,6 +138,9 @@ def batch(
         the same call resumes with them.
     progress : bool
         Show a progress bar in a terminal or notebook after two seconds.
+    trust : bool
+        Continue with runs and answers in the folder that another user or another machine made, as
+        if they were your own.
 
     Returns
     -------
@@ -146,14 +150,16 @@ def batch(
     Raises
     ------
     ValueError, TypeError
-        For invalid arguments, and if the folder has another problem under the name of a member.
+        For invalid arguments, and if the folder has another problem under the name of a member, or
+        runs that another user made, without `trust`.
     OSError
         If the folder cannot be written, or another process writes to it. The stored runs stay
         usable.
     RuntimeError
         If the executor has lost its workers; the same call resumes with another executor.
     KeyboardInterrupt
-        After Ctrl-C; its attribute ``study`` has the results so far.
+        After Ctrl-C; its attribute ``study`` has the results so far, or None before the first
+        member. Members that were not judged yet are unfinished.
 
     Examples
     --------
@@ -170,47 +176,56 @@ def batch(
     models = [*{type(part.model) for member in listed for part in member.problem.parts}]
     end = end_after(seconds)
     folder = Path(folder)
-    with locked(folder), limited(end), unchanged():
-        # Members are added before the first fit: a reader sees the whole study from the start.
-        stored = add_members(folder, [member.name for member in listed])
-        runs = StoredRuns(folder)
+    with listening(), limited(end), unchanged():
         try:
-            done = {m.name for m in listed if stored[m.name].status == "done"}
-            # A notebook stores every update of the bar: two a second suffice. The time left is by
-            # the mean of all members: a moving one counts only the time since the last update.
-            progress_bar = bar(
-                is_shown=progress,
-                total=len(listed),
-                initial=len(done),
-                unit="fit",
-                miniters=0,
-                mininterval=0.5,
-                smoothing=0,
-            )
-            with listening(), progress_bar:
-                try:
-                    new = {m: None for m in listed if executor and not stored[m.name].runs}
-                    answers = _by_workers([*new], executor)
-                    compiled: set[str] = set()
-                    for member in listed:
-                        if is_search_over():
-                            break
-                        if changes := next(answers, []) if member in new else []:
-                            runs.changes += changes
-                        else:
-                            _fit_member(
-                                member, runs, stored[member.name], compiled, executor, progress_bar
-                            )
-                        progress_bar.update(member.name not in done)
-                        runs.write_due()
-                        if runs.trouble:
-                            break  # a full disk, which the last attempt names
-                finally:
-                    runs.write()
+            with one_interrupt(), locked(folder, trust=trust):
+                _fit_all(listed, folder, executor, is_shown=progress)
+            return read_study(folder, models)
         except KeyboardInterrupt as pressed:
+            with responding(Response.FINISH):
+                study = read_study(folder, models) if is_study(folder) else None
             message = f"interrupted; the same batch resumes from {folder}"
-            raise Interrupted(message, study=read_study(folder, models)) from pressed
-        return read_study(folder, models)
+            raise Interrupted(message, study=study) from pressed
+
+
+def _fit_all(
+    listed: Sequence[Member], folder: Path, executor: Executor | None, *, is_shown: bool
+) -> None:
+    """Fit the members that are not done, and store what they leave, in a locked folder."""
+    # Members are added before the first fit: a reader sees the whole study from the start.
+    stored = add_members(folder, [member.name for member in listed])
+    runs = StoredRuns(folder)
+    done = {m.name for m in listed if stored[m.name].status == "done"}
+    # A notebook stores every update of the bar: two a second suffice. The time left is by the mean
+    # of all members: a moving one counts only the time since the last update.
+    progress_bar = bar(
+        is_shown=is_shown,
+        total=len(listed),
+        initial=len(done),
+        unit="fit",
+        miniters=0,
+        mininterval=0.5,
+        smoothing=0,
+    )
+    with progress_bar:
+        try:
+            new = {m: None for m in listed if executor and not stored[m.name].runs}
+            answers = _by_workers([*new], executor)
+            compiled: set[str] = set()
+            for member in listed:
+                if is_search_over():
+                    break
+                if changes := next(answers, []) if member in new else []:
+                    runs.changes += changes
+                else:
+                    _fit_member(member, runs, stored[member.name], compiled, executor, progress_bar)
+                raise_interrupt()  # which came while an answer was stored
+                progress_bar.update(member.name not in done)
+                runs.write_due()
+                if runs.trouble:
+                    break  # a full disk, which the last attempt names
+        finally:
+            runs.write()
 
 
 def require_distinct(members: Sequence[Member]) -> None:
@@ -310,10 +325,9 @@ def _fit_member(
         raise
     # Any other error ends only this member: a batch runs for days without its user.
     except Exception as raised:
-        message = " ".join(str(raised).split())
-        is_sentence = message and isinstance(raised, SENTENCES)
-        error = message if is_sentence else f"{type(raised).__name__}: {message}".rstrip(": ")
-        error = error_place(raised) + error
+        raise_interrupt(raised)
+        error = error_sentence(raised)
+    raise_interrupt()
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 

@@ -247,7 +247,7 @@ def interval_text(ends: Sequence[float | None] | None) -> str:
     return f"above {number(low)}" if high is None else f"{number(low)} to {number(high)}"
 
 
-def bootstrap(
+def bootstrap(  # noqa: PLR0913  (what to repeat, how, and where it is kept)
     fit: Fit,
     replicates: int = 1000,
     *,
@@ -257,6 +257,7 @@ def bootstrap(
     executor: Executor | None = None,
     folder: str | Path | None = None,
     progress: bool | ProgressReport = True,
+    trust: bool = False,
 ) -> Bootstrap:
     """Repeat a fit on data that are drawn anew, and return the spread of its estimates.
 
@@ -289,11 +290,14 @@ def bootstrap(
         Stores every replicate: after an interruption of any kind the same call resumes.
     progress : bool or function
         As in `greybox.fit`.
+    trust : bool
+        Continue with replicates in the folder that another user or another machine made.
 
     Raises
     ------
     ValueError
-        If these data cannot be drawn, or the problem is not the fitted one.
+        If these data cannot be drawn, the problem is not the fitted one, or another user made
+        replicates in the folder, without `trust`.
     LookupError
         If a loaded fit does not know its model.
     RuntimeError
@@ -342,7 +346,7 @@ def bootstrap(
     # depend on how many there are.
     rows = ((k, np.array([float(k)])) for k in range(replicates))
     runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
-    lock = nullcontext() if folder is None else locked(Path(folder))
+    lock = nullcontext() if folder is None else locked(Path(folder), trust=trust)
     progress_bar = bar(is_shown=progress is True, total=replicates, unit="replicate")
     with lock, listening(), progress_bar:
         try:

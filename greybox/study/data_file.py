@@ -12,6 +12,7 @@ from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
 from greybox.files.arrays import Fields, Named, NamedStrings, Strings, unique
 from greybox.files.delimited_text import heading, read_delimited
+from greybox.files.escapes import in_sentences
 from greybox.files.safe_files import require_file
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.named_columns import in_si
@@ -30,6 +31,7 @@ class UnreadableError(ValueError):
     name = ""
 
 
+@in_sentences
 def read_data(
     path: str | Path,
     model: Model,

@@ -4,14 +4,10 @@ import re
 from collections.abc import Sequence
 
 from greybox.files.arrays import Labels
+from greybox.files.escapes import latex_text
 from greybox.files.text_table import greek, with_error
 
 ACCENTS = ("tilde", "hat", "bar", "dot")
-SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-}
 
 
 def latex_table(header: Labels, rows: Sequence[Labels], texts: int) -> str:
@@ -20,11 +16,6 @@ def latex_table(header: Labels, rows: Sequence[Labels], texts: int) -> str:
     columns = "l" * texts + "r" * (len(header) - texts)
     begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", " & ".join(header) + r" \\"]
     return "\n".join([*begin, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"])
-
-
-def latex_text(text: str) -> str:
-    """Return text that LaTeX prints as it is."""
-    return "".join(SPECIAL.get(character, character) for character in text)
 
 
 def latex_symbol(name: str, unit: str = "") -> str:

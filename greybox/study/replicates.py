@@ -88,6 +88,10 @@ class Replicates(Runner):
     draws: Draws
     start: Array
 
+    def without_end(self, start: Array, status: str) -> Outcome:
+        """Return the outcome of a refit that ended nowhere: it has no estimate (p,)."""
+        return replace(super().without_end(start, status), estimate=nans(len(self.start)))
+
 
 @frozen
 class DrawnRecord:

@@ -5,6 +5,7 @@ Begin with `read_study`.
 
 import csv
 import io
+import math
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -17,6 +18,7 @@ import numpy as np
 
 from greybox.data.pandas_frames import Frame
 from greybox.files.arrays import Fields, Labels, Strings, frozen, unique
+from greybox.files.escapes import csv_cell, in_sentences, latex_text, sentence, terminal_text
 from greybox.files.grouping import grouped
 from greybox.files.optional_package import required
 from greybox.files.text_table import (
@@ -24,13 +26,12 @@ from greybox.files.text_table import (
     counted,
     number,
     one_line,
-    printable,
     some,
     text_table,
     with_error,
 )
 from greybox.modeling.model import require_known
-from greybox.study.latex import latex_number, latex_symbol, latex_table, latex_text
+from greybox.study.latex import latex_number, latex_symbol, latex_table
 from greybox.study.ranking import ranking
 from greybox.study.store import FACTORS, Status, StudyMember, read_members
 from greybox.validation.comparison import Comparison
@@ -47,9 +48,8 @@ class Study(Printed):
         for member in self.members:
             if member.name == name:
                 return member
-        raise KeyError(
-            f"the study has no member {name!r}; it has {', '.join(m.name for m in self.members)}."
-        )
+        names = ", ".join(member.name for member in self.members)
+        raise KeyError(sentence(f"the study has no member {name!r}; it has {names}."))
 
     def count(self, status: Status) -> int:
         """Return the number of members with this status."""
@@ -118,9 +118,10 @@ class Study(Printed):
         """Return the rows of `to_pandas` as comma-separated values."""
         text = io.StringIO()
         rows = self.table
-        writer = csv.DictWriter(text, unique(name for row in rows for name in row))
-        writer.writeheader()
-        writer.writerows(rows)
+        names = unique(name for row in rows for name in row)
+        writer = csv.writer(text)
+        writer.writerow(map(csv_cell, names))
+        writer.writerows(map(csv_cell, map(row.get, names)) for row in rows)
         return text.getvalue()
 
     def to_latex(self) -> str:
@@ -163,8 +164,8 @@ class Study(Printed):
         words = [_differences([m.factors.get(factor, "") for m in self.done]) for factor in by]
         for place, member in enumerate(self.done):
             combination = ": ".join(filter(None, (texts[place] for texts in words)))
-            key = (combination, *(str(member.answer[name]) for name in ALIKE))
-            if member.answer["cost"] <= best.get(key, member).answer["cost"]:
+            key = (combination, *(str(member.answer.get(name)) for name in ALIKE))
+            if _cost(member) <= _cost(best.get(key, member)):
                 best[key] = member
         named = [(name, m.factors["data"], m) for (name, *_), m in best.items() if name]
         # A fit is read when its turn comes: those of a large study do not fit into memory.
@@ -201,11 +202,12 @@ class Study(Printed):
         return f"{counted(len(self.members), 'member')}: {', '.join(counts) or 'none'}"
 
     def __str__(self) -> str:
-        title = f"Study {printable(str(self.folder))}, {self.state}"
+        title = f"Study {self.folder}, {self.state}"
         blocks = [title, _overview(self.members), *map(_estimates, _alike(self.done))]
-        return "\n\n".join(filter(None, [*blocks, self.failures]))
+        return terminal_text("\n\n".join(filter(None, [*blocks, self.failures])))
 
 
+@in_sentences
 def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
     """Read a study, also while it runs; `models` of one's own are given as in `greybox.load`.
 
@@ -218,20 +220,14 @@ def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
     """
     members = tuple(replace(member, models=models) for member in read_members(Path(folder)))
     for member in members:
-        # Do now what printing will do: a damaged answer must be refused when it is read.
-        try:
-            _overview([member])
-            if member.status == "done":
-                list(_cells(member, shown))
-                answer = member.answer
-                labels = (answer[name] for name in ("criterion", "rule", "checksum"))
-                "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
-        except (LookupError, TypeError, ValueError, AttributeError):
-            raise ValueError(
-                f"the answer of {member.name!r} in {member.folder} is damaged: restore the folder, "
-                "or begin another study."
-            ) from None
+        len(member.answer)  # a damaged answer must be refused when it is read
     return Study(Path(folder), members)
+
+
+def _cost(member: StudyMember) -> float:
+    """Return the cost of a member, infinite if it is not known."""
+    cost = member.answer["cost"]
+    return math.inf if cost is None else cost
 
 
 def progress(study: Study) -> str:
@@ -314,7 +310,7 @@ def _latex(members: Sequence[StudyMember]) -> str:
         for label, member in zip(labels, members, strict=True)
     ]
     table = latex_table([*map(latex_text, labels[0]), *symbols], rows, len(labels[0]))
-    return f"% {'; '.join(models)}\n{table}"
+    return f"% {latex_text('; '.join(models))}\n{table}"
 
 
 def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:

@@ -192,12 +192,15 @@ def nested_test_at(
 
     removed = count_unknowns(large) - count_unknowns(small)
     ratio = _likelihood_ratio(small, large, labels)
+    # If all terms ended there, the models are the same, and the ratio is rounding. Its sign must
+    # not decide: at zero, the probability jumps from one to a half.
+    gained = max(ratio, 0.0) if rows else 0.0
     scale = 1.0
     if all(_estimates_variance(part) for part in large.parts):
         # The variance is estimated: the ratio is n log(1 + x) of the relative decrease x of the
         # squares, for which F is x (n - p) / r.
         numbers = sum(part.compared_numbers for part in large.parts)
-        statistic = math.expm1(max(ratio, 0.0) / numbers) * dof / removed
+        statistic = math.expm1(gained / numbers) * dof / removed
     else:
         if rows:
             white = large.white[np.ix_(rows, rows)]
@@ -206,7 +209,7 @@ def nested_test_at(
             # Where a misfit counts as noise, the noise of the responses that lack another term is
             # so large that no term of theirs would be found: errors count as equal.
             scale = 1.0 if is_likelihood(large) or math.isinf(dof) else 2 * large.cost / dof
-        statistic = max(ratio, 0.0) / (scale * removed)
+        statistic = gained / (scale * removed)
     p_value = f_tail(statistic, removed, dof, on_bound=bool(on_bound))
     return NestedTest(*labels, tuple(values), ratio, scale, statistic, (removed, dof), p_value)
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import sqlite3
@@ -14,7 +15,7 @@ import pytest
 
 from greybox.cli.main import main
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.store import StoredRuns
+from greybox.study.store import StoredRuns, locked
 
 STUDY = """
 starts = 4
@@ -207,13 +208,15 @@ def test_ctrl_c_and_sigterm_say_how_to_go_on(study, capsys, monkeypatch, number)
 
 def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
     study.write_text(TWO_SEEDS)
-    status, result, message = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    out = "erste Größe"
+    status, result, message = answer(capsys, "batch", study, "--out", out, "--seconds", 1e-6)
     assert status == 1
     assert [member["status"] for member in result["members"]] == ["unfinished"] * 2
     assert result["error"].startswith("2 of 2 members have no answer: ")
-    assert result["error"].endswith("; `greybox batch --resume out` continues.")
+    following = result["error"].split("`")[1]
+    assert shlex.split(following) == ["greybox", "batch", "--resume", out]
     assert "greybox: 2 of 2 members" in message
-    status, result, _ = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e6)
+    status, result, _ = answer(capsys, "batch", study, "--out", out, "--seconds", 1e6)
     assert status == 0
     assert all(member["status"] == "done" and member["runs"] == 12 for member in result["members"])
 
@@ -243,6 +246,21 @@ def test_a_batch_that_ends_says_how_it_goes_on(study, capsys, monkeypatch, error
     study.write_text('[[member]]\nproblem = "rotors"\n')
     got, found, _ = answer(capsys, "batch", study, "--out", "out")
     assert (got, found["error"]) == (status, said)
+
+
+def test_the_status_tells_a_study_that_runs_from_one_that_ended(study, capsys):
+    study.write_text(TWO_SEEDS)
+    answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    with locked(Path("out")):
+        status, result, _ = answer(capsys, "batch", "--status", "out")
+        assert (status, result["running"]) == (0, True)
+        assert main(["batch", "--status", "out"]) == 0
+        assert "a process is working on it now" in capsys.readouterr().out
+    status, result, _ = answer(capsys, "batch", "--status", "out")
+    assert (status, result["running"]) == (0, False)
+    assert main(["batch", "--status", "out"]) == 0
+    shown = capsys.readouterr().out
+    assert "no process is working on it: `greybox batch --resume out` continues" in shown
 
 
 def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys):
@@ -320,3 +338,73 @@ def test_too_many_starts_of_a_member_do_not_stop_the_rest(study, capsys):
     failures = {m["name"]: m["error"] for m in found["members"] if m["status"] == "failed"}
     assert len(failures) == len(found["members"]) / 2
     assert all("give at most" in error for error in failures.values())
+
+
+@pytest.fixture
+def of_another_user(study, capsys, monkeypatch, tmp_path):
+    """The folder of a study that another user began."""
+    study.write_text(TWO_SEEDS)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "theirs"))
+    answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "mine"))
+    sys.modules.pop("mine", None)
+    shutil.rmtree(study.parent)
+    return Path("out")
+
+
+def test_python_files_of_another_user_run_only_with_trust(of_another_user, capsys):
+    folder = of_another_user
+    model = folder / "inputs" / "mine.py"
+    model.write_text(f"open('executed', 'w').close()\n{model.read_text()}")
+    status, result, _ = answer(capsys, "batch", "--resume", folder)
+    assert status == 2
+    assert "inputs has files that your greybox batch has not put there" in result["error"]
+    assert "--trust" in result["error"]
+    assert not Path("executed").exists()
+    status, result, _ = answer(capsys, "batch", "--resume", folder, "--trust")
+    assert status == 0
+    assert Path("executed").exists()
+    sys.modules.pop("mine", None)
+    assert answer(capsys, "batch", "--resume", folder)[0] == 0  # one's own now
+
+
+def test_nothing_in_a_folder_runs_that_was_put_there_later(study, capsys):
+    study.write_text(TWO_SEEDS)
+    answer(capsys, "batch", study, "--out", "out")
+    for name in ("numpy.py", "mine.py"):
+        path = Path("out/inputs") / name
+        before = path.read_text() if path.exists() else None
+        path.write_text(f"open('executed', 'w').close()\n{before or ''}")
+        status, result, _ = answer(capsys, "batch", "--resume", "out")
+        assert status == 2
+        assert "has files that" in result["error"]
+        path.unlink() if before is None else path.write_text(before)
+    sys.modules.pop("mine", None)
+    assert answer(capsys, "batch", "--resume", "out")[0] == 0
+    assert not Path("executed").exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "[1, 2, 3]", '["../../mine.py", null, ""]', '["/mine.py", null, ""]', "[[["]
+)
+def test_a_study_file_elsewhere_is_not_run(study, capsys, text):
+    study.write_text(TWO_SEEDS)
+    answer(capsys, "batch", study, "--out", "out", "--seconds", 1e-6)
+    Path("out/inputs/study.json").write_text(text)
+    for words in ((), ("--trust",)):
+        status, result, _ = answer(capsys, "batch", "--resume", "out", *words)
+        assert status == 2
+        assert "study.json is damaged" in result["error"]
+
+
+def test_a_link_among_the_copies_leads_nowhere(study, capsys, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "study.toml").write_text("precious")
+    Path("out").mkdir()
+    Path("out/inputs").symlink_to(outside)
+    study.write_text(TWO_SEEDS)
+    status, result, _ = answer(capsys, "batch", study, "--out", "out")
+    assert status == 2
+    assert "is a link" in result["error"]
+    assert {p.name: p.read_text() for p in outside.iterdir()} == {"study.toml": "precious"}

@@ -1,6 +1,7 @@
 """`greybox identify`: from a log to a model."""
 
 import json
+import shlex
 from importlib.resources import files
 
 import pytest
@@ -43,7 +44,8 @@ def test_response_fit_and_figure_are_written(capsys, tmp_path, monkeypatch):
     omega = answer["measurements"][0]["omega"]
     assert gb.read_response("sitl_pitch_response.csv").omega == pytest.approx(omega)
     assert gb.load("sitl_pitch_fit.h5").estimate == pytest.approx(answer["fit"]["estimate"])
-    assert answer["next"][-1] == f"greybox margins sitl_pitch_fit.h5 --log {LOG}"
+    following = shlex.join(["greybox", "margins", "sitl_pitch_fit.h5", "--log", LOG])
+    assert answer["next"][-1] == following
 
     status, _, err = run(capsys, "identify", LOG)
     assert status == 2
@@ -95,7 +97,8 @@ def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
 
 
 def test_inspect_ends_with_the_command_to_type_next(capsys):
-    assert run(capsys, "inspect", LOG)[1].endswith(f"next: greybox identify {LOG}\n")
+    following = shlex.join(["greybox", "identify", LOG])
+    assert run(capsys, "inspect", LOG)[1].endswith(f"next: {following}\n")
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 from argparse import Namespace
 from importlib.resources import files
 
@@ -22,7 +23,8 @@ def test_inspect_says_what_a_log_holds(capsys, tmp_path):
         capsys, "inspect", LOG, "--announced", "SINE", "--plot", tmp_path / "log.png"
     )
     assert status == 0
-    assert out.splitlines()[-1] == f"next: greybox identify {LOG} --announced SINE"
+    following = shlex.join(["greybox", "identify", LOG, "--announced", "SINE"])
+    assert out.splitlines()[-1] == f"next: {following}"
     for words in (
         "ArduCopter",
         "modes GUIDED from",
@@ -54,7 +56,8 @@ def test_the_next_command_for_a_table_names_what_it_needs(capsys, tmp_path):
     rows = "\n".join(f"{t},{math.sin(3 * t)},{math.cos(3 * t)}" for t in time)
     (tmp_path / "flight.csv").write_text(f"time,r,y\n{rows}\n")
     out = run(capsys, "inspect", tmp_path / "flight.csv")[1]
-    expected = f"next: greybox response {tmp_path / 'flight.csv'} --input SIGNAL --output SIGNAL"
+    path = shlex.quote(str(tmp_path / "flight.csv"))
+    expected = f"next: greybox response {path} --input SIGNAL --output SIGNAL"
     assert out.splitlines()[-1] == expected
 
 

@@ -1,6 +1,7 @@
 """Files to start from run as they are, and find the numbers that they were made with."""
 
 import json
+import shlex
 import sys
 
 import pytest
@@ -15,6 +16,12 @@ def folder(tmp_path, monkeypatch):
     yield tmp_path
     for name in ("fresh_problem_0", "fresh_problem_1"):
         sys.modules.pop(name, None)
+
+
+def test_the_next_command_is_one_that_a_shell_reads(capsys, folder):
+    (folder / "erste Größe").mkdir()
+    said = json.loads(run(capsys, "new", "erste Größe/lag.py", "--json")[1])
+    assert shlex.split(said["next"][0]) == ["greybox", "fit", "erste Größe/lag.py"]
 
 
 @pytest.mark.parametrize("kind", TRUTH)

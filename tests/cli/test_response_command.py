@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 from argparse import Namespace
 from importlib.resources import files
 
@@ -316,12 +317,11 @@ def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
     fitted = run(capsys, *fit, "--input", "da", "--output", "p", "--starts", "4", "--json")
     assert json.loads(fitted[1])["estimate"]["T_rotor"] == pytest.approx(0.5, rel=0.02)
     assert "--period of the multisines" in refused(capsys, *command[:7])
-    out = tmp_path / "again.csv"
-    _, said, _ = run(capsys, *command, "--out", out)
-    assert said.splitlines()[-2:] == [
-        f"saved {out}",
-        f"  fit one: greybox fit --model MODEL --data {out} --input da --output p",
-    ]
+    out = tmp_path / "zweite Größe.csv"
+    saved, following = run(capsys, *command, "--out", out)[1].splitlines()[-2:]
+    assert saved == f"saved {out}"
+    words = shlex.split(following.removeprefix("  fit one: greybox "))
+    assert words == [*fit[:2], "MODEL", "--data", str(out), "--input", "da", "--output", "p"]
     assert "end it in .csv" in refused(capsys, *command, "--out", tmp_path / "matrix.h5")
     assert "there are 1 excitations for 2 inputs" in refused(capsys, *command[:-1])
 

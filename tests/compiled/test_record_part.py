@@ -450,9 +450,9 @@ def test_information_is_that_of_a_regression_on_parameters_and_initial_states(in
         * measured.sum()
         / found.numbers
     )
-    one, spread = found.spread(1.3)
+    one, root = found.spread(1.3)
     assert one == 1
-    assert_allclose(spread[:p, :p], 1.69 * meat, **close)
+    assert_allclose((root.T @ root)[:p, :p], 1.69 * meat, **close)
 
 
 def test_initial_states_follow_the_parameters_that_are_told_apart_by_what_is_left(informed):

@@ -143,11 +143,12 @@ def test_what_a_likelihood_says_contains_the_errors_that_points_have_in_common()
     ratio = np.mean(np.abs(measured - model) ** 2 / variance)
     assert part.noise_ratio(trajectory) == pytest.approx(ratio)
     for correction in (1.0, 1.5):
-        bread, meat = found.spread(correction)
+        bread, root = found.spread(correction)
         assert bread == 2
         own = 2 * max(ratio * correction**2, 1) * (1 - (np.abs(common) ** 2).sum(axis=0) / variance)
         moved = 2 * J.T @ stacked(common.T / turned[:, None])
-        assert_allclose(meat, J.T @ (np.tile(own, 2)[:, None] * J) + moved @ moved.T, rtol=1e-9)
+        meat = J.T @ (np.tile(own, 2)[:, None] * J) + moved @ moved.T
+        assert_allclose(root.T @ root, meat, rtol=1e-9)
     assert not found.offset(1.0).any()
 
 
@@ -158,10 +159,10 @@ def test_relative_errors_have_a_bias_along_the_response_and_no_errors_in_common_
     bias = part.criterion.gain_bias(part.criterion.noise(model, part.data, 1.2), 4)
     assert bias < 0
     assert_allclose(found.offset(1.2), bias * stacked(model / turned), rtol=1e-9, atol=1e-15)
-    bread, meat = found.spread(1.2)
+    bread, root = found.spread(1.2)
     given, size = part.criterion.spread(model, part.data, 1.2)
     assert bread == given
-    assert_allclose(meat, found.jacobian.T @ (size[:, None] * found.jacobian))
+    assert_allclose(root.T @ root, found.jacobian.T @ (size[:, None] * found.jacobian))
 
 
 @pytest.mark.parametrize(

@@ -34,9 +34,9 @@ VALUES = np.array([2.0, 0.13, 0.5, 0.25, -0.2, 0.3, 0.7])
 
 
 def made(held=(False, False), outputs=("y", "z")):
-    criterion = gb.PredictionError(biases=["u", "w", "z"])
+    biases = ("u", "w", "z")
     system = dynamics(Chain()).observed(outputs)
-    return sample_step(system, held, criterion, NAMES, gb.RungeKutta(), 4)
+    return sample_step(system, held, NAMES, gb.RungeKutta(), 4, biases=biases, corrects_states=True)
 
 
 def data(y=1.5, z=-0.4, present=(1, 1)):

@@ -18,8 +18,7 @@ def made():
     """The step, the initial states, the parameters and the data of every sample."""
     model = Spring()
     system = dynamics(model)
-    criterion = gb.OutputError()
-    step = sample_step(system, [False], criterion, tuple(model.parameters), gb.RungeKutta(), 2)
+    step = sample_step(system, [False], tuple(model.parameters), gb.RungeKutta(), 2)
     random = np.random.default_rng(0)
     q = np.array([p.start for p in model.parameters.values()])
     rows = np.zeros((step.width, COUNT * LENGTH))
@@ -109,7 +108,7 @@ def test_a_guarded_root_below_zero_leaves_the_solver_exact_derivatives():
             return (x.h,)
 
     system = dynamics(Drained())
-    step = sample_step(system, [False], gb.OutputError(), ("k",), gb.RungeKutta(), 1)
+    step = sample_step(system, [False], ("k",), gb.RungeKutta(), 1)
     segments = Segments(step, 1, LENGTH, np.array([0]))
     rows = np.zeros((step.width, LENGTH))
     rows[-1] = 0.05
@@ -139,7 +138,7 @@ def test_sensitivities_of_outputs_below_a_guarded_root_are_those_of_the_step(own
             return (x.h, p.k * gb.sqrt(gb.maximum(x.h, 0)))
 
     system = dynamics(Tank())
-    step = sample_step(system, [False], gb.OutputError(), ("k", "b"), gb.RungeKutta(), 1)
+    step = sample_step(system, [False], ("k", "b"), gb.RungeKutta(), 1)
     rows = np.zeros((step.width, 2 * 12))
     rows[-1] = 0.05
     low, k, b = -0.33, 1.3, 0.9  # from below zero, and from above; both end above

@@ -46,11 +46,11 @@ class Rod(gb.StateSpace):
 def test_derivatives_are_differences(own):
     model = Rod()
     system = dynamics(model)
-    criterion = gb.PredictionError(corrected=("T0",))
     names = (*model.parameters, "K_T0_hot", "K_T0_cold")
     # The finer steps share what was built for the coarse ones.
     coarse, step = (
-        sample_step(system, [False], criterion, names, gb.RungeKutta(), n) for n in (4, 9)
+        sample_step(system, [False], names, gb.RungeKutta(), n, corrects_states=True)
+        for n in (4, 9)
     )
     assert coarse.repeats
     assert step.repeats

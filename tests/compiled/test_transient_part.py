@@ -164,9 +164,9 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
         information * factor * factor[:, None], wanted, rtol=1e-4, atol=1e-6 * np.abs(wanted).max()
     )
     assert found.numbers == part.numbers - len(part.states)
-    one, meat = found.spread(2.0)
+    one, root = found.spread(2.0)
     assert one == 1
-    assert_allclose(meat, information)
+    assert_allclose(root.T @ root, information)
 
 
 def test_the_spread_follows_the_size_of_the_errors_over_the_band(made, equation_error):

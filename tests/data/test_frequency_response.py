@@ -259,3 +259,13 @@ def test_numbers_whose_squares_are_beyond_arithmetic_are_refused(column, value):
         ValueError, match=rf"^{column} is .* at index 1: squares of such numbers are beyond"
     ):
         gb.FrequencyResponse(**columns)
+
+
+@pytest.mark.parametrize("name", ["omega", "response"])
+@pytest.mark.parametrize("values", [None, np.array([1, "a", None], dtype=object)])
+def test_what_is_no_array_of_numbers_is_refused_in_a_sentence(name, values):
+    columns = {"omega": [1.0, 2, 3], "response": [1.0, 2j, 3]}
+    with pytest.raises(ValueError, match=f"{name} must be a one-dimensional array of numbers"):
+        gb.FrequencyResponse(**columns | {name: values})
+    with pytest.raises(ValueError, match="omega must be"):
+        gb.FrequencyResponse(None, None)

@@ -355,3 +355,11 @@ def test_a_sensor_beyond_the_range_of_arithmetic_is_a_finding():
     for large in (1e150, np.inf):
         assert "x has values beyond 1e75" in Record([0, 1], {"x": [1, large]}).findings[0]
     assert not Record([0, 1], {"x": [1, np.nan]}).findings
+
+
+@pytest.mark.parametrize("step", [5e-324, 1e-310, 1e-300, 1e-80, 1e80])
+def test_steps_beyond_arithmetic_are_refused(step):
+    # Their squares are zero or infinite: every matrix of a fit would be singular.
+    with pytest.raises(ValueError, match=r"time has a step of .*: give times in s"):
+        Record(np.arange(4) * step, {"x": np.ones(4)})
+    assert len(Record(np.arange(4) * 1e-9, {"x": np.ones(4)})) == 4

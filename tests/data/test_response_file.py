@@ -199,3 +199,16 @@ def test_columns_may_be_named_by_their_roles(tmp_path):
     path.write_text("f [Hz],in [dB],out [dB],phase [deg]\n1,20,0,-90\n")
     with pytest.raises(ValueError, match="it has f, in, out, phase"):
         gb.read_response(path)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("cell", ["inf", "-inf", "nan"])
+def test_numbers_beyond_arithmetic_are_refused_without_a_warning(tmp_path, cell):
+    path = tmp_path / "a.csv"
+    lines = [f"1,2,{cell},.5,1", "2,3,1,.5,1", "3,1,1,.9,1", ""]
+    path.write_text("\n".join(["omega_rad_s,alpha,beta,alpha_common1,beta_common1", *lines]))
+    with pytest.raises(ValueError, match=r"a\.csv"):
+        gb.read_response(path)
+    path.write_text(path.read_text().replace(f",{cell},.5,1", f",1,.5,{cell}"))
+    with pytest.raises(ValueError, match=r"common|variance"):
+        gb.read_response(path)

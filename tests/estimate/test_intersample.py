@@ -181,6 +181,19 @@ def test_a_fit_divides_the_hold_out_of_a_response():
     assert_allclose(delays, [0.01, 0.035, 0.035], atol=1e-3)
 
 
+def test_an_unstated_hold_of_a_response_is_said_with_what_it_does_to_delays(tmp_path):
+    """Half a sample of 50 ms, as above; also in a file. A stated hold needs no word."""
+    unstated = late_lag({"y": 0.0})
+    gb.data.write_response(unstated, tmp_path / "unstated.csv")
+    for data in (unstated, gb.read_response(tmp_path / "unstated.csv")):
+        fit = gb.fit(gb.Problem(LateLag(), data), starts=1, progress=False)
+        sentence = "of u not stated; if the input is held between its samples, delays are 25 ms"
+        assert sentence in str(fit)
+    for hold in ({"u": math.inf}, {"u": 0.0}, {"u": math.inf, "y": math.inf}):
+        fit = gb.fit(gb.Problem(LateLag(), late_lag(hold)), starts=1, progress=False)
+        assert "not stated" not in str(fit)
+
+
 class Roll(gb.TransferFunction):
     """Roll rate from an aileron without a lag."""
 

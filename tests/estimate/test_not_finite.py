@@ -208,3 +208,26 @@ def test_the_time_is_that_of_the_record_also_after_a_gap():
 def test_a_solver_that_meets_an_invalid_number_has_the_same_reason():
     found = fit(gb.Problem(Logarithm(), record("y")), method=gb.SingleShooting())
     assert "the output y is not finite at 7 s" in found.warnings[0]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("starts", [4, [{}]])
+def test_bounds_as_wide_as_numbers_raise_no_warning_of_numpy(starts):
+    wide = {"bounds": (-1e300, 1e300)}
+    random = np.random.default_rng(0)
+    u = random.normal(size=30).repeat(3)
+    record = gb.Record(np.arange(90) * 0.1, {"u": u, "y": random.normal(size=90)})
+
+    class Wide(gb.StateSpace):
+        states = outputs = ("y",)
+        inputs = ("u",)
+        g = gb.Parameter(3.0, **wide)
+        tau = gb.Parameter(0.4, **wide, unit="s")
+
+        def derivative(self, x, u, p):
+            return ((p.g * u.u - x.y) / p.tau,)
+
+        def output(self, x, u, p):
+            return (x.y,)
+
+    assert gb.fit(gb.Problem(Wide(), record), starts=starts, progress=False).status

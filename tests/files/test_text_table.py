@@ -2,16 +2,15 @@ import math
 
 import pytest
 
+from greybox.files.escapes import is_number, printable
 from greybox.files.text_table import (
     alternatives,
     counted,
     in_greek,
-    is_number,
     listed,
     nearest,
     number,
     one_line,
-    printable,
     some,
     text_table,
     with_error,

@@ -14,7 +14,8 @@ def gains(data, normalized, power):
     factor = 1 / data if normalized == "measured" else data
     gain = np.ones(len(data), dtype=complex)
     for _ in range(30):
-        weight = np.abs(gain[:, None] * factor - 1) ** (power - 2)
+        # The minimum of a sum of absolute values may lie on a point, where the weight is infinite.
+        weight = np.maximum(np.abs(gain[:, None] * factor - 1), 1e-12) ** (power - 2)
         gain = (weight * factor.conj()).sum(axis=1) / (weight * np.abs(factor) ** 2).sum(axis=1)
     return gain if normalized == "measured" else 1 / gain
 

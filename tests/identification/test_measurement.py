@@ -20,6 +20,10 @@ from greybox.identification.measurement import (
 
 PAIR = {"input": "u=IN.u", "output": "y=OUT.y"}
 TIME = np.arange(0, 60, 0.04)
+UNSTATED = (
+    "hold of the input: not stated; if the input is held between its samples, delays are 20 ms too "
+    "long."
+)
 INSIDE = (TIME >= 5) & (TIME < 55)
 SWEEP = np.where(INSIDE, chirp(TIME - 5, 0.2, 50, 4, method="logarithmic", phi=-90), 0)
 
@@ -60,15 +64,19 @@ def test_the_whole_of_an_open_loop_is_measured_directly(swept):
         "sampling": "20 Hz",
         "estimate": "spectral, direct",
         "band": "2 to 12 rad/s",
+        "hold of the input not stated; sampling interval, s": "0.05",
     }
     direct = "direct estimate; in a closed loop, give the injected signal for the joint estimate, instrument=..."
-    assert found.choices == (f"open loop (the log shows no controller): {direct}",)
+    assert found.choices == (
+        f"open loop (the log shows no controller): {direct}",
+        UNSTATED.replace("20 ms", "25 ms"),
+    )
     assert (found.tests, found.used, found.controller) == ((), (), "")
     assert found.detail == str(replace(response, about={}))
-    assert str(found) == "\n\n".join([*found.choices, found.detail, str(found.quality)])
+    assert str(found) == "\n\n".join(["\n".join(found.choices), found.detail, str(found.quality)])
     assert repr(found).startswith("<Measurement <FrequencyResponse ")
     said = measure(swept, Settings(**PAIR, whole=True, open_loop=True, points=12))
-    assert said.choices == (f"open loop, as stated: {direct}",)
+    assert said.choices[0] == f"open loop, as stated: {direct}"
     same = gb.spectral.spectral_response(said.record, "u", "y", points=12)
     np.testing.assert_array_equal(said.response.omega, same.omega)
 
@@ -91,6 +99,7 @@ def test_sweeps_of_a_setpoint_are_found_and_are_the_instrument(swept):
     assert found.choices == (
         "closed loop (IN.w is in the log): joint input-output estimate with the instrument IN.w. "
         f"{FEEDBACK}.",
+        UNSTATED,
     )
 
 
@@ -105,7 +114,7 @@ def test_a_stated_instrument_and_units_are_said(swept):
     )
     assert found.signals == {"u": "IN.u", "y": "OUT.y", "instrument": "IN.w"}
     assert found.response.about["converted"] == "u from deg to rad, y from % to 1"
-    assert found.choices[-1] == "converted: u from deg to rad, y from % to 1."
+    assert found.choices[-2] == "converted: u from deg to rad, y from % to 1."
     assert found.choices[0].startswith(
         "open loop (the log shows no controller): joint input-output estimate with the instrument IN.w. In a loop"
     )
@@ -128,6 +137,7 @@ def test_multisines_are_averaged_over_their_periods(instrument):
     assert found.choices == (
         "open loop (the log shows no controller): averages over whole periods: the more periods, the less bias by "
         "feedback.",
+        UNSTATED,
     )
 
 
@@ -261,6 +271,7 @@ def test_sines_are_measured_one_by_one():
     assert found.choices == (
         "open loop (the log shows no controller): amplitudes at the frequency of the excitation, whose ratio "
         "feedback does not bias.",
+        UNSTATED,
     )
     with pytest.raises(
         ValueError,

@@ -79,16 +79,23 @@ def test_measured_points_lie_on_the_loop_in_the_turn_of_the_critical_point(fit):
     np.testing.assert_allclose(points.y - points.low, radius)
 
 
-def test_allowed_gains_todays_and_the_best_are_drawn(fit):
+def test_allowed_gains_todays_and_the_proposed_ones_are_drawn(fit):
     safe = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)})
+    names = [series.name for series in gains_figure(safe).panels[0].series]
+    assert "today" in names
+    assert "proposed" not in names  # the best allowed one amplifies noise
+    assert safe.comparison
+    as_good = replace(safe.comparison, changes=())
+    safe = replace(safe, comparison=as_good)
     confidence, _, today, best = gains_figure(safe).panels[0].series
     assert np.array_equal(confidence.y, safe.confidence, equal_nan=True)
     assert (today.x[0], best.x[0]) == (0.05, safe.best["K_P"])
     assert gb.plotting.gains(safe).size == 1
     # A second gain from zero, of which all values are as good.
     two, today = safe.values | {"K_D": np.linspace(0, 1, 3)}, safe.today | {"K_D": 0.5}
+    both = replace(as_good, gains=safe.best | {"K_D": 0.0})
     tables = {name: np.stack([getattr(safe, name)] * 3, 1) for name in ("confidence", "bandwidth")}
-    figure = gains_figure(replace(safe, values=two, today=today, **tables))
+    figure = gains_figure(replace(safe, values=two, today=today, comparison=both, **tables))
     refused, allowed, *marks = figure.panels[0].series
     assert allowed.x.size == 3 * safe.allowed.sum() == 3 * safe.allowed.size - refused.x.size
     assert [mark.y[0] for mark in marks] == [0.5, 0.0]

@@ -38,7 +38,7 @@ from greybox.solve.executors import (
     run_all,
     run_starts,
 )
-from greybox.solve.local_solver import LocalSolver
+from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.runs import Memory, Outcome
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
@@ -501,13 +501,11 @@ def test_a_worker_keeps_the_last_four_solvers():
     assert serve("b") == "abcdecd"
 
 
-class Threads:
+class Threads(Runner):
     """A solver whose outcomes are the numbers of threads for matrix products."""
 
-    together = 1
-
-    def run_together(self, starts):
-        return [max(library["num_threads"] for library in threadpool_info()) for _ in starts]
+    def run(self, start):
+        return max(library["num_threads"] for library in threadpool_info())
 
 
 def test_a_worker_leaves_matrix_products_to_one_thread():

@@ -37,7 +37,9 @@ def test_the_certified_values_and_errors_are_found_from_the_certified_starts(nam
     # Nine are right; without polishing, four to eight.
     assert digits(fit.estimate, case.values) > 8
     if name not in ROUNDING:
-        assert digits(fit.standard_error, case.errors) > 7
+        # Nine are right on every processor. With a root of the information but not of the meat,
+        # seven for Bennett5: two columns are collinear to 2e-5, and a square has half of the digits.
+        assert digits(fit.standard_error, case.errors) > 8
         assert fit.dof == pytest.approx(len(case.problem.data) - len(case.values))
 
 

@@ -316,8 +316,9 @@ def test_a_search_that_there_is_not():
 def test_the_limits_of_iterations_and_the_tolerance_are_options():
     cut = gb.fit(NOISY, 12, solver_options={"max_iter": 3}, progress=False)
     assert not cut.converged
+    # 393 and 406 iterations on every processor; with 1e-10, rounding makes 427 to 459 of them.
     loose, tight = (
-        gb.fit(NOISY, 12, solver_options={"tol": tol}, progress=False) for tol in (1e-3, 1e-10)
+        gb.fit(NOISY, 12, solver_options={"tol": tol}, progress=False) for tol in (1e-3, 1e-6)
     )
     spent = [sum(run.iterations for run in fit.runs) for fit in (loose, tight)]
     assert spent[0] < spent[1]

@@ -41,14 +41,15 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
     )
     assert list(found.stretches) == [origin, origin, origin]
     assert dict(found.units) == {"u": "N"}
-    assert found.about == {
+    unstated = {"hold of the input not stated; sampling interval, s": "0.1"}
+    assert found.about == unstated | {
         "dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"
     }
     one = response_at(points("", "weak"), stretches, "u", "y", "")
-    assert one.about == {
+    assert one.about == unstated | {
         "dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"
     }
-    assert response_at(points("", "lost"), stretches, "u", "y", "").about == {}
+    assert response_at(points("", "lost"), stretches, "u", "y", "").about == unstated
     with pytest.raises(ValueError, match="the instrument hardly moves u"):
         response_at(points("weak", "lost"), [], "u", "y", "")
     with pytest.raises(ValueError, match="no frequency has enough data"):

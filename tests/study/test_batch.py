@@ -22,6 +22,7 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
+from greybox.study.running import is_running
 from greybox.study.store import StoredRuns, locked, read_members
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
@@ -338,6 +339,8 @@ def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path, monkeypatc
             with pytest.raises(BlockingIOError, match="another process is writing to"):
                 gb.batch(members(), folder, progress=False)
         assert len(gb.study.read_study(folder).members) == 3  # reading is free
+        assert is_running(folder)
+    assert is_running(folder) is False  # killed, it could not say so
     with at_work(tmp_path, folder, workers=True):
         pass
     study = gb.batch(members(), folder, progress=False)

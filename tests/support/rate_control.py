@@ -1,4 +1,4 @@
-"""An angular rate and its controller: plants of the tests of loops."""
+"""An angular rate and its controllers: plants of the tests of loops."""
 
 import greybox as gb
 
@@ -28,3 +28,19 @@ class RateLoop(gb.Controller):
     def update(self, x, u, p):
         error = u.reference - u.q
         return (x.integral + error / self.rate,), (p.K_P * error + p.K_I * x.integral,)
+
+
+class RateLoopWithD(gb.Controller):
+    """The same with a filtered derivative, of which there is more than is good."""
+
+    states, inputs, outputs, rate = ("integral", "error", "derivative"), ("q",), ("u",), RATE
+    K_P = gb.Parameter(0.15, bounds=(0, 10))
+    K_I = gb.Parameter(0.3, bounds=(0, 10))
+    K_D = gb.Parameter(0.012, bounds=(0, 1))
+
+    def update(self, x, u, p):
+        error = u.reference - u.q
+        slope = (error - x.error) * self.rate
+        derivative = x.derivative + (slope - x.derivative) / 3
+        total = p.K_P * error + p.K_I * x.integral + p.K_D * derivative
+        return (x.integral + error / self.rate, error, derivative), (total,)

@@ -30,8 +30,9 @@ from typing import NamedTuple
 
 from greybox.data.record import Recording
 from greybox.files.arrays import NamedStrings, Strings
+from greybox.files.escapes import in_sentences
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import is_finite_number, printable
+from greybox.files.text_table import is_finite_number
 from greybox.logs.named_columns import in_si
 
 HEAD = 4096  # bytes by which a format is recognized
@@ -93,6 +94,7 @@ FORMATS = (
 )
 
 
+@in_sentences
 def read(
     path: str | Path,
     messages: Collection[str] | None = None,
@@ -147,16 +149,13 @@ def read(
         table_options = {"stated": columns, "rate": rate}
     else:
         raise ValueError(f"{path} is a log ({kind.about}): columns and rate are those of a table.")
-    try:
-        log = reader.read(path, names, **table_options)
-        if not columns:
-            return log
-        # The readers of tables refuse more than one when columns are named.
-        ((name, record),) = log.items()
-        signals = [key for key in columns if key in record.signals]
-        return replace(log, records={name: in_si(record, signals)})
-    except ValueError as error:
-        raise ValueError(printable(str(error))) from None  # it may quote the file
+    log = reader.read(path, names, **table_options)
+    if not columns:
+        return log
+    # The readers of tables refuse more than one when columns are named.
+    ((name, record),) = log.items()
+    signals = [key for key in columns if key in record.signals]
+    return replace(log, records={name: in_si(record, signals)})
 
 
 def _format(path: Path) -> Format:

@@ -24,8 +24,9 @@ from greybox.files.delimited_text import (
     numbered,
     read_delimited,
 )
+from greybox.files.escapes import printable
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, printable, some
+from greybox.files.text_table import counted, some
 from greybox.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.logs.readers.messages import MessageNames
 from greybox.logs.readers.named_arrays import recording

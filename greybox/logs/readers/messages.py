@@ -188,5 +188,7 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         # A record copies arrays that could still be changed.
         values.setflags(write=False)
     units = {column: part.units.get(column, "") for column in columns}
+    # The number of an instance is no signal, whichever column a damaged log says it is.
+    hold = {column: period for column, period in part.hold.items() if column in columns}
 
-    return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)
+    return Record(time, columns, units, name, source, checksum, hold=hold, findings=findings)

@@ -29,6 +29,8 @@ MOST_STEPS = 50
 # valley. Runs that end with more to gain than settled ones had only noise left.
 LONG_STEP = 1e-7
 
+ROUNDING = float(np.finfo(float).eps)
+
 
 def polished(parts: AllParts, start: Iterate) -> Iterate:
     """Return where undamped steps lead, as long as they grow shorter.
@@ -55,7 +57,11 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         # Of a standard error, the step changes none of the first nine digits, or of the parameters,
         # which long records determine to many digits, none of the first twelve. What gaps between
         # segments promise is then rounding.
-        remaining = abs(step.decrease) + step.distance
+        promise = abs(step.decrease - step.distance)
+        # Below the rounding of the cost it ends no steps: parameters would lack 1e-7 of an error.
+        if promise <= ROUNDING * abs(parts.cost(iterate)):
+            promise = 0.0
+        remaining = 2 * step.distance + promise
         is_last = remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z))
         # Steps that no longer shrink are rounding.
         if not (is_last or remaining < shortest):

@@ -421,3 +421,14 @@ def test_of_two_layouts_of_one_name_the_larger_lot_stays(saved):
     recording = saved(log.binary)
     assert [*recording["ATT"].signals] == ["Roll"]
     assert "ATT: 1 messages with another layout" in recording.findings[0]
+
+
+def test_a_number_of_instances_that_is_a_control_is_no_signal(saved):
+    # One wrong letter among the units of a damaged log: the output is the number of an instance.
+    log = Log()
+    log.fmt("RATE", "Qff", "TimeUS,R,ROut", "sk#", "F0-")
+    for k in range(100):
+        log.add("RATE", 1_000_000 + 2500 * k, 0.1, 0.0)
+    (record,) = saved(log.binary).values()
+    assert [*record.signals] == ["R"]
+    assert "ROut" not in record.hold

@@ -40,7 +40,7 @@ def record(seed, samples=300):
 HELD = gb.OutputError(inputs="held")
 
 
-def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
+def test_a_polished_minimum_is_the_same_to_ten_digits_wherever_it_began():
     """Of a record and a response, whose cost is told without what smooths it."""
     omega = np.array([0.5, 2.0, 8.0])
     response = gb.FrequencyResponse(
@@ -60,7 +60,8 @@ def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
         minimum = Minimum(solver.cost(nlp.all_values(a)), a, (0,), 1)
         search = Multistart(Runs.of(()), (minimum,), nodes=(first.nodes, second.nodes))
         found.append(solver.polished(search).minima[0])
-    assert found[0].estimate == pytest.approx(found[1].estimate, rel=1e-9)
+    # Eleven digits on every processor: what is left of gaps, less than rounding, ends no steps.
+    assert found[0].estimate == pytest.approx(found[1].estimate, rel=1e-10)
     assert found[0].estimate == pytest.approx(outcome.estimate, rel=1e-4)
     for minimum in found:
         assert minimum.cost == pytest.approx(
