@@ -32,6 +32,7 @@ from greybox.files.arrays import (
     Strings,
     by_name,
     nans,
+    positive_or_one,
 )
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
@@ -357,6 +358,7 @@ def compile_records(
         # Steps of a log are known to a thousandth, see `sampled_data`.
         return id(models[k].steps), f"{longest[k]:.3g}", drawn[k].tobytes()
 
+    covariances = _assumed_covariances(models, data)
     parts: dict[int, RecordPart] = {}
     for lot in grouped(range(len(models)), kind):
         first = lot[0]
@@ -369,9 +371,30 @@ def compile_records(
             return compile_records(problems, expressions, z, method.for_stiff_models())
         for k in lot:
             cut = replace(data[k], segment_length=segment_length)
-            parts[k] = RecordPart(models[k], cut, MOST_SUBSTEPS if is_stiff else substeps)
+            steps = MOST_SUBSTEPS if is_stiff else substeps
+            parts[k] = RecordPart(models[k], cut, steps, covariance=covariances[k])
 
     return [parts[k] for k in range(len(models))]
+
+
+def _assumed_covariances(
+    models: Sequence[RecordModel], data: Sequence[SampledData]
+) -> list[ResidualCovariance]:
+    """Return the residual covariances of records; those of one model share their spread.
+
+    By its own spread, a record whose outputs are small would decide where searches begin: one of
+    three flights, with a payload, drew every start away from the minimum of the other two.
+    """
+    pairs = zip(models, data, strict=True)
+    own = [residual_covariance_of(m.criterion, m.outputs, sampled.measured) for m, sampled in pairs]
+    result = [*own]
+    for lot in grouped(range(len(own)), lambda k: id(models[k].steps)):
+        counts = np.array([own[k].counts for k in lot])
+        squares = np.sum([own[k].counts * own[k].spread ** 2 for k in lot], axis=0)
+        spread = positive_or_one(np.sqrt(squares / np.maximum(counts.sum(axis=0), 1)))
+        for k in lot if len(lot) > 1 else ():
+            result[k] = replace(own[k], spread=spread)
+    return result
 
 
 class RecordProgram:
@@ -399,8 +422,8 @@ class RecordProgram:
         self.part = part
         if part.model.driven:
             raise ValueError(
-                f"{part.name!r} has process_noise, whose gains "
-                f"{part.model.method.label} does not follow: use MultipleShooting()."
+                f"{part.name!r} has process_noise, whose gains the program of IPOPT does "
+                "not follow: use method=MultipleShooting() and search='batched', the defaults."
             )
 
         q = part.model.locate.function(z)[0]

@@ -46,6 +46,10 @@ from greybox.modeling.state_space import input_delays
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian, parameter_names
 from greybox.modeling.trim import trim_of
 
+# Step of differences, as a share of a start box: third derivatives and rounding disturb a Hessian
+# by less than a millionth.
+DIFFERENCE = 1e-7
+
 
 @frozen
 class SharedSystem:
@@ -279,6 +283,32 @@ class SharedResponses:
 
         The columns of `data` (g, k) are those of `CompiledProblem`.
         """
+        cost, gradient, jacobian, second = self._derivatives(z, smoothing, data)
+        left, right = (jacobian.take(rows, -1) for rows in self._second)
+        hessian = left @ (right * second.T[:, None]).mT
+        return cost, gradient, hessian.reshape(len(hessian), -1).T
+
+    def with_curvature(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
+        """Return the same with the whole Hessian, by differences of the gradient.
+
+        With large residuals, as of a wrong model, the curvature of the responses counts.
+        """
+        cost, gradient, *_ = self._derivatives(z, smoothing, data)
+        p, k = z.shape
+        # Inward, at most: a model may end at its bounds. Variables are shares of a start box.
+        step = np.where(z > 0, -DIFFERENCE, DIFFERENCE)
+        columns = np.empty((p, p, k))
+        for i in range(p):
+            beside = z.copy()
+            beside[i] += step[i]
+            columns[i] = (self._derivatives(beside, smoothing, data)[1] - gradient) / step[i]
+        hessian = (columns + columns.swapaxes(0, 1)) / 2
+        return cost, gradient, hessian.reshape(p * p, k)
+
+    def _derivatives(
+        self, z: Array, smoothing: Array, data: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return cost (k,), gradient (p, k), Jacobian (k, p, 2 N), second derivatives (n, k)."""
         with np.errstate(all="ignore"):
             pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
         # All responses (k, N), and their derivatives (k, p, N).
@@ -286,9 +316,7 @@ class SharedResponses:
         cost, first, second = self._criterion(real_and_imaginary(values, 1).T, smoothing, data)
         jacobian = real_and_imaginary(slopes, 2)
         gradient = jacobian @ first.T[..., None]
-        left, right = (jacobian.take(rows, -1) for rows in self._second)
-        hessian = left @ (right * second.T[:, None]).mT
-        return cost[0], gradient[..., 0].T, hessian.reshape(len(hessian), -1).T
+        return cost[0], gradient[..., 0].T, jacobian, second
 
 
 def response_symbols(parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:

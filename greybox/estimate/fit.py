@@ -82,7 +82,11 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     one solution of (jωI - A)⁻¹ for all responses; there, all starts but the most promising one of a
     batch, or the first of your own list, first move to a minimum with process noise. Other problems
     that do not fit into a batch (finite amplitudes, large ones) are solved by IPOPT from every
-    start, as with ``search="multistart"``.
+    start, as with ``search="multistart"``. For records, ``"multistart"`` is one sparse program for
+    IPOPT from every start.
+
+    No run ends above the cost of its start. Whether its end is a minimum follows from the cost and
+    its derivatives there, not from what a solver calls it.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ Begin with `multistart`.
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |
 | `ipopt` | IPOPT on one program |
+| `stationarity` | whether the end of a run is a minimum |
 | `discretization_error` | finer integration steps |
 | `robust_fit` | fits in which large errors are bounded |
 | `runs`, `minima` | the results of runs, and their storage; distinct minima |

@@ -60,7 +60,7 @@ class Ends(NamedTuple):
     ----------
     z : (p, m) array
     at_minimum : (m,) array of bool
-        Whether the projected gradient is below the tolerance.
+        Whether the projected gradient is below the tolerance, or rounding hides what it promises.
     iterations : (m,) array of int
     cost : (m,) array
         The function, with the barrier if the last level was not reached.
@@ -161,9 +161,10 @@ class BatchedNewton:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
         A `smoothing` replaces those of the levels. A search ends where its projected gradient is at
-        most the `tolerance`, relative to the cost where that is above one, or when it has passed
-        the `last` level. The columns of `given` (g, m) are the data of each search, and `bounds`,
-        (p, m) or (p, 1), replace the problem's.
+        most the `tolerance`, relative to the cost where that is above one, where Newton's step
+        promises a decrease that rounding hides, or when it has passed the `last` level. The columns
+        of `given` (g, m) are the data of each search, and `bounds`, (p, m) or (p, 1), replace the
+        problem's.
         """
         m = z.shape[1]
         data = np.repeat(self._data, m, axis=1) if given is None else given
@@ -267,6 +268,10 @@ ITERATIONS = 6
 # Curvatures below this share of the largest one are rounding errors.
 FLATTEST = 1e-12
 
+# Share of the tolerance, as a change of the cost relative to itself, that rounding hides: with the
+# usual tolerance 1e-14.
+INVISIBLE = 1e-6
+
 # A step may be this much longer than the radius: the multiplier need not be exact.
 CLOSE_TO_RADIUS = 1.05
 TINY, LARGEST = float(np.finfo(float).tiny), float(np.finfo(float).max)
@@ -293,7 +298,7 @@ def layout(p: int) -> Vectors:
     return Vectors(*starmap(slice, pairwise(ends)), size=ends[-1])
 
 
-def advanced(p: int, loose: float) -> ca.Function:
+def advanced(p: int, loose: float) -> ca.Function:  # noqa: PLR0915  (one iteration, in its order)
     """Return the function that judges a trial, and finds the next one by Newton's step.
 
     Its arguments are (numbers, barrier, tolerance, cost, gradient, Hessian), its result the next
@@ -351,21 +356,26 @@ def advanced(p: int, loose: float) -> ca.Function:
     hessian = ca.if_else(accepted, ca.project(new_hessian, triangle), ca.project(hessian, triangle))
     hessian = ca.triu2symm(hessian)
 
-    # Whether the search ends, or goes to the next level.
-    slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
-    is_minimum = ca.logic_and(level >= LAST, slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0))
-    # A radius below 1e-15 cannot change the cost by more than rounding.
-    end = ca.if_else(is_minimum, 1.0, -(radius < 1e-15))
-    switched = ca.logic_and(level < LAST, slope <= loose)
-
-    # The next trial, if Newton's step stays within the radius.
+    # Newton's step of the variables that no bound holds.
     free = _free(z, gradient, lower, upper)
     hessian_of_free = hessian * (free @ free.T) + ca.diag(1 - free)
     # The pivots are all positive for a definite Hessian.
     pivots, factor, order = ca.ldl(hessian_of_free, False)
-    newton = -ca.ldl_solve(free * gradient, pivots, factor, order)
+    newton = -ca.ldl_solve(free * gradient, pivots, factor, order)  # zero where it is not free
+    is_definite = ca.mmin(pivots) > FLATTEST * ca.mmax(pivots)
+
+    # Whether the search ends, or goes to the next level.
+    slope = ca.mmax(ca.fabs(z - ca.fmin(ca.fmax(z - gradient, lower), upper)))
+    is_flat = slope <= tolerance * ca.fmax(ca.fabs(cost), 1.0)
+    is_rounding = ca.logic_and(is_definite, _is_rounding(gradient, newton, cost, tolerance))
+    is_minimum = ca.logic_and(level >= LAST, ca.logic_or(is_flat, is_rounding))
+    # A radius below 1e-15 cannot change the cost by more than rounding.
+    end = ca.if_else(is_minimum, 1.0, -(radius < 1e-15))
+    switched = ca.logic_and(level < LAST, slope <= loose)
+
+    # The next trial, if that step stays within the radius.
     within_radius = ca.sumsqr(newton) <= (CLOSE_TO_RADIUS * radius) ** 2
-    is_newton = ca.logic_and(ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), within_radius)
+    is_newton = ca.logic_and(is_definite, within_radius)
     moved = _moved(z, newton, free, level < LAST, lower, upper)
     trial = ca.if_else(ca.logic_and(is_newton, ca.logic_not(switched)), moved, z)
     scalars = [
@@ -399,6 +409,15 @@ def bounded(p: int) -> ca.Function:
     along = _within(radius, eigenvectors.T @ (free * gradient), positive)
     trial = _moved(z, eigenvectors @ along, free, numbers[LEVEL] < LAST, lower, upper)
     return ca.Function("bounded", [numbers, curvature, directions], [trial])
+
+
+def _is_rounding(gradient: ca.SX, newton: ca.SX, cost: ca.SX, tolerance: ca.SX) -> ca.SX:
+    """Return whether rounding hides the decrease that Newton's step (p,) promises.
+
+    At a light mode with small errors, the gradient is rounded to more than any tolerance.
+    """
+    promise = -0.5 * ca.dot(gradient, newton)
+    return promise <= INVISIBLE * tolerance * ca.fabs(cost)
 
 
 def _free(z: ca.SX, gradient: ca.SX, lower: ca.SX, upper: ca.SX) -> ca.SX:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -26,6 +27,11 @@ class Limits:
     low: Array
     high: Array
     constraints: Columns
+
+    @property
+    def count(self) -> int:
+        """Number of constraints besides the bounds; most problems have none."""
+        return int(self.constraints.function.numel_out(0))
 
     @one_thread_at_a_time
     def with_equation(self, equation: ca.Function) -> "Limits":
@@ -49,14 +55,14 @@ class Limits:
             end = np.where(np.abs(end - bound) <= 1e-12 * np.abs(step) + 1e-15, bound, end)
         return end
 
-    def violation(self, z: Array) -> float:
-        """Return by how much all constraints together are violated, beyond rounding."""
-        if not self.constraints.function.numel_out(0):  # most problems have none
+    def violation(self, z: Array, rounding: float = 1e-9) -> float:
+        """Return by how much all constraints together are violated, beyond a relative rounding."""
+        if not self.count:
             return 0.0
         value, normal = self._at(z)
-        rounding = 1e-9 * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
+        tolerated = rounding * (np.abs(normal) @ np.maximum(np.abs(z), 1.0))
         below = -value
-        return float(np.where(below > rounding, below, 0.0).sum())
+        return float(np.where(below > tolerated, below, 0.0).sum())
 
     def linearized(self, z: Array, held: BoolArray | bool = False) -> ArrayPair:
         """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits.
@@ -91,6 +97,13 @@ class Limits:
             step = solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.linearized(z))
             z = self.clipped(z + step)
         return z
+
+
+@one_thread_at_a_time
+def limits_of(nlp: CompiledProblem) -> Limits:
+    """Return the bounds and constraints of a problem in the solver's variables."""
+    z = ca.SX.sym("z", len(nlp.free))
+    return Limits(*nlp.bounds, constraints_of(nlp.limits_at(z), z))
 
 
 def constraints_of(values: ca.SX, z: ca.SX) -> Columns:

@@ -7,13 +7,11 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.response_programs import CostProgram
-from greybox.files.arrays import Array, Named
+from greybox.files.arrays import Array, Named, as_arrays
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import STAGNATED
-
-CONVERGED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 # The fits of the paper take some 30 iterations; a run of 500 does not converge.
 QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
@@ -26,15 +24,6 @@ WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200
 # four iterations back. With 1e-9, within IPOPT's tolerance, a saddle, where two lags are equal,
 # would count as a minimum, since no step is tried.
 CONFIRMING = {**WARM, "mu_init": 1e-7}
-
-# Options of a run that begins where another stagnated. In directions that the data do not determine
-# only the barrier has a slope, and its long steps leave a curved valley again and again: without a
-# barrier 127 of 129 such runs, on random structures with a redundant product, ended at a minimum,
-# the median after 4 iterations; with that of WARM 33. The cost has a larger unit, since rounding of
-# a log-likelihood of tiny errors exceeds IPOPT's tolerance: of 12 runs that stagnated at relative
-# errors of 1e-4, 10 then ended at the minimum. From the start on, the barrier would outweigh such a
-# cost.
-WITHOUT_BARRIER = {**WARM, "mu_init": 1e-11, "max_iter": 50, "obj_scaling_factor": 0.01}
 
 
 class StopCheck(ca.Callback):
@@ -182,6 +171,26 @@ class Ipopt:
             status = self._check.reason
             end = end if self._check.best is None else self._check.best
         return np.asarray(end).ravel(), status, int(stats["iter_count"])
+
+    def derivatives(self, x: Array, p: Any) -> tuple[float, Array, Array]:
+        """Return the cost at x (p,), its gradient (p,) and its Hessian (p, p)."""
+        cost, gradient = as_arrays(self.solver.get_function("nlp_grad_f")(x, p))
+        no_multipliers = np.zeros(self._statement["g"].numel())
+        upper = self._hessian(x, p, 1.0, no_multipliers).full()
+        return cost.item(), gradient.ravel(), upper + np.triu(upper, 1).T
+
+    @cached_property
+    @one_thread_at_a_time
+    def _hessian(self) -> ca.Function:
+        """Return the Hessian that IPOPT takes, also if an option of IPOPT approximates it."""
+        _ = self.solver
+        if "hess_lag" in self._derivatives:
+            return self._derivatives["hess_lag"]
+        x, p, f, g = (self._statement[name] for name in "xpfg")
+        multipliers = type(g).sym("multipliers", g.numel())
+        scale = type(g).sym("scale")
+        upper = ca.triu(scale * ca.hessian(f, x)[0])
+        return ca.Function("hessian", [x, p, scale, multipliers], [upper])
 
     def variant(self, options: Named) -> "Ipopt":
         """Return IPOPT on the same problem with more `options`, made at the first call."""

@@ -3,6 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
@@ -12,7 +13,8 @@ from greybox.files.error_place import error_sentence
 from greybox.files.rebuilt import Rebuilt
 from greybox.solve.interruption import raise_interrupt
 from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.runs import RAISED, Outcome, Outcomes, Runs
+from greybox.solve.runs import RAISED, Outcome, Outcomes, Runs, spent
+from greybox.solve.stationarity import is_above
 
 
 @frozen
@@ -132,3 +134,53 @@ class LocalSolver(Runner):
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum as exact as the arithmetic allows."""
         return search
+
+
+class Descent(LocalSolver):
+    """A solver of which no run ends above the stated cost of its start.
+
+    Barriers, smoothing, other criteria, weights and soft continuity lead its runs to good minima,
+    but may lead them away from a better one at the start.
+    """
+
+    @abstractmethod
+    def led(self, starts: Array) -> Outcomes:
+        """Return the runs from the rows of `starts` (r, p), however they are led to minima.
+
+        Costs are the stated ones.
+        """
+
+    @abstractmethod
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where the stated cost alone leads from the rows of `starts` (r, p).
+
+        None that counts as converged ends higher, but for the smoothing.
+        """
+
+    @abstractmethod
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the stated costs (r,) at the starts (r, p) of runs with these ends.
+
+        They are infinite where a constraint is missed, or a start surely costs more than the end.
+        """
+
+    def run(self, start: Array) -> Outcome:
+        """Make the run from the parameters `start` (p,)."""
+        return self._no_higher(start[None])[0]
+
+    def run_together(self, starts: Array) -> Outcomes:
+        """Make the runs from the rows of `starts` (r, p), at most `together`."""
+        return self._no_higher(starts) if self.together > 1 else super().run_together(starts)
+
+    def _no_higher(self, starts: Array) -> Outcomes:
+        """Return the runs from `starts` (r, p); those that are led higher begin again, unguided."""
+        outcomes = self.led(starts)
+        begun = self.costs_at(starts, outcomes)
+        above = [k for k, end in enumerate(outcomes) if is_above(end.cost, begun[k])]
+        direct = self.descended(starts[above]) if above else []
+        for k, end in zip(above, direct, strict=True):
+            # A descent lowers the smoothed cost: the minimum of the stated one is then nearer here.
+            if is_above(end.cost, begun[k]):
+                end = replace(end, estimate=starts[k], cost=begun[k])  # noqa: PLW2901
+            outcomes[k] = spent(end, outcomes[k])
+        return outcomes

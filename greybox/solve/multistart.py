@@ -47,9 +47,10 @@ def solver_for(
 ) -> LocalSolver:
     """Return the solver of a problem.
 
-    Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps or IPOPT, others
-    by `ResponseSolver` or `SharedSolver`, which compare the starts and improve many at once if the
-    search is ``"batched"``.
+    Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps, or as one sparse
+    program by IPOPT if the method or the search asks for it; others by `ResponseSolver` or
+    `SharedSolver`, which compare the starts and improve many at once if the search is
+    ``"batched"``.
 
     Raises
     ------
@@ -61,7 +62,7 @@ def solver_for(
         batched = search == BATCHED
         kind = SharedSolver if batched and SharedSolver.serves(nlp) else ResponseSolver
         return kind(nlp, options, batched=batched)
-    if nlp.method.by_ipopt:
+    if nlp.method.by_ipopt or search != BATCHED:
         return TranscribedProgram(nlp, options)
     return GaussNewton(nlp, settings=settings(options))
 

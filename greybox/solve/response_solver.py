@@ -1,13 +1,13 @@
 """The solver of frequency responses: Newton's method improves many starts, IPOPT confirms minima.
 
 Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT.
-IPOPT then solves one run of every distinct minimum again: a minimum counts only where IPOPT's
-conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems for which
-`fits_a_batch` is false, except for the large ones that `shared_solver` serves.
+IPOPT then begins at one run of every distinct minimum again: a minimum counts only where IPOPT
+finds nothing lower. IPOPT alone makes all runs of problems for which `fits_a_batch` is false,
+except for the large ones that `shared_solver` serves.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from types import MappingProxyType
@@ -22,9 +22,10 @@ from greybox.compiled.response_programs import CostProgram, fits_a_batch, instru
 from greybox.files.arrays import Array, ArrayPair, Arrays, Named, as_arrays
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
+from greybox.solve.constraints import Limits, limits_of
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
-from greybox.solve.ipopt import CONFIRMING, CONVERGED, WITHOUT_BARRIER, Ipopt
-from greybox.solve.local_solver import LocalSolver, Profile, Screened
+from greybox.solve.ipopt import CONFIRMING, WARM, Ipopt
+from greybox.solve.local_solver import Descent, Profile, Screened
 from greybox.solve.minima import (
     AT_ONCE,
     RIVAL,
@@ -34,9 +35,11 @@ from greybox.solve.minima import (
     likelihood_unit,
     same_cost,
 )
-from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Outcomes, Run, Runs, spent
+from greybox.solve.runs import CUT_SHORT, IMPROVED, POLISHED, Outcome, Outcomes, Run, Runs, spent
+from greybox.solve.stationarity import is_above, is_minimum
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
+EXCEEDED = "Maximum_Iterations_Exceeded"  # IPOPT's status at its limit
 
 # Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order
 # up to 200. IPOPT continues those that need more.
@@ -51,7 +54,7 @@ NO_OPTIONS: Named = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
 
-class ResponseSolver(LocalSolver):
+class ResponseSolver(Descent):
     """Newton's method on batches of starts, and IPOPT: without a batch, and to confirm the minima.
 
     Where another criterion locates the minimum, IPOPT solves with that one first.
@@ -99,39 +102,95 @@ class ResponseSolver(LocalSolver):
         """Return whether starts of a problem can be improved together."""
         return not nlp.has_states and fits_a_batch(nlp.programs[-1].explicit)
 
-    # --- one run
+    # --- runs
 
-    def run(self, start: Array) -> Outcome:
-        """Solve by IPOPT from the parameters `start` (p,)."""
-        return self._solved(start, SMOOTHING)
+    def led(self, starts: Array) -> Outcomes:
+        """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
+        # With few starts, IPOPT's own options apply exactly.
+        if len(starts) < (6 if self._options else self.fewest) or self.together == 1:
+            return self._with_costs([self._solved(start, SMOOTHING) for start in starts])
+        return self._arrived(starts, self.improved)
+
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where the problem's own criterion leads from the starts (r, p)."""
+        if self.together > 1:
+            return self._arrived(starts, self.settled)
+        ends = [self._solved(start, SMOOTHING, WARM) for start in starts]
+        # IPOPT may climb, and is then at another minimum.
+        climbed = [
+            is_above(self._smoothed_cost(end.estimate), self._smoothed_cost(start))
+            for start, end in zip(starts, ends, strict=True)
+        ]
+        pairs = zip(ends, climbed, strict=True)
+        return self._with_costs([replace(e, converged=e.converged and not up) for e, up in pairs])
+
+    def _smoothed_cost(self, x: Array) -> float:
+        z = self.nlp.scaling.to_solver(x)
+        return float(self.nlp.programs[-1].function(z, SMOOTHING, self.nlp.data)[0])
+
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the costs (r,) at the starts (r, p); infinite where a constraint is missed."""
+        limits = self.nlp.constraint(self.nlp.all_values(starts).T).full()
+        return np.where(limits.min(axis=0, initial=0) >= 0, self.nlp.costs(starts), np.inf)
+
+    def _with_costs(self, outcomes: Outcomes) -> Outcomes:
+        costs = self.nlp.costs(np.array([outcome.estimate for outcome in outcomes]))
+        pairs = zip(outcomes, costs.tolist(), strict=True)
+        return [replace(outcome, cost=cost) for outcome, cost in pairs]
+
+    def _arrived(self, starts: Array, search: Callable[[Array], Ends]) -> Outcomes:
+        """Return the runs of a search from starts (r, p); IPOPT continues those that stop early."""
+        began = time.perf_counter()
+        ends = search(self.nlp.scaling.to_solver(starts).T)
+        seconds = (time.perf_counter() - began) / len(starts)
+        outcomes = []
+        estimates = self.nlp.estimate_at(ends.z.T)
+        for x, count, at_minimum in zip(
+            estimates, ends.iterations.tolist(), ends.at_minimum, strict=True
+        ):
+            is_end = at_minimum and self.meets_constraints(x)
+            status = AT_MINIMUM if is_end else reason_to_end()
+            outcome = Outcome(x, status, count, seconds, is_end, stage=IMPROVED)
+            outcomes.append(outcome if status else self.again(x, outcome))
+        return self._with_costs(outcomes)
 
     def _solved(self, start: Array, smoothing: float, options: Named = NO_OPTIONS) -> Outcome:
+        """Return the end of IPOPT's run from the parameters `start` (p,)."""
         began = time.perf_counter()
         nlp = self.nlp
-        stages = self._stages
         p = np.append(smoothing, nlp.data)
-        if options:
-            stages = [stage.variant({**options, **self._options}) for stage in stages]
         z = nlp.scaling.to_solver(start)
-        iterations, status, located = 0, "", False
+        iterations, status = 0, ""
+        # A run with options of its own begins near a minimum: no other criterion need locate it.
+        changed = {**options, **self._options} if options else {}
+        stages = [self._stages[-1].variant(changed)] if options else self._stages
         for stage in stages:
-            located = status in CONVERGED
-            z, status, count = stage.solve(z, p, self._bounds)
-            iterations += count
-            if status == STAGNATED:
-                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, p, self._bounds)
+            if status not in CUT_SHORT:
+                z, status, count = stage.solve(z, p, self._bounds)
                 iterations += count
-                z, status = (end, again) if again in CONVERGED else (z, status)
-            if status in (*CUT_SHORT, STAGNATED):
-                break
 
-        # IPOPT respects bounds to a tolerance only.
-        # From a located minimum, small steps mean that only rounding errors remain, as where the
-        # logarithm of nearly nothing is minimized.
-        is_rounded = located and status == "Search_Direction_Becomes_Too_Small"
-        converged = status in CONVERGED or is_rounded
+        # IPOPT scales the cost by its gradient at the start. At a steep one, its tolerance is loose
+        # and leaves parameters some standard errors from the minimum: a second run begins there.
+        own = stages[-1]
+        converged = status not in CUT_SHORT and self._is_minimum(own, z, p)
+        if not (converged or status in (*CUT_SHORT, EXCEEDED)):
+            near = own.variant({**CONFIRMING, **self._options})
+            end, again, count = near.solve(z, p, self._bounds)
+            iterations += count
+            if self._is_minimum(near, end, p):
+                z, status, converged = end, again, True
         seconds = time.perf_counter() - began
         return Outcome(nlp.estimate_at(z), status, iterations, seconds, converged)
+
+    def _is_minimum(self, stage: Ipopt, z: Array, p: Array) -> bool:
+        """Return whether z (p,) is a minimum of IPOPT's program with the parameters p."""
+        # IPOPT respects bounds to a tolerance only.
+        z = self.nlp.scaling.to_solver(self.nlp.estimate_at(z))
+        return is_minimum(self._limits, z, *stage.derivatives(z, p), self.limits["tolerance"])
+
+    @cached_property
+    def _limits(self) -> Limits:
+        return limits_of(self.nlp)
 
     def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
         """Return the point x (p,): there are no hidden unknowns."""
@@ -145,7 +204,10 @@ class ResponseSolver(LocalSolver):
         arrived = [k for k, outcome in enumerate(outcomes) if outcome.converged]
         is_alone = self.together == 1 or self.nlp.programs[-1].roots is not None
         if len(arrived) > 1 and not is_alone:
-            ends[arrived] = self._exchanged(ends[arrived])
+            exchanged = self._exchanged(ends[arrived])
+            costs = self.nlp.costs(np.vstack([exchanged, ends[arrived]])).reshape(2, -1)
+            # A run keeps an end of its own that is lower.
+            ends[arrived] = np.where((costs[0] < costs[1])[:, None], exchanged, ends[arrived])
         return [
             replace(outcome, estimate=x, cost=float(cost), signature=signature)
             for outcome, x, cost, signature in zip(outcomes, ends, *self._judged(ends), strict=True)
@@ -205,26 +267,6 @@ class ResponseSolver(LocalSolver):
         values = np.where(np.isfinite(values), values, np.inf)
         return Screened(np.argsort(values, kind="stable"), values)
 
-    def run_together(self, starts: Array) -> Outcomes:
-        """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
-        # With few starts, IPOPT's own options apply exactly.
-        if len(starts) < (6 if self._options else self.fewest) or self.together == 1:
-            return super().run_together(starts)
-
-        began = time.perf_counter()
-        ends = self.improved(self.nlp.scaling.to_solver(starts).T)
-        seconds = (time.perf_counter() - began) / len(starts)
-        outcomes = []
-        estimates = self.nlp.estimate_at(ends.z.T)
-        for x, count, at_minimum in zip(
-            estimates, ends.iterations.tolist(), ends.at_minimum, strict=True
-        ):
-            is_end = at_minimum and self.meets_constraints(x)
-            status = AT_MINIMUM if is_end else reason_to_end()
-            outcome = Outcome(x, status, count, seconds, is_end, stage=IMPROVED)
-            outcomes.append(outcome if status else self.again(x, outcome))
-        return outcomes
-
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m), within the limits."""
         limits = {**self.limits, **limits}
@@ -234,6 +276,10 @@ class ResponseSolver(LocalSolver):
         for batch in others:
             ends = continued(ends, batch.minimize(ends.z, **limits))
         return ends
+
+    def settled(self, z: Array, **limits: Any) -> Ends:
+        """Return where the problem's own criterion leads, without a barrier, from z (p, m)."""
+        return self.batches[-1].minimize(z, **{**self.limits, "from_near": True, **limits})
 
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Repeat the searches from z (p, m) that ended at a response of zero."""
@@ -282,30 +328,32 @@ class ResponseSolver(LocalSolver):
                 continue
             for k in minimum.runs:
                 if k not in certified and not stop_requested():
-                    [certified[k]] = self.judged([self.again(runs[k].start, runs[k])])
+                    certified[k] = self._again_from_start(runs[k])
         return certified
 
     def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
-        """Return whether IPOPT stays where a run ended; a lower minimum replaces that run."""
+        """Return whether IPOPT finds nothing lower from where a run ended; its end is certified."""
         if stop_requested():
             return True
         # A search from two equal lags has no slope toward unequal ones: it ends at a saddle, unless
         # rounding differs. From beside it, at different parts of the start box, IPOPT leaves it.
         z = self.nlp.scaling.to_solver(run.estimate)
         beside = self.nlp.estimate_at(z + 1e-5 * np.cos(np.arange(z.size)))
-        tolerated = same_cost(self.nlp, run.cost)
-        for x in (run.estimate, beside):
-            # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.
-            [outcome] = self.judged([self.again(x, run, CONFIRMING)])
+        # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.
+        own = Outcome(run.estimate, run.status, run.iterations, run.seconds, converged=True)
+        tried = [own, *(self.again(x, run, CONFIRMING) for x in (run.estimate, beside))]
+        # IPOPT may climb, where rounding or a narrow valley stops its steps.
+        ends = [end for outcome in tried for end in self.judged([outcome]) if end.converged]
+        lowest = min(ends, key=lambda end: end.cost)
+        certified[run.index] = replace(lowest, stage=POLISHED)
+        return bool(lowest.cost >= run.cost - same_cost(self.nlp, run.cost))
 
-            # A run that leaves its end for a lower one was at no minimum.
-            higher = outcome.cost - run.cost
-            if not outcome.converged or not higher <= tolerated:
-                return False
-            if higher < -tolerated:
-                break
-        certified[run.index] = outcome
-        return higher >= -tolerated
+    def _again_from_start(self, run: Run) -> Outcome:
+        """Return IPOPT's run from the start of a run that ended at no minimum, unless it climbs."""
+        [end] = self.judged([self.again(run.start, run)])
+        if is_above(end.cost, run.cost):
+            end = replace(end, estimate=run.estimate, cost=run.cost, converged=False)
+        return end
 
     # --- the last digits
 
@@ -369,11 +417,10 @@ class ResponseSolver(LocalSolver):
 
     def _refined(self, best: Minimum, smoothing: float, most: int) -> tuple[Array, int]:
         """Return the end (p,) of a batched search from a minimum, and its number of iterations."""
-        ends = self.batches[-1].minimize(
+        ends = self.settled(
             self.nlp.scaling.to_solver(best.estimate)[:, None],
             max_iterations=most,
             tolerance=self.polished_to,
-            from_near=True,
             smoothing=smoothing,
         )
         estimate = self.nlp.estimate_at(ends.z[:, 0])

@@ -51,7 +51,7 @@ class Run:
     status : str
         What the solver returned.
     converged : bool
-        True when the solver reports a solution and the cost is finite.
+        Whether the end is a minimum: by the cost and its derivatives there, whatever the status.
     iterations : int
     seconds : float
     reason : str

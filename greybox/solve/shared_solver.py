@@ -15,8 +15,9 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.shared_response import SineTest
 from greybox.files.arrays import Array, Named
+from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BARRIERS, LAST, BatchedNewton, Ends, continued
-from greybox.solve.minima import Minimum
+from greybox.solve.minima import RIVAL, Minimum, likelihood_unit
 from greybox.solve.process_noise_start import ProcessNoise
 from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
 from greybox.solve.runs import NOT_FINITE, Outcome, Run, Runs
@@ -101,13 +102,27 @@ class SharedSolver(ResponseSolver):
         ends = super().improved(np.column_stack([z[:, 0], near]), **limits)
         ends = Ends._make(values[..., [0, *1 + columns]] for values in ends)
         ends.iterations[1:] += iterations
-        # The Hessian lacks what large residuals add, so that searches for a wrong model take up to
-        # 400. Without the lowest of them the fit might have no minimum at all.
-        lowest = np.argmin(ends.cost, keepdims=True)
-        if ends.at_minimum[lowest]:
-            return ends
-        limits["max_iterations"] = 4 * self.limits["max_iterations"]
-        return continued(ends, super().improved(ends.z[:, lowest], **limits), lowest)
+        # The Hessian lacks what large residuals add. For a wrong model, its steps may overshoot by
+        # more than they gain, and rounding would decide which searches ever arrive.
+        lowest = float(np.min(ends.cost))
+        rival = ends.cost <= lowest + RIVAL * likelihood_unit(self.nlp, lowest)
+        close = np.flatnonzero(rival & ~ends.at_minimum)
+        return continued(ends, self.settled(ends.z[:, close]), close)
+
+    def settled(self, z: Array, **limits: Any) -> Ends:
+        """Return the ends of searches from z (p, m), after some steps with the whole Hessian."""
+        if self._sine_tests:  # a gradient takes too long
+            return super().settled(z, **limits)
+        ends = super().settled(z, **{**limits, "max_iterations": FEW})
+        rest = np.flatnonzero(~ends.at_minimum)
+        curved = self._curved.minimize(
+            ends.z[:, rest], **{**self.limits, "from_near": True, **limits}
+        )
+        return continued(ends, curved, rest)
+
+    @cached_property
+    def _curved(self) -> BatchedNewton:
+        return BatchedNewton(self._shared.with_curvature, *self.nlp.bounds, self.nlp.data)
 
     def _in_phase(self, z: Array) -> Array:
         """Return z (p, m) with delays of less than half a turn at the highest frequency.

@@ -22,12 +22,12 @@ from greybox.files.arrays import Array, Arrays, Named
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
-from greybox.solve.ipopt import CONVERGED, Ipopt
-from greybox.solve.local_solver import LocalSolver, Profile
-from greybox.solve.runs import NOT_FINITE, Outcome
+from greybox.solve.ipopt import Ipopt
+from greybox.solve.local_solver import Descent, Profile
+from greybox.solve.runs import CUT_SHORT, NOT_FINITE, Outcome, Outcomes
 
 
-class TranscribedProgram(LocalSolver):
+class TranscribedProgram(Descent):
     """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
     @one_thread_at_a_time
@@ -42,8 +42,8 @@ class TranscribedProgram(LocalSolver):
         # A spectrum eliminates its end terms numerically: IPOPT needs a symbolic expression.
         if spectra:
             raise ValueError(
-                f"the method transcribes records for IPOPT and {spectra[0].name!r} is a "
-                "TransientSpectrum: leave out method, or use MultipleShooting()."
+                f"IPOPT takes records as one program and {spectra[0].name!r} is a TransientSpectrum"
+                ": use method=MultipleShooting() and search='batched', the defaults."
             )
 
         # The parameters come first: they are all that the parts share.
@@ -101,7 +101,19 @@ class TranscribedProgram(LocalSolver):
         """Return the Gauss-Newton solver of the problem, which is near the minimum already."""
         return self._gauss_newton.with_problem(nlp)
 
-    def run(self, start: Array) -> Outcome:
+    def led(self, starts: Array) -> Outcomes:
+        """Return the runs from all starts (r, p)."""
+        return [self._led(start) for start in starts]
+
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where Gauss-Newton steps lead from the starts (r, p)."""
+        return self._gauss_newton.descended(starts)
+
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the costs (r,) at the starts (r, p) with their best states."""
+        return self._gauss_newton.costs_at(starts, ends)
+
+    def _led(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         z = self._gauss_newton.limits.clipped(self.nlp.scaling.to_solver(start))
@@ -123,22 +135,23 @@ class TranscribedProgram(LocalSolver):
             cost, w, same_data = self._outcome(solution, w)
             # A tenth of a standard error changes the cost by 0.005, and costs are rarely above 1e5.
             settled = abs(cost - last) <= 1e-9 * max(1.0, abs(cost)) and same_data
-            if settled or status not in CONVERGED or not math.isfinite(cost):
+            # A program that IPOPT did not solve is not worth another one.
+            if settled or not status.startswith("Solve") or not math.isfinite(cost):
                 break
             last = cost
         else:
             status = "relaxations exceeded"
 
         estimate = self.nlp.estimate_at(solution[: len(z)])
-        converged = status in CONVERGED and math.isfinite(cost)
-        signature = None
-        if converged:
+        signature, converged = None, False
+        if status not in CUT_SHORT and math.isfinite(cost):
             profile = self.profile(estimate)
+            converged = self._gauss_newton.is_minimum(estimate, profile)
             pairs = zip(self.nlp.parts, profile.trajectories, strict=True)
             signature = np.concatenate([part.signature(trajectory) for part, trajectory in pairs])
             if not profile.converged:
                 status = reason_to_end() or "no continuous states at the estimate"
-                converged = False
+                cost = math.inf  # that of IPOPT's states is none of the model
         return Outcome(
             estimate, status, iterations, time.perf_counter() - began, converged, cost, signature
         )

@@ -21,22 +21,26 @@ RESPONSE_PROBLEM = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 )
 CASES = [
-    pytest.param(RESPONSE_PROBLEM, None, ResponseSolver, id="response"),
-    pytest.param(RECORD_PROBLEM, None, GaussNewton, id="record"),
-    pytest.param(RECORD_PROBLEM, gb.Collocation(), TranscribedProgram, id="record by IPOPT"),
+    pytest.param(RESPONSE_PROBLEM, None, ResponseSolver, "multistart", id="response"),
+    pytest.param(RECORD_PROBLEM, None, GaussNewton, "batched", id="record"),
+    pytest.param(
+        RECORD_PROBLEM, gb.Collocation(), TranscribedProgram, "batched", id="record by IPOPT"
+    ),
 ]
 
 
-@pytest.mark.parametrize(("problem", "method", "solver"), CASES)
-def test_the_fit_of_the_starts_that_were_done_is_attached(press_ctrl_c, problem, method, solver):
+@pytest.mark.parametrize(("problem", "method", "solver", "search"), CASES)
+def test_the_fit_of_the_starts_that_were_done_is_attached(
+    press_ctrl_c, problem, method, solver, search
+):
     def progress(done, _):
         if done == 3:
             press_ctrl_c()
 
     with pytest.raises(KeyboardInterrupt) as stopped:
-        gb.fit(problem, MANY, method=method, search="multistart", progress=progress)
+        gb.fit(problem, MANY, method=method, search=search, progress=progress)
     partial = stopped.value.fit
-    whole = gb.fit(problem, 3, method=method, search="multistart")
+    whole = gb.fit(problem, 3, method=method, search=search)
     assert "after 3 starts" in str(stopped.value)
     assert len(partial.runs) == 3
     assert partial.warnings[0].startswith(f"interrupted after 3 of {MANY} starts")
@@ -44,9 +48,9 @@ def test_the_fit_of_the_starts_that_were_done_is_attached(press_ctrl_c, problem,
     assert partial.standard_error == pytest.approx(whole.standard_error, rel=1e-3)
 
 
-@pytest.mark.parametrize(("problem", "method", "solver"), CASES)
+@pytest.mark.parametrize(("problem", "method", "solver", "search"), CASES)
 def test_the_run_at_hand_ends_at_its_next_iteration(
-    press_ctrl_c, monkeypatch, problem, method, solver
+    press_ctrl_c, monkeypatch, problem, method, solver, search
 ):
     """Within IPOPT, where CasADi would swallow an exception, as within Gauss-Newton steps."""
     run = solver.run
@@ -60,7 +64,7 @@ def test_the_run_at_hand_ends_at_its_next_iteration(
 
     monkeypatch.setattr(solver, "run", pressed_at_the_third)
     with pytest.raises(KeyboardInterrupt) as stopped:
-        gb.fit(problem, MANY, method=method, search="multistart", progress=False)
+        gb.fit(problem, MANY, method=method, search=search, progress=False)
     runs = stopped.value.fit.runs
     assert [run.status == "interrupted" for run in runs] == [False, False, True]
     assert not runs[2].converged
@@ -68,14 +72,14 @@ def test_the_run_at_hand_ends_at_its_next_iteration(
     assert stopped.value.fit.converged == any(run.converged for run in runs)
 
 
-@pytest.mark.parametrize(("problem", "method", "solver"), CASES)
-def test_it_ends_whenever_the_signal_comes(press_ctrl_c, problem, method, solver):
+@pytest.mark.parametrize(("problem", "method", "solver", "search"), CASES)
+def test_it_ends_whenever_the_signal_comes(press_ctrl_c, problem, method, solver, search):
     def progress(done, _):
         if done == 1:
             threading.Timer(0.02, press_ctrl_c).start()
 
     with pytest.raises(KeyboardInterrupt) as stopped:
-        gb.fit(problem, MANY, method=method, search="multistart", progress=progress)
+        gb.fit(problem, MANY, method=method, search=search, progress=progress)
     assert 1 <= len(stopped.value.fit.runs) < 1000
 
 

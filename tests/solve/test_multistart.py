@@ -99,7 +99,7 @@ def test_a_run_that_did_not_converge_never_wins_however_cheap_it_is():
     exact = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
     nlp = compile_problem(gb.Problem(LagLagDelay(), exact))
     truth = np.array(list(TWO_LAGS.values()))
-    stopped = multistart(solver_for(nlp, {"max_iter": 0}), truth[None])
+    stopped = multistart(solver_for(nlp, {"max_iter": 0}), 1.2 * truth[None])
     assert stopped.runs[0].status == "Maximum_Iterations_Exceeded"
     assert stopped.minima == ()
     worse = replace(stopped.runs[0], index=1, cost=9.0, converged=True, estimate=truth * 1.5)

@@ -44,7 +44,8 @@ class Hover(gb.StateSpace):
         return x.p, x.q, p.X_u * x.u, p.Y_v * x.v
 
 
-def test_the_fit_of_a_wrong_model_ends_at_a_minimum():
+@pytest.mark.parametrize("starts", [2, 4, 8])
+def test_the_fit_of_a_wrong_model_ends_at_a_minimum_from_nearly_every_start(starts):
     """Without the cross-coupling of the controls, which the responses have."""
     truth = {**TRUTH, "L_lat": 0.09, "L_lon": 0.012, "M_lat": -0.006, "M_lon": 0.035}
     omega, random = np.geomspace(0.3, 25, 12), np.random.default_rng(5)
@@ -57,8 +58,8 @@ def test_the_fit_of_a_wrong_model_ends_at_a_minimum():
             responses.append(gb.FrequencyResponse(omega, measured, input=u, output=y))
     problem = gb.Problem(Hover(), responses, fixed={"L_lon": 0.0, "M_lat": 0.0, "M_p": 0.0})
 
-    fit = gb.fit(problem, starts=2, profiles=False, progress=False)
-    assert fit.converged
+    fit = gb.fit(problem, starts=starts, profiles=False, progress=False)
+    assert fit.agreeing >= starts - 1
     assert fit.cost < 43.156  # a run of IPOPT from the declared values ends at 43.1551
 
 

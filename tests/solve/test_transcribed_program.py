@@ -79,17 +79,31 @@ def test_relaxations_go_on_until_the_cost_stays(
 
     monkeypatch.setattr(transcribed, "_ipopt", SimpleNamespace(solve=solve))
     monkeypatch.setattr(transcribed, "_outcome", outcome)
-    found = transcribed.run(np.array([2.0]))
+    [found] = transcribed.led(np.array([[2.0]]))
     assert len(asked) == runs
     assert asked[1:] == [2.0 * k for k in range(1, runs)]  # weights follow from the last residuals
     assert (found.status, found.iterations) == (status, 3 * runs)
-    assert found.converged == (status == SOLVED and math.isfinite(costs[runs - 1]))
     assert found.cost == costs[runs - 1]
     scaling = transcribed.nlp.scaling
     assert found.estimate == pytest.approx(
         scaling.to_parameters(scaling.to_solver(np.array([2.0])) + 0.001 * runs)
     )
-    assert (found.signature is not None) == found.converged
+    assert (found.signature is not None) == math.isfinite(costs[runs - 1])
+
+
+@pytest.mark.parametrize("status", [SOLVED, LOST, "Search_Direction_Becomes_Too_Small"])
+def test_an_end_is_judged_by_its_place_and_not_by_its_status(monkeypatch, transcribed, status):
+    minimum = transcribed.led(np.array([[2.0]]))[0].estimate
+    for x, is_minimum in ((minimum, True), (1.2 * minimum, False)):
+        z = transcribed.nlp.scaling.to_solver(x)
+
+        def solve(solution, w, bounds, z=z):
+            return np.append(z, solution[1:]), status, 1
+
+        with monkeypatch.context() as patched:
+            patched.setattr(transcribed, "_ipopt", SimpleNamespace(solve=solve))
+            [end] = transcribed.led(np.array([[2.0]]))
+        assert (end.status, end.converged) == (status, is_minimum)
 
 
 def test_an_end_without_continuous_states_is_no_answer(monkeypatch, transcribed):
@@ -101,10 +115,10 @@ def test_an_end_without_continuous_states_is_no_answer(monkeypatch, transcribed)
     monkeypatch.setattr(transcribed, "_outcome", lambda solution, w: (5.0, w, True))
     broken = replace(transcribed.profile(np.array([2.0])), converged=False)
     monkeypatch.setattr(transcribed._gauss_newton, "profile", lambda x, nodes: broken)
-    found = transcribed.run(np.array([2.0]))
+    [found] = transcribed.led(np.array([[2.0]]))
     assert (found.status, found.converged) == ("no continuous states at the estimate", False)
     monkeypatch.setattr(transcribed._gauss_newton, "smoothed", lambda z: None)
-    found = transcribed.run(np.array([2.0]))
+    [found] = transcribed.led(np.array([[2.0]]))
     assert (found.status, found.converged, found.cost, found.iterations) == (
         NOT_FINITE,
         False,

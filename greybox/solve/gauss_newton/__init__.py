@@ -49,7 +49,8 @@ outputs, where short segments lead from it.
 **Where Newton steps fail**, delays at which the cost jumps are held. A run that no step decreases
 has converged if some combination of the linearizations beside it has a gradient of zero: the
 minimum lies at a kink. At whole samples of delays, all other unknowns settle first. A run without
-Kalman gains that fails begins once more at its start, with simulated nodes. `settings` has the
+Kalman gains that fails begins once more at its start, with simulated nodes; one that ends above the
+cost of its start begins there again, with the best nodes and exact continuity. `settings` has the
 limits of a run.
 `greybox.solve.multistart` has the search over the runs.
 

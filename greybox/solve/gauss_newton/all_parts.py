@@ -15,14 +15,14 @@ from greybox.files.arrays import Array, Arrays
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
 from greybox.solve.gauss_newton.settings import Settings
+from greybox.solve.stationarity import rounding_of
 
-COST_ROUNDING = 1e-9  # relative change of the cost that counts as rounding
 GAP_CLOSINGS = 5  # iterations of the second-order correction
 
 
 def with_rounding(cost: float) -> float:
     """Return the largest cost that may differ from this one by rounding alone."""
-    return cost + COST_ROUNDING * max(1.0, abs(cost))
+    return cost + rounding_of(cost)
 
 
 class AllParts:
@@ -64,6 +64,17 @@ class AllParts:
         """Return the iterate at z with nodes that are simulated from the first ones."""
         run = [replace(part.trajectory(z, simulated=True), simulated=False) for part in self.parts]
         return Iterate(z, tuple(sharing(self.parts, run)))
+
+    def continuous(self, iterate: Iterate) -> Iterate:
+        """Return the iterate after a step of its nodes alone that closes all gaps."""
+        if not iterate.finite:
+            return iterate
+        nodes = []
+        for part, t in self.along(iterate):
+            weight = part.initial_weight()
+            condensed = part.condense(part.linearize(t, weight), t, weight=weight)
+            nodes.append(t.nodes + condensed.change_of_nodes(np.zeros(len(iterate.z))))
+        return self.at(iterate.z, nodes, iterate)
 
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""

@@ -10,21 +10,26 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.solve.constraints import Limits, constraints_of
+from greybox.modeling.one_thread import cached_property
+from greybox.solve.constraints import Limits, limits_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed
 from greybox.solve.gauss_newton.iteration import SINGULAR, descend
+from greybox.solve.gauss_newton.kinks import status_at_kink
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
 from greybox.solve.gauss_newton.screening import can_move, can_screen, distinct, improved
 from greybox.solve.gauss_newton.settings import USUAL, Settings
 from greybox.solve.gauss_newton.stability import are_stable
-from greybox.solve.local_solver import LocalSolver, Profile, Screened
+from greybox.solve.local_solver import Descent, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
-from greybox.solve.runs import NOT_FINITE, Outcome, spent
+from greybox.solve.runs import NOT_FINITE, Outcome, Outcomes, spent
 
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(all="ignore")
+
+# Units of log-likelihood for every number by which a cost is in doubt after one step of the states:
+# those of residuals that are larger by a tenth.
+DOUBTFUL = 0.1
 
 # A run of a record of more than four times this number of samples begins on excerpts of so many. A
 # fit of 250 000 or 10⁶ samples then takes a quarter less time. In segments of ten samples, they
@@ -32,7 +37,7 @@ DIVERGING = np.errstate(all="ignore")
 EXCERPT = 40_000
 
 
-class GaussNewton(LocalSolver):
+class GaussNewton(Descent):
     """The solver of one compiled problem with hidden unknowns, built once for all starts.
 
     Attributes
@@ -49,7 +54,7 @@ class GaussNewton(LocalSolver):
         """Build what every run shares; by default the limits are those of the problem."""
         self.nlp = nlp
         self.settings = settings
-        self.limits = limits or _limits(nlp)
+        self.limits = limits or limits_of(nlp)
         self._parts = AllParts(nlp, self.limits, settings)
         # Where runs of all samples of a long record ended, by the minimum of its excerpts.
         self._ends: dict[bytes, Outcome] = {}
@@ -69,7 +74,39 @@ class GaussNewton(LocalSolver):
     # --- runs
 
     @DIVERGING
-    def run(self, start: Array) -> Outcome:
+    def led(self, starts: Array) -> Outcomes:
+        """Return the runs from all starts (r, p)."""
+        return [self._led(start) for start in starts]
+
+    @DIVERGING
+    def descended(self, starts: Array) -> Outcomes:
+        """Return where the cost alone leads from the starts (r, p) and their best states."""
+        return [self._solved(self._at(start, self._best_nodes(start)), EXACT) for start in starts]
+
+    @DIVERGING
+    def costs_at(self, starts: Array, ends: Outcomes) -> Array:
+        """Return the costs (r,) at the starts (r, p) with their best states."""
+        return np.array([self._cost_at(*pair) for pair in zip(starts, ends, strict=True)])
+
+    def _cost_at(self, start: Array, end: Outcome) -> float:
+        """Return the cost at the parameters `start` (p,); infinite if surely above the end's."""
+        parts = self._parts
+        z = self.nlp.scaling.to_solver(start)
+        if self.limits.violation(z) > 0 or np.any(z != self.limits.clipped(z)):
+            return math.inf
+        # The best states may take as long as a run. One step of the states, which closes the gaps,
+        # gives their cost if the model is linear in its states, and else an idea of it.
+        # In a long record, initial states count little.
+        near = parts.simulated(z) if self._excerpts else parts.continuous(parts.at(z))
+        if end.cost < parts.cost(near) - DOUBTFUL * self.nlp.numbers:
+            return math.inf
+        profile = self.profile(start)
+        return profile.cost if profile.converged else math.inf
+
+    def _best_nodes(self, x: Array) -> Nodes:
+        return [part.nodes for part in self.profile(x).trajectories]
+
+    def _led(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,), or from where short segments lead from there.
 
         It is moved if predictions over whole segments are worse than the means of the outputs. With
@@ -79,7 +116,7 @@ class GaussNewton(LocalSolver):
         begin = parts.at(self._nearest(start))
         left = parts.unexplained(begin)
         if self._excerpts:
-            first = self._excerpts.run(start)
+            first = self._excerpts._led(start)
             # Runs that meet there continue once, from the same digits: each ends as it would alone,
             # which resumed searches and those of several workers rely on.
             minimum = np.array([float(f"{value:.6g}") for value in first.estimate])
@@ -136,7 +173,7 @@ class GaussNewton(LocalSolver):
     def near(self, x: Array, nodes: Nodes | None = None) -> Outcome:
         """Solve from parameters x (p,) near a minimum, whose states are solved first if unknown."""
         # From states of the data, a run may leave for another minimum.
-        return self.solved_from(x, nodes or [part.nodes for part in self.profile(x).trajectories])
+        return self.solved_from(x, nodes or self._best_nodes(x))
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
@@ -262,6 +299,18 @@ class GaussNewton(LocalSolver):
         trajectories = tuple(self._parts.groups.split(iterate.trajectories))
         return Profile(trajectories, cost, converged)
 
+    @DIVERGING
+    def is_minimum(self, x: Array, profile: Profile) -> bool:
+        """Return whether no step from the parameters x (p,) and their best nodes gains anything."""
+        iterate = self._at(x, [trajectory.nodes for trajectory in profile.trajectories])
+        # IPOPT widens bounds and constraints by 1e-8.
+        if not profile.converged or self.limits.violation(iterate.z, rounding=1e-7) > 0:
+            return False
+        try:
+            return status_at_kink(self._parts, iterate, states_only=False).startswith(CONVERGED)
+        except np.linalg.LinAlgError:
+            return False
+
     def cost(self, values: Array) -> float:
         """Return the smallest cost at all values (k,), continuity exact; NaN if there is none.
 
@@ -307,10 +356,3 @@ class GaussNewton(LocalSolver):
         if self._polished and self._polished[0] is x and self._polished[1] is nodes:
             return self._polished[2]
         return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.groups.joined(nodes))
-
-
-@one_thread_at_a_time
-def _limits(nlp: CompiledProblem) -> Limits:
-    """Return the bounds and constraints in the solver's variables."""
-    z = ca.SX.sym("z", len(nlp.free))
-    return Limits(*nlp.bounds, constraints_of(nlp.limits_at(z), z))

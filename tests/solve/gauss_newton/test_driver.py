@@ -162,7 +162,7 @@ def test_an_unfinished_run_is_continued_to_its_minimum():
     outcome = solver.continued(unfinished)
     assert outcome.converged
     assert outcome.estimate == pytest.approx(solver.run(np.array([1.0])).estimate, rel=1e-5)
-    assert outcome.iterations > unfinished.iterations == 2
+    assert outcome.iterations > unfinished.iterations >= 2
     assert outcome.seconds > unfinished.seconds
     nowhere = replace(unfinished, nodes=None)
     assert solver.continued(nowhere) is nowhere

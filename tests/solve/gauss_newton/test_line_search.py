@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from greybox.solve.gauss_newton.all_parts import COST_ROUNDING
 from greybox.solve.gauss_newton.line_search import REDUCTION, SHORTEST_STEP, line_search
+from greybox.solve.stationarity import ROUNDING
 
 
 @dataclass
@@ -58,7 +58,7 @@ def test_closing_the_gaps_may_save_a_whole_step_where_continuity_is_exact():
 @pytest.mark.parametrize(("share", "taken"), [(0.9, True), (1.1, False)])
 def test_a_merit_that_grows_by_rounding_alone_is_taken(size, share, taken):
     """Of the cost, or of one where it is smaller."""
-    rounding = COST_ROUNDING * max(size, 1.0)
+    rounding = ROUNDING * max(size, 1.0)
     trial, length = line_search(
         Line(), 0.0, Step(1.0), lambda x: size + share * rounding * (x != 0), size
     )
