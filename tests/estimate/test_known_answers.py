@@ -7,8 +7,8 @@ Sources of data and answers:
   the costs.
 - Rooney and Biegler (2001), AIChE Journal 47, 1794; data: Marske (1967) in Bates and Watts (1988),
   A1.4; the answers are those of the tests of parmest in Pyomo (BSD license).
-- Boehm et al. (2014), J. Proteome Res. 13, 5685, and Crauste et al. (2017), Cell Systems 4, 306, as
-  in the PEtab benchmark collection (BSD license); likelihoods: Hass et al. (2019), Bioinformatics
+- Boehm et al. (2014), J. Proteome Res. 13, 5685, Bruno et al. (2016), J. Exp. Bot. 67, 5993, and
+  Crauste et al. (2017), Cell Systems 4, 306, as in the PEtab benchmark collection (BSD license); likelihoods: Hass et al. (2019), Bioinformatics
   35, 3073.
 """
 
@@ -169,6 +169,29 @@ def test_rooney_biegler():
     assert_allclose(fit.covariance, expected, rtol=1e-4)
 
 
+class RooneyBieglerOde(gb.StateSpace):
+    """The same as a differential equation."""
+
+    states = outputs = ("y",)
+    inputs = ()
+    asymptote = gb.Parameter(15.0, bounds=(1, 100))
+    rate_constant = gb.Parameter(0.5, bounds=(0.01, 10))
+
+    def derivative(self, x, u, p):
+        return (p.rate_constant * (p.asymptote - x.y),)
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+
+def test_rooney_biegler_as_a_differential_equation():
+    record = gb.Record([0, 1, 2, 3, 4, 5, 7], {"y": [math.nan, 8.3, 10.3, 19.0, 16.0, 15.6, 19.8]})
+    problem = gb.Problem(RooneyBieglerOde(), record, gb.OutputError(initial={"y": 0.0}))
+    fit = gb.fit(problem, 1, progress=False)
+    assert fit.estimate["asymptote"] == pytest.approx(19.1426, abs=1e-3)
+    assert fit.estimate["rate_constant"] == pytest.approx(0.5311, abs=1e-4)
+
+
 # --- the PEtab collection
 
 
@@ -322,6 +345,183 @@ def test_crauste_from_the_published_point():
     fit = gb.fit(problem, 1, method=method, progress=False)
     assert fit.converged
     assert fit.cost + scales == pytest.approx(190.965, abs=0.002)
+
+
+class Bruno(gb.StateSpace):
+    """Carotenoids cleaved by an enzyme; measurements are divided by their standard deviations."""
+
+    states = ("bcar", "bcry", "b10", "ohb10", "zea")
+    inputs = tuple(f"sd_{name}" for name in states)
+    outputs = tuple(f"y_{name}" for name in states)
+    kb1 = rate(0.02)
+    kb2 = rate(0.005)
+    kc1 = rate(0.002)
+    kc2 = rate(0.007)
+    kc4 = rate(0.006)
+    k5 = rate(0.003)
+    szea = rate(0.5)
+    begin = rate(3.0)
+    reactions: dict[str, float | str] = {}  # what each rate is multiplied with: 0, 1 or szea
+
+    def derivative(self, x, u, p):
+        kb1, kb2, kc1, kc2, kc4, k5 = (
+            getattr(p, name) * (p.szea if factor == "szea" else factor)
+            for name, factor in self.reactions.items()
+        )
+        return (
+            -kb1 * x.bcar,
+            -(kc1 + kc2) * x.bcry,
+            kb1 * x.bcar - kb2 * x.b10 + kc1 * x.bcry,
+            kc2 * x.bcry - kc4 * x.ohb10 + k5 * x.zea,
+            -k5 * x.zea,
+        )
+
+    def output(self, x, u, p):
+        return tuple(getattr(x, name) / getattr(u, f"sd_{name}") for name in self.states)
+
+
+# The substrate of each experiment, and the factors of kb1, kb2, kc1, kc2, kc4 and k5.
+EXPERIMENTS = {
+    1: ("b10", (0, 1, 1, 0, 1, 0)),
+    2: ("bcar", (1, 1, 0, 0, 0, 1)),
+    3: ("bcar", ("szea",) * 6),
+    4: ("bcry", (0, 1, 1, 1, 1, 1)),
+    5: ("ohb10", (0, 1, 0, 0, 1, 0)),
+    6: ("zea", (0, 0, 0, 0, "szea", "szea")),
+}
+
+# By experiment and substance: minutes, measurement, its standard deviation.
+BRUNO = {
+    (1, "b10"): [
+        (5, 3.973385, 0.406451),
+        (15, 3.976118, 0.406728),
+        (30, 3.12959, 0.320749),
+        (60, 3.131418, 0.320935),
+        (90, 3.105543, 0.31831),
+        (120, 2.279702, 0.234682),
+        (180, 1.321613, 0.138555),
+    ],
+    (2, "bcar"): [
+        (15, 3.83496, 0.251006),
+        (30, 2.68932, 0.179664),
+        (45, 2.12541, 0.145321),
+        (60, 1.55414, 0.111703),
+        (90, 0.90185, 0.076761),
+        (120, 0.62496, 0.064455),
+        (180, 0.30276, 0.054089),
+    ],
+    (2, "b10"): [
+        (15, 0.87947, 0.110017),
+        (30, 1.61775, 0.194075),
+        (45, 2.0221, 0.240978),
+        (60, 2.51711, 0.298703),
+        (90, 2.24951, 0.267467),
+        (120, 2.46923, 0.29311),
+        (180, 2.09599, 0.249578),
+    ],
+    (3, "bcar"): [
+        (15, 2.792, 0.161073),
+        (30, 2.51, 0.146065),
+        (45, 2.101, 0.124582),
+        (60, 1.917, 0.115071),
+        (90, 1.598, 0.098916),
+        (120, 1.135, 0.076702),
+        (180, 0.824, 0.063285),
+    ],
+    (3, "b10"): [
+        (15, 0.573, 0.066702),
+        (30, 0.849, 0.092359),
+        (45, 0.968, 0.10382),
+        (60, 1.212, 0.127709),
+        (90, 1.411, 0.147436),
+        (120, 1.612, 0.167498),
+        (180, 2.168, 0.223405),
+    ],
+    (4, "bcry"): [
+        (15, 4.804181, 0.43054),
+        (30, 3.874252, 0.353484),
+        (45, 3.687507, 0.338201),
+        (60, 2.905136, 0.275261),
+        (90, 2.471236, 0.241465),
+        (120, 2.243992, 0.224241),
+        (180, 0.922679, 0.137702),
+    ],
+    (4, "b10"): [
+        (15, 0.186897, 0.043179),
+        (30, 0.238582, 0.046576),
+        (45, 0.268357, 0.048771),
+        (60, 0.377915, 0.057968),
+        (90, 0.332696, 0.053988),
+        (120, 0.410503, 0.060963),
+        (180, 0.487949, 0.068419),
+    ],
+    (4, "ohb10"): [
+        (15, 0.750567, 0.146042),
+        (30, 0.957066, 0.185626),
+        (45, 1.058638, 0.205133),
+        (60, 1.40061, 0.270906),
+        (90, 1.342636, 0.259748),
+        (120, 1.652208, 0.319353),
+        (180, 2.005941, 0.387509),
+    ],
+    (5, "ohb10"): [
+        (5, 2.187219, 0.365852),
+        (15, 1.490176, 0.249545),
+        (30, 1.243819, 0.208483),
+        (60, 1.100679, 0.184647),
+        (90, 1.142316, 0.191578),
+        (120, 0.794621, 0.13378),
+        (180, 0.696621, 0.117543),
+    ],
+    (6, "ohb10"): [
+        (15, 0.098, 0.023108),
+        (30, 0.1573, 0.030931),
+        (45, 0.165, 0.032031),
+        (60, 0.23, 0.041749),
+        (90, 0.374, 0.064588),
+        (120, 0.445, 0.076127),
+        (180, 0.46, 0.090733),
+    ],
+    (6, "zea"): [
+        (15, 2.761, 0.172674),
+        (30, 2.93, 0.183243),
+        (45, 2.842, 0.17774),
+        (60, 2.763, 0.172799),
+        (90, 2.581, 0.161417),
+        (120, 2.449, 0.153161),
+        (180, 2.128, 0.133086),
+    ],
+}
+
+
+def test_bruno():
+    """Six experiments on schedules that begin before their first measurement."""
+    parts, scales = [], 0.0
+    for number, (substrate, factors) in EXPERIMENTS.items():
+        measured = {name: rows for (k, name), rows in BRUNO.items() if k == number}
+        time = sorted({0, *(minute for rows in measured.values() for minute, *_ in rows)})
+        signals = {name: np.ones(len(time)) for name in Bruno.inputs}
+        for name, rows in measured.items():
+            signals[f"y_{name}"] = np.full(len(time), math.nan)
+            for minute, value, deviation in rows:
+                signals[f"y_{name}"][time.index(minute)] = value / deviation
+                signals[f"sd_{name}"][time.index(minute)] = deviation
+                scales += math.log(deviation)
+        names = ("kb1", "kb2", "kc1", "kc2", "kc4", "k5")
+        body = {"__doc__": Bruno.__doc__, "reactions": dict(zip(names, factors, strict=True))}
+        model = type(f"Bruno{number}", (Bruno,), body)()
+        initial = dict.fromkeys(Bruno.states, 0.0) | {substrate: lambda p: p.begin}
+        criterion = gb.OutputError(noise=dict.fromkeys(Bruno.outputs, 1.0), initial=initial)
+        hold = dict.fromkeys(Bruno.inputs, math.inf)
+        record = gb.Record(time, signals, hold=hold, name=f"experiment {number}")
+        rename = {"begin": f"begin_{number}"}
+        parts.append(gb.Problem(model, record, criterion, rename=rename))
+    fit = gb.fit(sum(parts), 1, progress=False)
+    assert fit.cost + scales == pytest.approx(-46.688, abs=0.001)
+    published = {"kb1": 0.0166284, "kb2": 0.00584383, "kc1": 0.00167883, "kc2": 0.00697599}
+    published |= {"kc4": 0.0060827, "k5": 0.00308667, "szea": 0.516832, "begin_1": 4.22229}
+    for name, value in published.items():
+        assert fit.estimate[name] == pytest.approx(value, rel=1e-4), name
 
 
 # --- stochastic differential equations
