@@ -63,8 +63,6 @@ def test_what_needs_uniform_samples_says_so():
         gb.fit(gb.Problem(Late(), ramped()))
     with pytest.raises(ValueError, match="corrects its states by a constant gain"):
         gb.fit(gb.Problem(Decay(), ramped(), gb.PredictionError()))
-    with pytest.raises(ValueError, match="windows of equal length"):
-        gb.predict(Decay(), {"k": 0.8, "b": 2.0}, ramped(), horizon=1.0)
     with pytest.raises(ValueError, match="uniform"):
         gb.regression.equation_error(Decay(), ramped())
 
