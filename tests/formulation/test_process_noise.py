@@ -221,7 +221,7 @@ def test_what_process_noise_does_not_go_with_is_refused():
     slow = record.with_signals(x=np.where(np.arange(50) % 5, np.nan, record["x"]))
     with pytest.raises(ValueError, match="at too few samples for process_noise"):
         compile_problem(gb.Problem(Spring(), slow, WIND)).parts[0].place(np.ones(6))
-    with pytest.raises(ValueError, match="use MultipleShooting"):
+    with pytest.raises(ValueError, match="use method=MultipleShooting"):
         gb.fit(
             gb.Problem(Spring(), record, WIND), starts=1, method=gb.Collocation(), progress=False
         )

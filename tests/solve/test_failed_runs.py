@@ -28,6 +28,8 @@ RESPONSE = gb.Problem(
     gb.FrequencyResponse(OMEGA, 2 / (1 + 0.3j * OMEGA) * (1 + 0.02 * NOISE), input="u", output="y"),
 )
 PROBLEMS = {"response": RESPONSE, "record": lag_problem(samples=30)}
+# The searches that run each start by itself.
+SEARCHES = {"response": "multistart", "record": "batched"}
 STARTS = [{"K": 1.0, "T": 0.5}, {"K": 7.0, "T": 0.5}, {"K": 2.0, "T": 0.2}]
 
 
@@ -120,7 +122,7 @@ def fragile(monkeypatch):
 @pytest.mark.parametrize("kind", PROBLEMS)
 def test_a_fit_goes_on_with_its_other_starts(kind, executor):
     problem = PROBLEMS[kind]
-    options = {"search": "multistart", "profiles": False, "progress": False}
+    options = {"search": SEARCHES[kind], "profiles": False, "progress": False}
     fit = gb.fit(problem, STARTS, executor=executor, **options)
     assert [run.converged for run in fit.runs] == [True, False, True]
     assert "the user's formula has no value at K = 7" in fit.runs[1].status
@@ -179,10 +181,10 @@ def test_what_all_starts_raise_is_raised(tmp_path, kind):
     problem = PROBLEMS[kind]
     starts = [{"K": 7.0, "T": 0.5}, {"K": 7.05, "T": 0.2}]
     with pytest.raises(ValueError, match="no value at K = 7"):
-        gb.fit(problem, starts, search="multistart", progress=False)
+        gb.fit(problem, starts, search=SEARCHES[kind], progress=False)
     members = [
-        gb.study.Member(problem, starts, name="broken", search="multistart"),
-        gb.study.Member(problem, STARTS, name="whole", search="multistart"),
+        gb.study.Member(problem, starts, name="broken", search=SEARCHES[kind]),
+        gb.study.Member(problem, STARTS, name="whole", search=SEARCHES[kind]),
     ]
     study = gb.batch(members, tmp_path, progress=False)
     assert [member.status for member in study.members] == ["failed", "done"]
