@@ -2,11 +2,13 @@
 
 import inspect
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from pickle import PicklingError
 from types import MappingProxyType
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, SupportsIndex
 
 from greybox.files.arrays import (
     Fields,
@@ -236,10 +238,44 @@ class Model(ABC):
 
         return Names({n: values.get(n, p.start) for n, p in self.parameters.items()}, self.label)
 
+    def __reduce_ex__(self, protocol: SupportsIndex) -> tuple[Any, ...]:
+        """Return the class by its name, and the state: for pickles and copies."""
+        state = super().__reduce_ex__(protocol)[2]
+        return _new, (_ImportedClass(type(self)),), state
+
     def __repr__(self) -> str:
         args, kwargs = self.arguments
         written = [*map(repr, args), *(f"{k}={v!r}" for k, v in kwargs.items())]
         return f"{type(self).__name__}({', '.join(written)})"
+
+
+class _ImportedClass:
+    """The class of a model in a pickle, which names it; a copy has the class itself."""
+
+    def __init__(self, cls: type) -> None:
+        self.cls = cls
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        cls = self.cls
+        found: Any = sys.modules.get(cls.__module__)
+        for name in cls.__qualname__.split("."):
+            found = getattr(found, name, None)
+        if found is not cls:
+            raise PicklingError(
+                f"{cls.__qualname__} of the module {cls.__module__!r} cannot be imported by its "
+                "name, so no model of this class, and no fit with one, can be pickled: declare it "
+                "at the top of a module; or store the fit with gb.save(fit, path), and read it "
+                f"with gb.load(path, models=[{cls.__name__}])."
+            )
+        return _ImportedClass, (cls,)
+
+
+def _new(of: _ImportedClass) -> Any:
+    """Return a model of this class, which gets its attributes afterwards."""
+    return object.__new__(of.cls)
 
 
 def require_known(names: Iterable[str], known: Iterable[str], what: str, owner: str) -> None:
