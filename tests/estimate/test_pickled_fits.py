@@ -36,10 +36,17 @@ def use(pickled, record, path):
     fit = pickle.loads(pickled)
     gb.save(fit, path)
     motion = gb.simulate(fit, record=record)
-    return str(fit), dict(fit.estimate), motion["position"], str(gb.compare(fit, gb.load(path, models=[Spring])))
+    return (
+        str(fit),
+        dict(fit.estimate),
+        motion["position"],
+        str(gb.compare(fit, gb.load(path, models=[Spring]))),
+    )
 
 
-def test_a_fit_from_a_pickle_is_the_same_in_this_process_and_in_a_spawned_one(fit, spawned, tmp_path):
+def test_a_fit_from_a_pickle_is_the_same_in_this_process_and_in_a_spawned_one(
+    fit, spawned, tmp_path
+):
     record, pickled = driven(), pickle.dumps(fit)
     motion = gb.simulate(fit, record=record)["position"]
     here = use(pickled, record, tmp_path / "here.h5")
