@@ -6,7 +6,6 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from pickle import PicklingError
 from types import CodeType, MappingProxyType
 from typing import Any, ClassVar, Self, SupportsIndex
 
@@ -311,7 +310,7 @@ class _ImportedClass:
         for name in cls.__qualname__.split("."):
             found = getattr(found, name, None)
         if found is not cls:
-            raise PicklingError(
+            raise TypeError(
                 f"{cls.__qualname__} of the module {cls.__module__!r} cannot be imported by its "
                 "name, so no model of this class, and no fit with one, can be pickled: declare it "
                 "at the top of a module; or store the fit with gb.save(fit, path), and read it "
