@@ -19,7 +19,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
 )
-from greybox.files.text_table import alternatives, nearest, require_kind
+from greybox.files.text_table import alternatives, listed, nearest, require_kind
 from greybox.modeling.parameter import Parameter, Parameters
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
@@ -110,6 +110,9 @@ KINDS: dict[Any, str] = {
     Mapping: "a dictionary",
 }
 """Kinds of attributes of a model, and how a message asks for them."""
+
+FORMULAS = {"output": "output(self, x, u, p)", "response": "response(self, s, p)"}
+"""How a model declares what it must have."""
 
 _SMOOTH = (
     "split the record where states jump, and give the pieces as one problem, gb.several(model, "
@@ -222,6 +225,11 @@ class Model(ABC):
             raise TypeError(
                 f"{cls.__name__}() takes no arguments: give values to a problem, e.g. "
                 "fixed={name: value}, or to gb.frequency_response."
+            )
+        if missing := sorted(getattr(cls, "__abstractmethods__", ())):
+            formulas = [FORMULAS.get(name, f"{name}(...)") for name in missing]
+            raise TypeError(
+                f"{cls.__name__} has no formula {listed(formulas)}: declare it in the class."
             )
         model = super().__new__(cls)
         model.arguments = (args, kwargs)

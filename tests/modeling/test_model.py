@@ -86,6 +86,15 @@ def test_a_declaration_without_a_formula_cannot_be_used():
         type("Empty", (gb.StateSpace,), {})()
 
 
+def test_a_formula_that_is_missing_is_named():
+    with pytest.raises(TypeError, match=r"Empty has no formula response\(self, s, p\): declare it"):
+        type("Empty", (gb.TransferFunction,), {})()
+    with pytest.raises(
+        TypeError, match=r"Empty has no formula output\(self, x, u, p\): declare it"
+    ):
+        type("Empty", (gb.StateSpace,), {})()
+
+
 def test_merged_bounds_and_start_boxes_intersect():
     a = gb.Parameter(1.0, bounds=(0, 5), unit="s", starts=(0, 4))
     b = gb.Parameter(4.0, bounds=(2, 9), unit="s")
