@@ -9,6 +9,7 @@ Begin with `record` and `frequency_response`.
 | `transient_spectrum` | Fourier integrals of the signals of one manoeuvre |
 | `test_segment` | one test within a record, and the table of several |
 | `intersample` | signals between their samples: held or continuous |
+| `wrapped_angles` | angles that jump by a full turn |
 | `units` | conversion of units to SI |
 | `time_column` | time columns of tables, and the clocks that wrote them |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
