@@ -16,8 +16,9 @@ from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import AnyModel, Model, Names, class_of
 from greybox.modeling.model_file import models_of
+from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import as_list
+from greybox.modeling.symbolic_reading import as_list, derivative_function
 from greybox.modeling.transfer_function import (
     FeedbackLoop,
     RenamedParameters,
@@ -40,6 +41,7 @@ def reference(model: Model) -> Fields:
     }
 
 
+@once  # for all parts of a fit
 def formula_values(model: Model) -> list[float | None]:
     """Return the values of a model's formulas at a few points, by which a changed one is noticed.
 
@@ -75,9 +77,12 @@ def _values_at(model: Model, point: int) -> Any:
     if not isinstance(model, StateSpace):
         return np.zeros(0)
     x, u = numbers(model.states, 0.0), numbers(model.inputs, 0.0)
+    rates: Any = ()
+    if model.states:  # the function that a fit has traced already
+        rates = derivative_function(model)([*x.values(), *u.values()], [*p.values()])
     delays = [p[model.delays[name]] for name in model.inputs if name in model.delays]
-    entries = (*as_list(model.derivative(x, u, p)), *as_list(model.output(x, u, p)), *delays)
-    return np.array([float(entry) for entry in entries])
+    outputs = [float(value) for value in as_list(model.output(x, u, p))]
+    return np.array([*np.asarray(rates).ravel(), *outputs, *delays])
 
 
 def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
