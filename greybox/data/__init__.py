@@ -10,6 +10,7 @@ Begin with `record` and `frequency_response`.
 | `test_segment` | one test within a record, and the table of several |
 | `clock` | the steps of a record: uniform, in coarse stamps, a schedule; and where rows are lost |
 | `intersample` | signals between their samples: held or continuous |
+| `wrapped_angles` | angles that jump by a full turn |
 | `units` | conversion of units to SI |
 | `time_column` | time columns of tables, and the clocks that wrote them |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |

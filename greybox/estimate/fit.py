@@ -33,6 +33,7 @@ from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import with_profiles_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
+from greybox.estimate.verdict import wrapped
 from greybox.files.arrays import Named, by_name, frozen
 from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted, require_kind
@@ -402,7 +403,8 @@ def assemble(
     )
 
     if not search.minima:
-        return replace(answer, warnings=warnings_of_failure(search, solver))
+        failures = warnings_of_failure(search, solver)
+        return replace(answer, warnings=(*wrapped(answer), *failures))
     return replace(
         answer,
         warnings=warnings(search, accuracy, answer, error),

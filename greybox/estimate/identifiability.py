@@ -48,8 +48,8 @@ class KnownDirections:
     at : (p,) array
         The estimate.
     elsewhere : KnownDirections or None
-        The same at a point near the estimate, if a direction is unseen. It distinguishes a product
-        from a sum, whose derivatives agree where both factors are equal.
+        The same of the free parameters at a point near the estimate, if a direction is unseen. It
+        distinguishes a product from a sum, whose derivatives agree where both factors are equal.
     """
 
     covariance: Array
@@ -59,13 +59,21 @@ class KnownDirections:
     elsewhere: "KnownDirections | None" = None
 
     def of(self, places: Sequence[int]) -> "KnownDirections":
-        """Return the directions of the parameters at these places alone."""
+        """Return the directions of the parameters at these places alone.
+
+        `elsewhere` is None if one of them is fixed or tied: it has the free parameters only, which
+        come first.
+        """
+        beside = self.elsewhere
+        if beside is not None:
+            are_free = max(places, default=0) < len(beside.at)
+            beside = beside.of(places) if are_free else None
         return KnownDirections(
             self.covariance[np.ix_(places, places)],
             self.unseen[places],
             self.size[places],
             self.at[places],
-            self.elsewhere and self.elsewhere.of(places),
+            beside,
         )
 
     @property

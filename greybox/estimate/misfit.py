@@ -1,6 +1,7 @@
 """Whether a model explains its data, and if not, what it may lack: the answer."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from greybox.files.arrays import Strings
 from greybox.files.text_table import Printed, listed, number, percent, text_table, with_error
@@ -54,6 +55,10 @@ class Cause:
     added: tuple[str, Formula] | None = field(
         default=None, compare=False, metadata={"stored": False}
     )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle keeps: all but the function, as in the file of a fit."""
+        return {**vars(self), "added": None}
 
     @property
     def explained(self) -> str:

@@ -436,6 +436,12 @@ class Fit(Printed):
         LookupError
             If a loaded fit does not know the model.
         """
+        if self.best_effort:
+            raise ValueError(
+                f"the fit {self.name!r} has no estimate: {self.status}. To see what its best run "
+                "does, give the model and the values at its end, gb.simulate(model, "
+                "fit.best_effort, record=...)."
+            )
         self.require_estimate()
         k = part_index(self, model, part, record)
         return at_estimate(self, model or self.model_of(k), self.parts[k], inputs)

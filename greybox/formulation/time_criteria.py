@@ -18,7 +18,7 @@ from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings, Values, frozen
-from greybox.files.text_table import as_names, is_finite_number, number
+from greybox.files.text_table import as_names, counted, is_finite_number, number
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, ParameterFormula, require_known
@@ -130,6 +130,14 @@ class TimeCriterion(AnyCriterion):
         """Check the options."""
         if isinstance(self.noise, Mapping):
             for name, sigma in self.noise.items():
+                if np.ndim(sigma) > 0:
+                    raise ValueError(
+                        f"noise gives {name!r} {counted(np.size(sigma), 'number')}, and an output "
+                        "has one standard deviation: for samples of different accuracy, or several "
+                        f"at one time, declare further outputs with the formula of {name!r}, each "
+                        "NaN in the record where it was not measured, with a standard deviation "
+                        "each."
+                    )
                 if not is_finite_number(sigma) or sigma <= 0:
                     raise ValueError(
                         f"noise gives {name!r} the value {sigma!r}: give a standard deviation "

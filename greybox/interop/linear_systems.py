@@ -1,5 +1,6 @@
 """A model and its values as polynomials in s, as matrices, and as an ODE with numbers in it."""
 
+import warnings
 from typing import Any
 
 import casadi as ca
@@ -8,7 +9,7 @@ import numpy as np
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, Values, as_arrays, by_name, frozen
 from greybox.modeling.linearization import linearize
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_operating_point
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.rational import rational
 from greybox.modeling.realization import Dynamics, dynamics
@@ -51,7 +52,11 @@ class GivenModel:
         """Return the ODE, with states for delays if `pade` is an order, and its A, B, C, D."""
         system, p = self.ode(pade)
         point = dict.fromkeys((*system.states, *system.inputs), 0.0)
-        if self.model.resting_signals:
+        if self.at and {*self.at} == {*self.model.resting_signals}:
+            require_operating_point(self.model, self.at)
+            point |= {name: float(value) for name, value in self.at.items()}
+            self._warn_of_motion(system, p, point)
+        elif self.model.resting_signals:
             point |= linearize(self.model, self.values, self.at).point  # type: ignore[arg-type]
         if not system.delay_rest.is_null():
             # At rest the delayed input equals the input. Other states of the delay would make this
@@ -64,6 +69,21 @@ class GivenModel:
         jacobians = [ca.jacobian(formula, z) for formula in formulas for z in (x, u)]
         at_point = [[point[name] for name in names] for names in (system.states, system.inputs)]
         return system, as_arrays(ca.Function("linear", [x, u], jacobians)(*at_point))
+
+    def _warn_of_motion(self, system: Dynamics, p: Array, point: Values) -> None:
+        """Warn that the matrices are about a motion if the point is no equilibrium."""
+        own = self.model.state_names
+        x = [point[name] for name in system.states]
+        rates = np.asarray(system.derivative(x, [point[n] for n in system.inputs], p), dtype=float)
+        moving = {n: r for n, r in zip(own, rates.ravel().tolist(), strict=False) if abs(r) > 1e-9}
+        if moving:
+            name, rate = max(moving.items(), key=lambda item: abs(item[1]))
+            warnings.warn(
+                f"{self.model.label} does not rest at this point (the derivative of {name!r} is "
+                f"{rate:.3g}): the matrices are for small deviations from its motion there. Leave "
+                "out states or inputs of `at` to get the equilibrium.",
+                stacklevel=5,
+            )
 
     def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
         """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""

@@ -45,7 +45,9 @@ def to_control(
         Order of the Padé approximation of delays, which none of these can hold; 0 leaves delays
         out.
     at : mapping of name to float, optional
-        Operating point of the linearization; by default the one of the fit.
+        Operating point of the linearization; by default the one of the fit. If it has all states
+        and inputs, a state-space system is linearized there, with a warning if it is no
+        equilibrium.
     input, output : str
         The pair of a transfer function, where a model has several.
     part : int

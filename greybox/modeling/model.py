@@ -2,11 +2,12 @@
 
 import inspect
 import math
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from types import MappingProxyType
-from typing import Any, ClassVar, Self
+from types import CodeType, MappingProxyType
+from typing import Any, ClassVar, Self, SupportsIndex
 
 from greybox.files.arrays import (
     Fields,
@@ -18,7 +19,7 @@ from greybox.files.arrays import (
     Strings,
     Values,
 )
-from greybox.files.text_table import alternatives, nearest, require_kind
+from greybox.files.text_table import alternatives, listed, nearest, require_kind
 from greybox.modeling.parameter import Parameter, Parameters
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
@@ -110,31 +111,81 @@ KINDS: dict[Any, str] = {
 }
 """Kinds of attributes of a model, and how a message asks for them."""
 
+FORMULAS = {"output": "output(self, x, u, p)", "response": "response(self, s, p)"}
+"""How a model declares what it must have."""
+
+_SMOOTH = (
+    "split the record where states jump, and give the pieces as one problem, gb.several(model, "
+    "pieces), which estimates the states at the beginning of each; a formula may switch with "
+    "gb.where."
+)
+_BEGINNING = (
+    "give initial={state: value} to the criterion or to gb.simulate; state_starts says where the "
+    "search begins."
+)
+_NOISE = "give process_noise=[...] or noise=... to the criterion, such as gb.PredictionError."
 NO_EFFECT = {
     "algebraic": "write it into the formulas.",
     "delays": "multiply the response by gb.exp(-p.T * s).",
     "parameters": "declare each by its name, a1 = gb.Parameter(2.0).",
+    **dict.fromkeys(("event", "events", "guards", "jumps", "resets"), _SMOOTH),
+    **dict.fromkeys(("initial", "initial_state", "initial_states", "x0"), _BEGINNING),
+    **dict.fromkeys(("noise", "process_noise", "measurement_noise"), _NOISE),
+    **dict.fromkeys(
+        ("bounds", "starts", "priors"), "give each to its parameter, gb.Parameter(2.0, bounds=...)."
+    ),
+    "constraints": "give constraints=[lambda p: ...] to the problem.",
 }
 """Attributes that a user may expect and that nothing reads, with what has their effect."""
 
 
 def require_effect(cls: type, base: type) -> None:
-    """Raise TypeError for attributes of another kind than in `base`, or with almost such a name."""
+    """Raise TypeError for attributes of another kind than in `base`, or that nothing reads.
+
+    Of those that `base` does not have, only names that nearly are those of a declaration, or that
+    declare something in other tools, are refused: others are a user's own.
+    """
     declared = {name: getattr(base, name) for name in dir(base) if not name.startswith("_")}
     data = [name for name, value in declared.items() if isinstance(value, DATA)]
+    functions = [name for name in ("derivative", "response", "trim") if name in declared]
     declared |= declared_parameters(cls)
     for name, value in vars(cls).items():
         for kind, words in KINDS.items():
             if isinstance(declared.get(name), kind):
                 require_kind(f"{cls.__name__}.{name}", value, kind | property, words)
         # The class body cannot give `parameters`, which are collected from it.
-        is_unread = name not in declared or name == "parameters"
-        # Names such as input2 or limits_of_u are a user's own.
-        is_word = is_unread and name.isalpha() and isinstance(value, DATA)
-        near = nearest(name, data, likeness=0.85) if is_word else None
-        if near or (is_unread and name in NO_EFFECT and base is not Model):
+        is_unread = name == "parameters" or (name not in declared and name not in _read_by(cls))
+        if not is_unread or not (isinstance(value, DATA) or callable(value)):
+            continue
+        near = _nearly(name, data if isinstance(value, DATA) else functions)
+        if near or (name in NO_EFFECT and base is not Model):
             cure = NO_EFFECT.get(name, f"did you mean {near!r}?")
             raise TypeError(f"{cls.__name__}.{name} has no effect: {cure}")
+
+
+def _nearly(name: str, known: Iterable[str]) -> str | None:
+    """Return the name of a declaration that is misspelled, if any."""
+    # Names such as input2, limits_of_u or delay_s are a user's own.
+    words = name.count("_")
+    alike = [candidate for candidate in known if candidate.count("_") == words]
+    is_word = name.replace("_", "").isalpha() and not name.startswith("_")
+    return nearest(name, alike, likeness=0.85) if is_word else None
+
+
+def _read_by(cls: type) -> set[str]:
+    """Return the names of attributes that the functions of a class body read."""
+    functions: list[Any] = []
+    for value in vars(cls).values():
+        functions += value.values() if isinstance(value, Mapping) else [value]
+    functions = [getattr(f, "fget", None) or getattr(f, "__func__", f) for f in functions]
+    codes = [f.__code__ for f in functions if hasattr(f, "__code__")]
+
+    names: set[str] = set()
+    while codes:
+        code = codes.pop()
+        names.update(code.co_names)
+        codes += [inner for inner in code.co_consts if isinstance(inner, CodeType)]
+    return names
 
 
 class Model(ABC):
@@ -174,6 +225,11 @@ class Model(ABC):
             raise TypeError(
                 f"{cls.__name__}() takes no arguments: give values to a problem, e.g. "
                 "fixed={name: value}, or to gb.frequency_response."
+            )
+        if missing := sorted(getattr(cls, "__abstractmethods__", ())):
+            formulas = [FORMULAS.get(name, f"{name}(...)") for name in missing]
+            raise TypeError(
+                f"{cls.__name__} has no formula {listed(formulas)}: declare it in the class."
             )
         model = super().__new__(cls)
         model.arguments = (args, kwargs)
@@ -236,10 +292,44 @@ class Model(ABC):
 
         return Names({n: values.get(n, p.start) for n, p in self.parameters.items()}, self.label)
 
+    def __reduce_ex__(self, protocol: SupportsIndex) -> tuple[Any, ...]:
+        """Return the class by its name, and the state: for pickles and copies."""
+        state = super().__reduce_ex__(protocol)[2]
+        return _new, (_ImportedClass(type(self)),), state
+
     def __repr__(self) -> str:
         args, kwargs = self.arguments
         written = [*map(repr, args), *(f"{k}={v!r}" for k, v in kwargs.items())]
         return f"{type(self).__name__}({', '.join(written)})"
+
+
+class _ImportedClass:
+    """The class of a model in a pickle, which names it; a copy has the class itself."""
+
+    def __init__(self, cls: type) -> None:
+        self.cls = cls
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        cls = self.cls
+        found: Any = sys.modules.get(cls.__module__)
+        for name in cls.__qualname__.split("."):
+            found = getattr(found, name, None)
+        if found is not cls:
+            raise TypeError(
+                f"{cls.__qualname__} of the module {cls.__module__!r} cannot be imported by its "
+                "name, so no model of this class, and no fit with one, can be pickled: declare it "
+                "at the top of a module; or store the fit with gb.save(fit, path), and read it "
+                f"with gb.load(path, models=[{cls.__name__}])."
+            )
+        return _ImportedClass, (cls,)
+
+
+def _new(of: _ImportedClass) -> Any:
+    """Return a model of this class, which gets its attributes afterwards."""
+    return object.__new__(of.cls)
 
 
 def require_known(names: Iterable[str], known: Iterable[str], what: str, owner: str) -> None:

@@ -3,16 +3,30 @@
 import importlib
 import inspect
 import pkgutil
+import warnings
+import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
+
+import numpy as np
 
 from greybox.files.arrays import Fields, Named
 from greybox.files.escapes import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
-from greybox.modeling.model import AnyModel, Model, class_of
+from greybox.modeling.model import AnyModel, Model, Names, class_of
 from greybox.modeling.model_file import models_of
-from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, SeriesConnection
+from greybox.modeling.one_thread import once
+from greybox.modeling.state_space import StateSpace
+from greybox.modeling.symbolic_reading import as_list, derivative_function
+from greybox.modeling.transfer_function import (
+    FeedbackLoop,
+    RenamedParameters,
+    SeriesConnection,
+    TransferFunction,
+)
+
+POINTS = 3  # at which formulas are compared: at one of them, a branch may be inactive by chance
 
 
 def reference(model: Model) -> Fields:
@@ -23,7 +37,52 @@ def reference(model: Model) -> Fields:
         "arguments": [_plain(value) for value in positional],
         "keywords": {name: _plain(value) for name, value in named.items()},
         "parameters": [*model.parameters],
+        "formula": formula_values(model),
     }
+
+
+@once  # for all parts of a fit
+def formula_values(model: Model) -> list[float | None]:
+    """Return the values of a model's formulas at a few points, by which a changed one is noticed.
+
+    Numbers, unlike the operations, do not change with the version of CasADi or with another way to
+    write the same formula. None stands for a value that is not finite; empty if the model cannot be
+    evaluated with numbers.
+    """
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            values = np.concatenate([_values_at(model, k) for k in range(POINTS)])
+    except Exception:  # a formula may raise anything at values that it was not made for
+        return []
+    return [value if np.isfinite(value) else None for value in values.tolist()]
+
+
+def _values_at(model: Model, point: int) -> Any:
+    """Return the values of a model's formulas at one of the points, as real numbers."""
+
+    def numbers(names: Sequence[str], center: float) -> Names:
+        # By name, since the order of parameters may change: within one of the center.
+        shares = [zlib.crc32(f"{name} {point}".encode()) / 2**32 for name in names]
+        return Names(
+            {n: np.float64(center + 2 * h - 1) for n, h in zip(names, shares, strict=True)}
+        )
+
+    p = numbers([*model.parameters], 1.1)
+    if isinstance(model, TransferFunction):
+        response = complex(
+            np.asarray(model.response(np.array([0.3 + 0.8j * (point + 1)]), p)).item()
+        )
+        return np.array([response.real, response.imag])
+    if not isinstance(model, StateSpace):
+        return np.zeros(0)
+    x, u = numbers(model.states, 0.0), numbers(model.inputs, 0.0)
+    rates: Any = ()
+    if model.states:  # the function that a fit has traced already
+        rates = derivative_function(model)([*x.values(), *u.values()], [*p.values()])
+    delays = [p[model.delays[name]] for name in model.inputs if name in model.delays]
+    outputs = [float(value) for value in as_list(model.output(x, u, p))]
+    return np.array([*np.asarray(rates).ravel(), *outputs, *delays])
 
 
 def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
@@ -62,6 +121,7 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
             model = model(*arguments, **keywords)
         # Files of earlier versions do not name the parameters.
         different = {*stored.get("parameters", model.parameters)} ^ {*model.parameters}
+        is_changed = not different and _is_changed(stored.get("formula"), model)
     # A crafted file may nest models without end, or give them any arguments.
     except (TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise LookupError(
@@ -73,7 +133,26 @@ def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
             f"({printable(', '.join(sorted(map(str, different))))}): give the fitted one, "
             "gb.load(path, models=[...])."
         )
+    if is_changed:
+        raise ValueError(
+            f"the formulas of the model {printable(class_name)} are not those of the fitted one: "
+            "give the model as it was fitted, gb.load(path, models=[...]), load the fit without "
+            "models for its numbers alone, or fit again."
+        )
     return model
+
+
+def _is_changed(stored: Any, model: Model) -> bool:
+    """Return whether the formulas have other values than those of a reference, if it has some."""
+    now = formula_values(model)
+    if not (stored and now):
+        return False
+    before, after = np.array(stored, dtype=float), np.array(now, dtype=float)
+    if before.shape != after.shape:
+        return True
+    # Other processors and libraries round differently.
+    size = np.abs(after[np.isfinite(after)]).max(initial=0.0)
+    return not np.allclose(before, after, rtol=1e-6, atol=1e-9 * size, equal_nan=True)
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:

@@ -79,6 +79,15 @@ class StateSpace(Model):
                     f"{cls.__name__}.state_starts[{name!r}] is {value!r}: give a finite number or "
                     "a function of the parameters, such as lambda p: p.h_0."
                 )
+        late = [name for name in cls.delays if name in cls.outputs]
+        if late:
+            y = late[0]
+            raise ValueError(
+                f"{cls.__name__}.delays delays inputs, and {y!r} is an output: for a late sensor, "
+                f"add a state {y}_late with the derivative 2 * ({y} - x.{y}_late) / p.T, and give "
+                f"2 * x.{y}_late - {y} as the output, where {y} is what the sensor shows without "
+                "its latency p.T (a Padé approximation, for signals slower than 1 / p.T)."
+            )
         require_known(cls.delays, cls.inputs, "input", f"{cls.__name__}.inputs")
         require_known(cls.delays.values(), cls.parameters, "parameter", cls.__name__)
         if cls.states and cls.derivative is StateSpace.derivative:

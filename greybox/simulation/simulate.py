@@ -73,7 +73,8 @@ def simulate(
     integrator : Integrator, optional
         `RungeKutta()`, or `Radau()` for stiff models; by default as the model needs. Unless it has
         a number of substeps, they are halved until this changes no state by more than 3e-10 of its
-        size in a sample, on average.
+        size in a sample, on average, and by more than 1e-6 of its largest value in a whole
+        simulation (of explicit steps). A warning states a change of more than 1e-4.
     part : int, optional
         Part of the fit; by default that of `record`, else its first record.
 

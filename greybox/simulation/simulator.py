@@ -1,5 +1,7 @@
 """Runs a model over stretches or windows: outputs, states and their standard errors."""
 
+import math
+import warnings
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
@@ -28,6 +30,7 @@ from greybox.files.arrays import (
     positive_or_one,
     real_root,
 )
+from greybox.files.text_table import counted
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta, repeated
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (
@@ -53,8 +56,15 @@ TOLERANCE = 3e-10
 # Such a change by the smallest steps means that they are unstable, although the states stay finite:
 # in stiff kinetics they alternate about the solution, by 0.01 in one of a hundred samples or more.
 UNSTABLE = 1e-4
+# Largest change of a state in a whole simulation by halved substeps, relative to its largest value:
+# that up to which steps are halved, and that which is worth a warning.
+AGREEMENT = 1e-6
+DISAGREEMENT = 1e-4
 # Most substeps to begin with: the fastest mode at rest may not occur in the simulation.
 MOST_AT_FIRST = 8
+# Samples at which the steps are halved: evenly spread ones, and those where a state moves most.
+CHECKED = 400
+FASTEST = 100
 DIVERGED = 1e20  # counts of cells and pressures exceed 1e9; an unstable model soon exceeds this
 ERROR = "_error"
 
@@ -175,7 +185,7 @@ class Simulator:
         def run(step: SampleStep) -> _Run:
             return _Run(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
 
-        result = self._accurate(float(stretch.steps.max()), run)
+        result = self._agreeing(float(stretch.steps.max()), run)
         signals = by_name(model.system.states, result.along.states)
         signals |= by_name(self._outputs, result.outputs)
         if model.covariance is None:
@@ -344,14 +354,63 @@ class Simulator:
             factor = substep_growth(error, TOLERANCE, self._integrator.order)
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 
+    def _agreeing(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
+        """Run until halved substeps give the same motion; warn if no number of them does.
+
+        Small errors in a sample add up to a large one where the motion is sensitive to them: a
+        relaxation oscillation jumps too late, a chaotic one loses its phase.
+        """
+        result = self._accurate(step, run)
+        is_open = not self._integrator.substeps and result.along.states.size
+        if not is_open or self._integrator.implicit:
+            return result
+        result, change = self._refined(result, run)
+        if change > DISAGREEMENT and self._is_automatic:
+            # Steps that are short enough for the fastest motion would be too many for explicit
+            # ones.
+            explicit = self._integrator, self._substeps, result, change
+            self._is_automatic, self._integrator = False, Radau()
+            self._substeps = MOST_AT_FIRST
+            result, change = self._refined(self._accurate(step, run), run)
+            if not change < explicit[-1]:
+                self._integrator, self._substeps, result, change = explicit
+        if DISAGREEMENT < change < math.inf:
+            cure = "" if self._integrator.implicit else "give integrator=gb.Radau(), "
+            warnings.warn(
+                f"the simulation of {self._model.label} is not exact: halving its "
+                f"{counted(self._substeps, 'step')} per sample changes a state by up to "
+                f"{100 * change:.2g} % of its largest value. The motion is stiff or sensitive to "
+                f"small errors: {cure}give a record with a higher rate, or a shorter one.",
+                stacklevel=4,
+            )
+        return result
+
+    def _refined(self, result: _Run, run: Callable[[SampleStep], _Run]) -> tuple[_Run, float]:
+        """Double the substeps until this changes no state noticeably; return the last change."""
+        while True:
+            states = result.along.states
+            if not np.all(np.abs(states) < DIVERGED):
+                return result, math.inf
+            finer = run(self._step(self._integrator, 2 * self._substeps))
+            change = relative_change(finer.along.states - states, states)
+            # Implicit steps take ten times as long: they are judged, not halved again.
+            is_last = self._integrator.implicit or self._substeps >= MOST_SUBSTEPS
+            if change <= AGREEMENT or is_last:
+                return result, change if math.isfinite(change) else math.inf
+            self._substeps, result = 2 * self._substeps, finer
+
     def _local_error(self, result: _Run) -> float:
         """Return the mean change in a sample by halved substeps, over the size of its state."""
         states = result.along.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
-        # At 400 of all samples, since each costs two evaluations of the model.
-        checked = usable[evenly_spread(usable.size, 400)]
-        if not checked.size:
+        if not usable.size:
             return 0.0
+        # At 400 of all samples, since each costs two evaluations of the model, and at those where a
+        # state moves most: a relaxation oscillation jumps in one of a thousand samples.
+        even = usable[evenly_spread(usable.size, CHECKED)]
+        moves = relative_moves(states)[usable]
+        fastest = usable[np.argsort(-moves, kind="stable")[:FASTEST]]
+        checked = np.concatenate([even, fastest])
         x, data = states[:, checked], result.data[:, checked]
         step, model = result.segments.step, self._model
         coarse = np.asarray(step.function(x, model.q, data)[0])
@@ -363,8 +422,22 @@ class Simulator:
 
         fine = repeated(substep, 2 * self._substeps, begin, mean, slope, model.p, data[-1:])
         change = np.abs(fine - coarse)
-        mean = np.where(np.isfinite(change), change, 0.0).mean(axis=1, keepdims=True)
-        return relative_change(mean, x)
+        change = np.where(np.isfinite(change), change, 0.0)
+        mean = change[:, : even.size].mean(axis=1, keepdims=True)
+        # The mean of all samples is at least this.
+        least = change[:, even.size :].sum(axis=1, keepdims=True) / usable.size
+        return relative_change(np.maximum(mean, least), x)
+
+
+def relative_moves(states: Array) -> Array:
+    """Return how far the states (n, samples) move to the next sample, over their sizes (samples,).
+
+    The largest of all states; zero at the last sample.
+    """
+    usable = np.where(np.abs(states) < DIVERGED, states, 0.0)
+    size = positive_or_one(np.abs(usable).max(axis=1, initial=0.0))
+    moves = np.abs(np.diff(usable, axis=1, append=usable[:, -1:])) / size[:, None]
+    return moves.max(axis=0, initial=0.0)
 
 
 def diverged(signals: NamedArrays) -> BoolArray:

@@ -145,29 +145,33 @@ def locked(folder: Path, *, trust: bool = False) -> Iterator[None]:
     """
     from filelock import FileLock, Timeout  # noqa: PLC0415  (6 ms of the import of greybox)
 
+    lock = FileLock(folder / LOCK, timeout=PATIENCE)
+    # A signal may arrive as soon as the lock is held: nothing may stand between it and its release.
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in (LOCK, DATABASE):
-            _require_plain(folder / name)
-        lock = FileLock(folder / LOCK, timeout=PATIENCE)
-        lock.acquire()
-    except Timeout:
-        raise BlockingIOError(
-            f"another process is writing to {folder}: wait until it ends, or give another folder."
-        ) from None
-    except OSError as error:
-        reason = error.strerror or str(error).rstrip(".")
-        raise type(error)(
-            f"{folder} cannot be written ({reason}): choose another folder."
-        ) from error
-    try:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name in (LOCK, DATABASE):
+                _require_plain(folder / name)
+            lock.acquire()
+        except Timeout:
+            raise BlockingIOError(
+                f"another process is writing to {folder}: wait until it ends, or give another "
+                "folder."
+            ) from None
+        except OSError as error:
+            reason = error.strerror or str(error).rstrip(".")
+            raise type(error)(
+                f"{folder} cannot be written ({reason}): choose another folder."
+            ) from error
+
         if not trust:
             require_own(folder)
         for text in mend(folder, trust=trust):
             warnings.warn(f"{folder}: {text}; what is missing is computed again.", stacklevel=4)
         yield
     finally:
-        lock.release()
+        # Interrupted inside `acquire`, the lock may be held without being counted.
+        lock.release(force=True)
 
 
 @frozen

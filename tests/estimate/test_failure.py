@@ -1,6 +1,7 @@
 """A fit that failed says why, what came closest, what blocks it and what to try."""
 
 import numpy as np
+import pytest
 from unfinished_runs import without_continued_runs
 
 import greybox as gb
@@ -83,6 +84,16 @@ def test_what_blocks_a_predictor_is_named_where_it_is_unstable_too():
     fit = unfinished(gb.PredictionError, 2, K_x_x=2.5)
     assert abs(np.exp(-STEP * fit.best_effort["a"]) * (1 - fit.best_effort["K_x_x"])) > 1
     assert any(text.startswith("mass is not determined") for text in fit.warnings)
+
+
+def test_a_failed_fit_says_how_its_best_end_is_simulated_which_works():
+    fit = unfinished()
+    record = fit.records[0].data
+    with pytest.raises(ValueError, match=r"no estimate.*gb\.simulate\(model, fit\.best_effort"):
+        gb.simulate(fit)
+    motion = gb.simulate(Lag(), fit.best_effort, record=record)
+    by_values = gb.simulate(Lag(), {n: fit.best_effort[n] for n in Lag.parameters}, record=record)
+    assert np.array_equal(motion["x"], by_values["x"])
 
 
 def test_an_estimate_leaves_no_best_effort():

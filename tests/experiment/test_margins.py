@@ -373,10 +373,12 @@ class Unseen(gb.StateSpace):
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_a_loop_that_feels_what_the_data_do_not_determine_has_no_interval():
+@pytest.mark.parametrize("fixed", [{}, {"a": 3.0}])
+def test_a_loop_that_feels_what_the_data_do_not_determine_has_no_interval(fixed):
     response = 35 / (1j * OMEGA + 3) * (1 + 0.01 * np.exp(1j * 7 * OMEGA))
     data = gb.FrequencyResponse(OMEGA, response, input="u", output="h")
-    fit = gb.fit(gb.Problem(Unseen(), data), starts=2, profiles=False, progress=False)
+    problem = gb.Problem(Unseen(), data, fixed=fixed)
+    fit = gb.fit(problem, starts=2, profiles=False, progress=False)
     answer = gb.margins(fit, RateLoop())
     assert any("do not determine the phase margin" in note for note in answer.notes)
     assert np.isnan(answer["phase margin"].low)

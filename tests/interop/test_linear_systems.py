@@ -1,6 +1,7 @@
 """To and from python-control: its frequency responses and simulations are ours."""
 
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -252,3 +253,28 @@ def test_a_matrix_of_responses_returns_as_it_was(control):
     for wrong in (responses[:3], (*responses[:3], other)):
         with pytest.raises(ValueError, match="common frequencies"):
             gb.interop.to_control(wrong)
+
+
+class Root(gb.StateSpace):
+    """A tank that drains through a hole."""
+
+    states, inputs, outputs = ("level",), ("inflow",), ("outflow",)
+    c = gb.Parameter(2.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return (u.inflow - p.c * gb.sqrt(x.level),)
+
+    def output(self, x, u, p):
+        return (p.c * gb.sqrt(x.level),)
+
+
+def test_a_full_operating_point_is_linearized_there_with_a_word_if_it_is_no_equilibrium():
+    slope = 2.0 / (2 * np.sqrt(4.0))  # of c √level
+    with pytest.warns(UserWarning, match=r"Root does not rest .* 'level' is -1\)"):
+        system = gb.interop.to_control(Root(), {"c": 2.0}, at={"level": 4.0, "inflow": 3.0})
+    assert np.allclose([system.A[0, 0], system.C[0, 0]], [-slope, slope])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        system = gb.interop.to_control(Root(), {"c": 2.0}, at={"level": 4.0, "inflow": 4.0})
+    assert np.allclose([system.A[0, 0], system.C[0, 0]], [-slope, slope])

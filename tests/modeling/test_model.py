@@ -86,6 +86,15 @@ def test_a_declaration_without_a_formula_cannot_be_used():
         type("Empty", (gb.StateSpace,), {})()
 
 
+def test_a_formula_that_is_missing_is_named():
+    with pytest.raises(TypeError, match=r"Empty has no formula response\(self, s, p\): declare it"):
+        type("Empty", (gb.TransferFunction,), {})()
+    with pytest.raises(
+        TypeError, match=r"Empty has no formula output\(self, x, u, p\): declare it"
+    ):
+        type("Empty", (gb.StateSpace,), {})()
+
+
 def test_merged_bounds_and_start_boxes_intersect():
     a = gb.Parameter(1.0, bounds=(0, 5), unit="s", starts=(0, 4))
     b = gb.Parameter(4.0, bounds=(2, 9), unit="s")
@@ -162,6 +171,14 @@ def test_a_value_in_the_place_of_a_declared_parameter_is_refused(value):
         (gb.TransferFunction, "outputs", ("y",), "has no effect: did you mean 'output'"),
         (gb.TransferFunction, "delays", {"u": "T"}, r"has no effect: multiply .* gb\.exp"),
         (gb.TransferFunction, "Derived", {"a": len}, "has no effect: did you mean 'derived'"),
+        (gb.StateSpace, "state_start", {"x": 1.0}, "has no effect: did you mean 'state_starts'"),
+        (gb.StateSpace, "events", {"x": 1.0}, r"has no effect: split .* gb\.several"),
+        (gb.StateSpace, "jumps", lambda self, x, u, p: x, r"has no effect: .* gb\.several"),
+        (gb.StateSpace, "x0", (1.0,), "has no effect: give initial="),
+        (gb.StateSpace, "process_noise", {"x": 1.0}, "has no effect: .* to the criterion"),
+        (gb.TransferFunction, "bounds", {"K": (0, 1)}, r"has no effect: .*gb\.Parameter"),
+        (gb.TransferFunction, "constraints", (abs,), "has no effect: .* to the problem"),
+        (gb.StateSpace, "derivatives", lambda self, x, u, p: (), "has no effect: did you mean"),
         (gb.StateSpace, "output", None, "is None: give a function"),
         (gb.StateSpace, "states", "x", "is 'x': give a tuple of names"),
         (gb.StateSpace, "delays", ("u",), r"is \('u',\): give a dictionary"),
@@ -179,6 +196,26 @@ def test_other_attributes_are_a_users_own():
     assert type("Own", (gb.TransferFunction,), own).delay == 0.02
     delayed = type("Own", (gb.TransferFunction,), {"delays": gb.Parameter(0.02)})
     assert [*delayed.parameters] == ["delays"]
+
+
+def test_constants_tables_and_helpers_of_formulas_are_a_users_own():
+    class Own(gb.TransferFunction):
+        """A gain from a table, by constants and a helper whose names could be mistaken."""
+
+        MASS = 1.2
+        events = (2.0, 3.0)
+        noise = 0.1
+        TABLE = {"a": 1.0}
+        K = gb.Parameter(1.0)
+
+        def responses(self, s):
+            return self.MASS * self.events[1] * self.TABLE["a"] / s
+
+        def response(self, s, p):
+            return p.K * self.responses(s)
+
+    answer = gb.frequency_response(Own(), {"K": 2.0}, omega=[0.5])
+    assert abs(answer.response[0]) == pytest.approx(2.0 * 1.2 * 3.0 / 0.5)
 
 
 def test_signals_are_picked_by_name_or_because_they_are_the_only_ones():

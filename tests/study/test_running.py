@@ -4,6 +4,7 @@ import os
 import sys
 
 import pytest
+from filelock import FileLock
 
 from greybox.study.running import is_running
 from greybox.study.store import locked
@@ -44,3 +45,21 @@ def test_what_is_not_a_file_is_neither_followed_nor_waited_for(tmp_path, kind):
     make[kind]()
     assert is_running(tmp_path) is None
     assert victim.read_text() == "mine"
+
+
+def test_a_signal_in_the_moment_of_locking_leaves_no_lock(tmp_path, monkeypatch):
+    acquire = FileLock.acquire
+
+    def interrupted(lock, *args, **options):
+        acquire(lock, *args, **options)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FileLock, "acquire", interrupted)
+        # The error refers to the lock, which would release itself if it were forgotten.
+        with pytest.raises(KeyboardInterrupt) as error, locked(tmp_path):
+            raise AssertionError("the block has run")
+
+    assert error.tb is not None
+    with locked(tmp_path):
+        pass

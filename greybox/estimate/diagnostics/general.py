@@ -39,6 +39,7 @@ from greybox.estimate.diagnostics.records import (
 )
 from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.result import Fit
+from greybox.estimate.verdict import wrapped
 from greybox.files.arrays import Strings
 from greybox.solve.discretization_error import DiscretizationError
 from greybox.solve.local_solver import LocalSolver
@@ -78,6 +79,7 @@ def warnings(
     errors = explained and not exact
     return (
         *not_finite_warnings(nlp, search),
+        *wrapped(answer),
         *finding_warnings(nlp),
         *repeated_data(nlp),
         *discretization_warnings(accuracy, error),

@@ -1,0 +1,63 @@
+"""Simulations of stiff and of chaotic models: exact, or with a warning that they are not."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import greybox as gb
+
+
+class VanDerPol(gb.StateSpace):
+    """A relaxation oscillation, which jumps within a thousandth of its period."""
+
+    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
+    mu = gb.Parameter(100.0, bounds=(0.1, 1e5))
+
+    def derivative(self, x, u, p):
+        return x.v, p.mu * (1 - x.x**2) * x.v - x.x + u.u
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Lorenz(gb.StateSpace):
+    states, inputs, outputs = ("x", "y", "z"), ("u",), ("x",)
+    rho = gb.Parameter(28.0, bounds=(1, 100))
+
+    def derivative(self, x, u, p):
+        return 10 * (x.y - x.x) + u.u, x.x * (p.rho - x.z) - x.y, x.x * x.y - 8 / 3 * x.z
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_a_relaxation_oscillation_jumps_when_it_does_by_scipy():
+    time = np.linspace(0, 170, 1701)
+    record = gb.Record(time, {"u": np.zeros(time.size)})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        motion = gb.simulate(VanDerPol(), {"mu": 100.0}, record=record, initial={"x": 2.0})
+    exact = solve_ivp(
+        lambda t, x: [x[1], 100 * (1 - x[0] ** 2) * x[1] - x[0]],
+        (0, time[-1]),
+        [2, 0],
+        method="Radau",
+        rtol=1e-9,
+        atol=1e-11,
+        t_eval=time,
+    )
+    assert np.abs(exact.y[0]).min() < 1.5  # it has jumped
+    assert np.abs(motion["x"] - exact.y[0]).max() < 2e-3  # of a range of 4
+
+
+def test_a_chaotic_motion_is_said_to_depend_on_the_steps():
+    time = np.linspace(0, 60, 3001)
+    record = gb.Record(time, {"u": np.zeros(time.size)})
+    with pytest.warns(UserWarning, match="simulation of Lorenz is not exact: halving its .* steps"):
+        gb.simulate(Lorenz(), {"rho": 28.0}, record=record, initial={"x": 1.0, "y": 1.0, "z": 1.0})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        short = gb.Record(time[:251], {"u": np.zeros(251)})
+        gb.simulate(Lorenz(), {"rho": 28.0}, record=short, initial={"x": 1.0, "y": 1.0, "z": 1.0})
