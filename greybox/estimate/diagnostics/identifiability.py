@@ -104,11 +104,15 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Sentences:
 
 
 def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
-    """Name parameters at bounds and active constraints: the standard errors treat both as known."""
+    """Name parameters at bounds, and active constraints; say which of them errors take as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`
     # compares likelihoods.
     sizes = accuracy.nlp.noise_sizes
+    is_held = dict.fromkeys(accuracy.at_bound, True)
+    if answer.directions is not None:
+        is_known = answer.directions.is_known
+        is_held |= zip(answer.names, is_known, strict=True)
     for name in accuracy.at_bound:
         if name in without_effect or name in sizes:
             continue
@@ -121,10 +125,13 @@ def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
             cure = f"gusts of less than a sample are white noise, process_noise={(name[7:],)}"
             if side == "upper":
                 cure = "gusts that last as long as the record need a longer one"
-        yield (
-            f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as "
-            f"known there: {cure}."
-        )
+        errors = "the other standard errors treat it as known there"
+        if not is_held[name]:
+            errors = (
+                "the data would leave another parameter far less certain without this bound, so "
+                "standard errors are those without it"
+            )
+        yield f"{name} ended at its {side} bound {bound:g}; {errors}: {cure}."
 
     for limit in accuracy.active:
         yield f"{limit} holds with equality: standard errors treat it as known."
