@@ -617,8 +617,14 @@ def _at_bound(
     # How close a solver comes to a bound depends on its tolerances, not on the data. A parameter is
     # held if it is closer than the data can resolve (by the standard error that it would have with
     # all others known) and if its multiplier says that the cost would decrease beyond the bound.
-    bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
-    distance = np.abs(x - bound)
+    # Distances are those of the solver: on a logarithmic scale ratios count, and zero is far away.
+    z, low, high = (nlp.scaling.to_solver(values) for values in (x, nlp.lower, nlp.upper))
+    is_low = np.abs(z - low) <= np.abs(z - high)
+    bound = np.where(is_low, nlp.lower, nlp.upper)
+    away = np.where(is_low, z - low, high - z)
+    distance = np.abs(away / nlp.scaling.slope(x))
+    # What is further inside has a value of its own, however little the data tell of it.
+    is_near = np.abs(away) <= 0.01 * (high - low)
     # The tolerances of the solvers leave this relative distance.
     held = np.isfinite(bound) & (distance <= 1e-7 * np.maximum(np.abs(x), np.abs(bound)))
 
@@ -626,14 +632,14 @@ def _at_bound(
     spread = np.sum([(share.meat**2).sum(axis=0) for share in shares], axis=0)
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     deviation = np.sqrt(np.where(is_seen, spread, 0.0))
-    close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & ~held
+    close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & is_near & ~held
     if close.any() and trajectories:
         # The derivatives of the cost along the best trajectories.
         gradient = sum(
             part.weight * quadratic_model(part, trajectory, part.residual_weight(trajectory))[1]
             for part, trajectory in zip(nlp.parts, trajectories, strict=True)
         )
-        outward = np.where(bound == nlp.lower, 1.0, -1.0) * gradient * nlp.scaling.slope(x)
+        outward = np.where(is_low, 1.0, -1.0) * gradient * nlp.scaling.slope(x)
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
         # flat valley, a minimum may lie this close to a bound that is not active.
         held |= close & (outward > 0.01 * deviation)
