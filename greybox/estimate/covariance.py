@@ -618,7 +618,7 @@ def _at_bound(
     # held if it is closer than the data can resolve (by the standard error that it would have with
     # all others known) and if its multiplier says that the cost would decrease beyond the bound.
     # Distances are those of the solver: on a logarithmic scale ratios count, and zero is far away.
-    z, low, high = (nlp.scaling.to_solver(values) for values in (x, nlp.lower, nlp.upper))
+    z, (low, high) = nlp.scaling.to_solver(x), nlp.bounds
     is_low = np.abs(z - low) <= np.abs(z - high)
     bound = np.where(is_low, nlp.lower, nlp.upper)
     away = np.where(is_low, z - low, high - z)
