@@ -14,6 +14,7 @@ Begin with `compiled_problem`.
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |
 | `record_part` | a record with its information, and as expressions for IPOPT |
+| `steep_bounds` | bounds at which a root is infinitely steep |
 | `step_size` | substeps of a sample and samples of a segment |
 | `initial_states` | initial states at the nodes |
 | `record_group` | several records evaluated together |

@@ -12,6 +12,7 @@ from greybox.compiled.part import Part, Portable
 from greybox.compiled.record_part import RecordPart, compile_records
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.response_programs import CostProgram, ResponseCompiler
+from greybox.compiled.steep_bounds import MARGIN, steep_bounds
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import compile_manoeuvres
@@ -121,6 +122,8 @@ class CompiledProblem(Portable):
         Bounds of the unknowns, in their own units.
     scaling : Scaling
         Between the unknowns and the solver's variables.
+    steep : (2, p) array
+        At which lower and upper bounds a root in a formula has no finite slope.
     method : Transcription
         How records are transcribed.
     parts : tuple of Part
@@ -150,6 +153,7 @@ class CompiledProblem(Portable):
     lower: Array
     upper: Array
     scaling: Scaling
+    steep: BoolArray
     method: Transcription
     parts: tuple[Part, ...]
     constraint: ca.Function
@@ -211,8 +215,9 @@ class CompiledProblem(Portable):
 
     @property
     def bounds(self) -> ArrayPair:
-        """Lower and upper bounds (p,) of the solver's variables z."""
-        return self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)
+        """Lower and upper bounds (p,) of the solver's variables z, inside of steep ones."""
+        low, high = self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)
+        return low + MARGIN * self.steep[0], high - MARGIN * self.steep[1]
 
     def limits_at(self, z: Any) -> Any:
         """Return what must be >= 0 at symbols z (p,) of the solver's variables."""
@@ -303,6 +308,15 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     lower, upper = lower_and_upper(unknowns)
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
+    starts = np.array([*(p.start for p in unknowns), *constant_values], dtype=float)
+    # A logarithm has no bound at zero, and its slopes there are finite.
+    inward = np.where(scaling.logarithmic, 0.0, scaling.factor)
+    steep = np.array(
+        [
+            steep_bounds(problem.parts, names, starts, lower, inward),
+            steep_bounds(problem.parts, names, starts, upper, -inward),
+        ]
+    )
 
     def values_at(z: Any, constants: Any) -> Fields:
         """Return all values by name, at symbols of the solver's variables and the constants."""
@@ -332,6 +346,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         lower=lower,
         upper=upper,
         scaling=scaling,
+        steep=steep,
         method=method,
         parts=tuple(parts[part] for part in problem.parts),
         constraint=constraint,

@@ -44,10 +44,12 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
                 "give the model that was fitted, or the values as {name: value}."
             )
 
-    # The standard errors of the fit take a parameter at its bound as known. Predictions must do the
-    # same, or their bands would contain an error that no parameter of the fit has.
+    # The standard errors of the fit take a parameter that its bound holds as known. Predictions
+    # must do the same, or their bands would contain an error that no parameter of the fit has.
     free = {q.name: q for q in fit.quantities if q.kind == "free"}
     is_known = np.array([name in free and free[name].at_bound for name in estimated], dtype=bool)
+    if fit.directions is not None:
+        is_known &= fit.known_directions(estimated).is_known
     values = array_of(fit.estimate, estimated)
     covariance = np.where(is_known | is_known[:, None], 0.0, fit.covariance_of(estimated))
 

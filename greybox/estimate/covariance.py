@@ -11,6 +11,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
 from greybox.estimate.identifiability import (
+    BLIND,
     Combination,
     KnownDirections,
     collinear_groups,
@@ -63,7 +64,7 @@ class Accuracy:
         determine. Constants have the covariance of the earlier fit that they come from, or zero.
     blind : (k, b) array
         Directions, in multiples of `size`, on which the data contain no information: invisible
-        ones, and parameters at a bound.
+        ones, and parameters that a bound holds.
     size : (k,) array
         The change of each value that the data notice.
     dof : float
@@ -191,9 +192,11 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
     Parts with nodes need their best `trajectories` there.
 
     It is the covariance of an M-estimator under the noise condition of each part's criterion;
-    parameters at a bound are taken as fixed there, and active constraints hold. Fixed values that
-    come from an earlier fit widen it: C + S Σ Sᵀ with S the derivative of the estimate with respect
-    to them.
+    active constraints hold. A parameter at a bound is taken as fixed there, unless the error of
+    another one would more than double without the bound: noise may have chosen between the bound
+    and a place inside, and the other parameter would have followed. Then the bound is released.
+    Fixed values that come from an earlier fit widen the covariance: C + S Σ Sᵀ with S the
+    derivative of the estimate with respect to them.
     """
     p, k = len(nlp.free), len(nlp.names)
     parts = informations(nlp, x, trajectories)
@@ -220,8 +223,13 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
 
     # A parameter at a bound counts as known, unless the data contain nothing about it: then the
     # bound held it only by chance.
-    seen, invisible = determined_directions(unit, active * size, bounded)
     idle = [k for k in bounded if not (unit[:, k].any() or active[:, k].any())]
+    # The size of noise that ends at zero is that of no noise.
+    sizes = np.flatnonzero(np.isin(nlp.free, [*nlp.noise_sizes]))
+    held = _held(unit, active * size, bounded, np.setdiff1d(bounded, [*idle, *sizes]))
+    seen, invisible = determined_directions(unit, active * size, held)
+    # Not even rounding may give a value that is held an error.
+    seen[held] = invisible[held] = 0
     combinations = invisible_groups(
         np.hstack([invisible, np.eye(p)[:, idle]]),
         size,
@@ -230,8 +238,9 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
     )
 
     known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
-    blind = np.eye(k, p) @ np.hstack([invisible, np.eye(p)[:, bounded]])
-    suspect = collinear_groups(jacobian, active, nlp.free, at_bound, invisible)
+    blind = np.eye(k, p) @ np.hstack([invisible, np.eye(p)[:, held]])
+    fixed = tuple(nlp.free[k] for k in held)
+    suspect = collinear_groups(jacobian, active, nlp.free, fixed, invisible)
     accuracy = replace(
         Accuracy.unknown(nlp),
         x=x,
@@ -249,9 +258,9 @@ def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = 
     if accuracy.dof > 0 and all_finite(*(share.root for share in shares)):
         accuracy = _with_covariance(accuracy, shares, seen * size[:, None], known_noise)
 
-    # Collinearity matters where an error exceeds half of a value.
+    # Collinearity matters where an error exceeds half of a value, which a bound has not chosen.
     error = real_root(np.diag(accuracy.covariance)[:p])
-    loose = ~(error < 0.5 * np.abs(x))
+    loose = ~(error < 0.5 * np.abs(x)) & ~np.isin(nlp.free, at_bound)
     reported = (c for c in suspect if np.any(loose & np.isin(nlp.free, c.names)))
     return replace(accuracy, combinations=(*combinations, *reported))
 
@@ -357,11 +366,13 @@ def prior_shares(accuracy: Accuracy) -> Values:
 def known_directions(accuracy: Accuracy, values: Array, slopes: Array) -> KnownDirections | None:
     """Return what the data determine of values (m,) with derivatives (m, k) in all values.
 
-    None without a covariance. A parameter at its bound counts as known, as in all errors of a fit.
+    None without a covariance. A parameter that its bound holds counts as known, as in all errors of
+    a fit.
     """
     if not all_finite(accuracy.covariance):
         return None
-    # Directions of parameters at their bounds are among the blind ones only because these are held.
+    # Directions of single parameters at their bounds are among the blind ones only because these
+    # are held.
     scaled = slopes * accuracy.size
     inside = ~np.isin(accuracy.nlp.names, accuracy.at_bound)
     unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[inside]) > 0, axis=0)]
@@ -551,6 +562,32 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 
+def _held(unit: Array, active: Array, bounded: IntArray, releasable: IntArray) -> IntArray:
+    """Return the places of the parameters that a bound holds, of those at a bound, `bounded`.
+
+    `unit` (n, p) is the root of the information and `active` (a, p) has the gradients of active
+    constraints, both in units of the sizes.
+    """
+    inside = np.setdiff1d(np.arange(unit.shape[1]), bounded)
+    if not releasable.size or not inside.size:
+        return bounded
+
+    def errors(held: IntArray) -> Array:
+        seen, invisible = determined_directions(unit, active, held)
+        errors = column_lengths(_root_of_inverse(unit, seen).T)
+        errors[column_lengths(invisible.T) > BLIND] = np.inf
+        return errors[inside]
+
+    # Twice the error is that of a parameter with a correlation of 0.87 with the one at its bound.
+    limit = 2 * errors(bounded)
+    # Each by itself; two may also matter only together.
+    singly = [k for k in releasable if np.any(errors(bounded[bounded != k]) > limit)]
+    if singly:
+        return np.setdiff1d(bounded, singly)
+    remaining = np.setdiff1d(bounded, releasable)
+    return remaining if np.any(errors(remaining) > limit) else bounded
+
+
 def _share(part: Information, p: int, paid: float = 0.0, noise: float | None = None) -> _Share:
     """Return the information of a part on `p` unknowns, its residuals having `paid` for them.
 
@@ -580,8 +617,14 @@ def _at_bound(
     # How close a solver comes to a bound depends on its tolerances, not on the data. A parameter is
     # held if it is closer than the data can resolve (by the standard error that it would have with
     # all others known) and if its multiplier says that the cost would decrease beyond the bound.
-    bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
-    distance = np.abs(x - bound)
+    # Distances are those of the solver: on a logarithmic scale ratios count, and zero is far away.
+    z, (low, high) = nlp.scaling.to_solver(x), nlp.bounds
+    is_low = np.abs(z - low) <= np.abs(z - high)
+    bound = np.where(is_low, nlp.lower, nlp.upper)
+    away = np.where(is_low, z - low, high - z)
+    distance = np.abs(away / nlp.scaling.slope(x))
+    # What is further inside has a value of its own, however little the data tell of it.
+    is_near = np.abs(away) <= 0.01 * (high - low)
     # The tolerances of the solvers leave this relative distance.
     held = np.isfinite(bound) & (distance <= 1e-7 * np.maximum(np.abs(x), np.abs(bound)))
 
@@ -589,14 +632,14 @@ def _at_bound(
     spread = np.sum([(share.meat**2).sum(axis=0) for share in shares], axis=0)
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     deviation = np.sqrt(np.where(is_seen, spread, 0.0))
-    close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & ~held
+    close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & is_near & ~held
     if close.any() and trajectories:
         # The derivatives of the cost along the best trajectories.
         gradient = sum(
             part.weight * quadratic_model(part, trajectory, part.residual_weight(trajectory))[1]
             for part, trajectory in zip(nlp.parts, trajectories, strict=True)
         )
-        outward = np.where(bound == nlp.lower, 1.0, -1.0) * gradient * nlp.scaling.slope(x)
+        outward = np.where(is_low, 1.0, -1.0) * gradient * nlp.scaling.slope(x)
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
         # flat valley, a minimum may lie this close to a bound that is not active.
         held |= close & (outward > 0.01 * deviation)

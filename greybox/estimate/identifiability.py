@@ -77,6 +77,11 @@ class KnownDirections:
         )
 
     @property
+    def is_known(self) -> BoolArray:
+        """Whether each value counts as exact (p,): constants, and parameters that a bound holds."""
+        return (np.diag(self.covariance) == 0) & ~self.unseen.any(axis=1)
+
+    @property
     def correlation(self) -> Array:
         """Correlation matrix (p, p); NaN for a parameter without a standard error."""
         errors = self.errors(np.eye(len(self.at)))
@@ -146,7 +151,8 @@ class Identifiability(Printed):
         small insensitivity means correlation. A large insensitivity means that the data contain
         little information on the parameter.
     at_bound : tuple of str
-        Parameters that ended at a bound, and are taken as known.
+        Parameters that ended at a bound. They are taken as known, unless an error of another
+        parameter would more than double without the bound.
     correlated : tuple of (str, str, float)
         Pairs with a correlation above 0.9, largest first.
     condition : float
@@ -193,8 +199,9 @@ def identifiability(
     at_bound: Labels,
 ) -> Identifiability:
     """Judge every free parameter at the estimate, and find the combinations that are determined."""
-    # A parameter at its bound counts as known, and must not appear as an unseen direction.
-    places = [k for k, name in enumerate(names) if name not in at_bound]
+    # A parameter that its bound holds must not appear as an unseen direction.
+    is_known = directions.is_known
+    places = [k for k, name in enumerate(names) if not (name in at_bound and is_known[k])]
     inside = directions.of(places)
     inside_names = [names[k] for k in places]
     errors = inside.errors(np.eye(len(places)))
@@ -208,6 +215,8 @@ def identifiability(
         alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
         error[places] = errors / np.abs(inside.at)
         insensitivity[places] = alone / np.abs(inside.at)
+    # A bound chose the value: no share of it means anything, and it is often zero.
+    error[np.isin(names, at_bound)] = insensitivity[np.isin(names, at_bound)] = math.nan
 
     r = inside.correlation
     # From a correlation of 0.9 on, each error is 2.3 times that with the other parameter known.

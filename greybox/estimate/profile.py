@@ -131,12 +131,14 @@ def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     if nlp.has_states:
         are_quick = all(p.has_states and (p.is_static or not p.samples) for p in nlp.parts)
     is_large = nlp.numbers > 1000 and not is_batched
-    if is_large or not are_quick or any(p.roots for p in nlp.programs):
+    is_slow = is_large or not are_quick
+    released = _released(fit)
+    if (is_slow and not released) or any(p.roots for p in nlp.programs):
         return fit
     if fit.priors or any(_refusals(nlp, _estimate(nlp, fit), fit)):
         return fit
 
-    lines = [*_misleading(nlp, fit)]
+    lines = [*_misleading(nlp, fit, released, looks_around=not is_slow)]
     if not lines:
         return fit
     # Each point is a run: more work than this takes a second and longer.
@@ -151,8 +153,21 @@ def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     return replace(fit, notes=(*fit.notes, note))
 
 
-def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
+def _released(fit: Fit) -> list[int]:
+    """Return the places in `Fit.free` of the parameters at a bound that does not hold them."""
+    if fit.directions is None:
+        return []
+    is_known = fit.known_directions(fit.free).is_known
+    return [k for k, name in enumerate(fit.free) if name in fit.at_bound and not is_known[k]]
+
+
+def _misleading(
+    nlp: CompiledProblem, fit: Fit, released: Sequence[int], *, looks_around: bool
+) -> Iterator[Quantity]:
     """Yield parameters without an interval inside the bounds, and those whose error changes.
+
+    Also those that follow one of the parameters `released`, which are at a bound that does not hold
+    them. Errors elsewhere are computed only if `looks_around`.
 
     A standard error is that of a linear response. Where it changes, as near a fold of the response,
     beyond which other values have nearly the same one, the likelihood is far from normal.
@@ -173,7 +188,7 @@ def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
         jacobian = np.vstack([part.jacobian for part in parts])[:, : len(x)]
         return np.linalg.norm(np.linalg.pinv(np.nan_to_num(jacobian * size)), axis=1)
 
-    middle = errors(x)
+    middle = errors(x) if looks_around else np.ones(len(x))
 
     def changes(k: int, step: Array) -> bool:
         ends = middle[k], errors(x - step)[k], errors(x + step)[k]
@@ -185,8 +200,11 @@ def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
     for k, (q, row) in enumerate(zip(free, np.nan_to_num(fit.correlation), strict=True)):
         low, high = intervals[q.name]
         is_inside = q.bounds[0] <= low <= high <= q.bounds[1]
+        # Known, the parameter at the bound would leave less than half of the error.
+        follows = bool(np.any(row[released] ** 2 > 0.75))
         # With an error of half the value, the interval contains zero.
-        if not is_inside or size[k] > 0.5 * abs(x[k]) or changes(k, row * size):
+        is_plain = is_inside and size[k] <= 0.5 * abs(x[k]) and not follows
+        if not is_plain or (looks_around and changes(k, row * size)):
             yield q
 
 

@@ -74,6 +74,7 @@ class Quantity:
     bounds, box : (float, float)
         Limits of the estimate, and of the drawn starts.
     at_bound : bool
+        Whether the value ended at one of `bounds`, or of a tied parameter.
     dof : float
         Degrees of freedom of Student's t for its interval.
     bias : float
@@ -141,7 +142,7 @@ class Fit(Printed):
         independent along frequency; None where they are.
     directions : KnownDirections or None
         Covariance of all `names` in the directions that the data determine, and the other
-        directions. Parameters at a bound count as known.
+        directions. Parameters that a bound holds count as known.
     profiles : Profiles or None
         Profiles of the parameters whose standard error misleads.
     priors : mapping of name to (float, float)
@@ -207,7 +208,7 @@ class Fit(Printed):
 
     @cached_property
     def at_bound(self) -> Strings:
-        """Names of the parameters that a bound holds."""
+        """Names of the parameters that ended at a bound."""
         return tuple(q.name for q in self.quantities if q.at_bound)
 
     @cached_property

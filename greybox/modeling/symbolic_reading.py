@@ -120,6 +120,26 @@ def derivative_function(model: StateSpace) -> ca.Function:
     return ca.Function("derivative", [z, p], [traced_column(model, "derivative", z, p)])
 
 
+def switching_parameters(model: Model) -> tuple[str, ...]:
+    """Return the parameters that a model's formulas contain only where they have no slope.
+
+    These are thresholds in a condition or a sign, and what is rounded. Empty for a model without
+    states and outputs.
+    """
+    if not isinstance(model, StateSpace):
+        return ()
+    z, p = symbols(model)
+    formulas = ca.vertcat(
+        traced_column(model, "derivative", z, p), traced_column(model, "output", z, p)
+    )
+    slopes = ca.sparsify(ca.jacobian(formulas, p))
+    return tuple(
+        name
+        for k, name in enumerate(model.parameters)
+        if ca.depends_on(formulas, p[k]) and slopes[:, k].nnz() == 0
+    )
+
+
 def state_starts(model: StateSpace, p: Any) -> list[Any]:
     """Return where the states (n,) begin in a search, for parameters by name; by default at 0."""
     starts = [(name, model.state_starts.get(name, 0.0)) for name in model.state_names]

@@ -54,7 +54,7 @@ class ModelAtEstimate:
         The model's parameters, then biases of sensors and gains of the innovations, and their
         values.
     covariance : (declared, declared) array or None
-        Covariance of these values; None for plain numbers. It is zero for a value at its bound,
+        Covariance of these values; None for plain numbers. It is zero for one that its bound holds,
         which counts as exact, and NaN for a value that the data do not determine.
     criterion : TimeCriterion
         How inputs run between samples, which signals are biased, and whether innovations correct

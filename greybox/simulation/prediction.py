@@ -65,7 +65,7 @@ class Prediction(Printed):
     predicted, error : (k, w, h) arrays
         The outputs as their sensors show them, and their standard errors, from those of the
         parameters (with the states and gains that they imply, to first order) and of the first
-        state; the noise of the outputs is not included. A parameter at its bound counts as exact;
+        state; the noise of the outputs is not included. A parameter that its bound holds is exact;
         NaN if an output depends on a parameter that the data of the fit do not determine.
     noise : (k, k) array
         Covariance of the outputs' errors, from the fit or else estimated from the lead-ins.

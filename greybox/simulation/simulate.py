@@ -88,8 +88,8 @@ def simulate(
         ``<output>_error``, the standard error of an output, from those of the parameters (to first
         order) and of the initial states, if these are from the fit. It is NaN where an unstable
         model runs too long for that, and for an output that depends on a parameter which the data
-        of the fit do not determine; the name of the record states which. A parameter at its bound
-        counts as exact, as in the standard errors of the fit. The noise of the sensors is not
+        of the fit do not determine; the name of the record states which. A parameter that its
+        bound holds is exact, as in the standard errors of the fit. The noise of the sensors is not
         included.
 
     Raises

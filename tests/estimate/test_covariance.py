@@ -924,3 +924,25 @@ def test_a_bound_holds_what_is_close_and_pushed_or_within_rounding(side, away, b
     x = np.array([bound - side * away * unit])
     accuracy = assess(nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
     assert accuracy.at_bound == (("a",) if held else ())
+
+
+@pytest.mark.parametrize(("value", "held"), [(0.976, False), (2e-5, False), (1.0000001e-5, True)])
+def test_on_a_logarithmic_scale_a_bound_is_as_far_as_its_ratio(value, held):
+    """Of a parameter of which the data tell nothing within its bounds, and which they would lower."""
+
+    class Scaled(gb.StateSpace):
+        inputs, outputs = ("u",), ("y",)
+        c = gb.Parameter(1.0, bounds=(1e-5, 1e5), scale="log")
+
+        def output(self, x, u, p):
+            return (p.c * u.u,)
+
+    random = np.random.default_rng(3)
+    u = 1e-5 * random.normal(size=50)
+    y = random.normal(size=50)
+    y -= u * (u @ y) / (u @ u) + 0.5 * u / np.linalg.norm(u)  # c is half a standard error below 0
+    record = gb.Record(np.arange(50.0), {"u": u, "y": y}, has_time=False)
+    nlp = compile_problem(gb.Problem(Scaled(), record, gb.OutputError(noise={"y": 1.0})))
+    x = np.array([value])
+    accuracy = assess(nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    assert accuracy.at_bound == (("c",) if held else ())

@@ -241,10 +241,12 @@ def test_what_is_known_is_the_inverse_within_the_directions_that_are():
     np.testing.assert_allclose(known.matrix, np.linalg.pinv(scaled), atol=1e-12)
 
 
-def judged(jacobian, value, at_bound=()):
+def judged(jacobian, value, at_bound=(), held=()):
     """What is told of parameters a, b, c whose data have this Jacobian, with errors of deviation one."""
     size = 1 / np.linalg.norm(jacobian, axis=0)
-    known = KnownDirections(np.linalg.inv(jacobian.T @ jacobian), np.zeros((3, 0)), size, value)
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    covariance[[*held]] = covariance[:, [*held]] = 0
+    known = KnownDirections(covariance, np.zeros((3, 0)), size, value)
     return identifiability(tuple("abc"), ("s", "s", "1"), known, at_bound)
 
 
@@ -275,7 +277,14 @@ def test_errors_insensitivities_and_correlations_are_those_of_the_jacobian():
         in text
     )
 
-    held = judged(jacobian, value, ("b",))
+    # Errors of the others are those without the bound, unless it holds its parameter.
+    released = judged(jacobian, value, ("b",))
+    np.testing.assert_allclose(released.insensitivity[[0, 2]], found.insensitivity[[0, 2]])
+    assert released.correlated == found.correlated
+    assert np.isnan(released.error[1])
+    assert "b" not in released.beyond
+
+    held = judged(jacobian, value, ("b",), held=[1])
     assert np.isnan([held.error[1], held.insensitivity[1]]).all()
     np.testing.assert_allclose(held.error[[0, 2]], found.error[[0, 2]])
     assert held.correlated == ()

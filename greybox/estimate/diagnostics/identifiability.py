@@ -10,6 +10,7 @@ from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
 from greybox.files.arrays import unique
 from greybox.files.text_table import Sentences, counted, listed, number, with_error
+from greybox.modeling.symbolic_reading import switching_parameters
 
 
 def not_determined(accuracy: Accuracy) -> Sentences:
@@ -18,8 +19,16 @@ def not_determined(accuracy: Accuracy) -> Sentences:
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
     # Infinite indices first: without them fixed, no standard error exists.
     combinations.sort(key=lambda c: -c.index)
+    switching = _switching(accuracy.nlp) if combinations else set()
     for combination in combinations[:3]:
-        if math.isinf(combination.index):
+        if len(combination.names) == 1 and combination.names[0] in switching:
+            yield (
+                f"{combination.names[0]} is not determined: it enters the model only through a "
+                "switch or a rounding, which has no slope that a solver could follow, so its value "
+                "is that of a start. Write the switch as a ramp one sample wide: "
+                "gb.maximum(gb.minimum((a - b) / step + 0.5, 1), 0) in place of a > b."
+            )
+        elif math.isinf(combination.index):
             yield _not_determined(combination)
         else:
             yield (
@@ -50,6 +59,15 @@ def determined_together(fit: Fit) -> Sentences:
         f"{listed(members)} are not; the table of identifiability shows how well each "
         "is."
     )
+
+
+def _switching(nlp: CompiledProblem) -> set[str]:
+    """Return the unknowns that the formulas contain only where they have no slope."""
+    return {
+        part.outside(name)
+        for part in nlp.problem.parts
+        for name in switching_parameters(part.model)
+    }
 
 
 def _not_determined(combination: Combination) -> str:
@@ -104,11 +122,15 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Sentences:
 
 
 def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
-    """Name parameters at bounds and active constraints: the standard errors treat both as known."""
+    """Name parameters at bounds, and active constraints; say which of them errors take as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
     # Runs start above zero: an intensity that ends there is that of no noise. Where all do, `gusts`
     # compares likelihoods.
     sizes = accuracy.nlp.noise_sizes
+    is_held = dict.fromkeys(accuracy.at_bound, True)
+    if answer.directions is not None:
+        is_known = answer.directions.is_known
+        is_held |= zip(answer.names, is_known, strict=True)
     for name in accuracy.at_bound:
         if name in without_effect or name in sizes:
             continue
@@ -121,10 +143,13 @@ def at_bounds(answer: Fit, accuracy: Accuracy) -> Sentences:
             cure = f"gusts of less than a sample are white noise, process_noise={(name[7:],)}"
             if side == "upper":
                 cure = "gusts that last as long as the record need a longer one"
-        yield (
-            f"{name} ended at its {side} bound {bound:g}; the other standard errors treat it as "
-            f"known there: {cure}."
-        )
+        errors = "the other standard errors treat it as known there"
+        if not is_held[name]:
+            errors = (
+                "the data would leave another parameter far less certain without this bound, so "
+                "standard errors are those without it"
+            )
+        yield f"{name} ended at its {side} bound {bound:g}; {errors}: {cure}."
 
     for limit in accuracy.active:
         yield f"{limit} holds with equality: standard errors treat it as known."
