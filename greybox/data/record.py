@@ -1,7 +1,7 @@
 """Measured time histories: one experiment on one time base, and all records of a log file."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import field, fields, replace
 from functools import cached_property
 from itertools import chain
 from typing import Any, ClassVar, Self
@@ -197,6 +197,10 @@ class Record(Printed):
                 f"the record has no signal {name!r}; it has {alternatives(name, self.signals)}"
             )
         return self.signals[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields alone: the key of a stored study must not depend on what was asked."""
+        return {each.name: vars(self)[each.name] for each in fields(self)}
 
     @cached_property
     def clock(self) -> Clock:

@@ -78,6 +78,15 @@ class Output(TypedDict):
     noise: float | None
 
 
+class Gap(TypedDict):
+    """What the long steps of a record are taken for."""
+
+    part: str
+    text: str
+    stretches: int
+    unused: int
+
+
 class Response(TypedDict):
     """How well a response is reproduced."""
 
@@ -132,6 +141,7 @@ class Answer(Estimated, total=False):
     at: Numbers
     prior: dict[str, Prior]
     outputs: list[Output]
+    gaps: list[Gap]
     responses: list[Response]
     at_bound: list[str]
     fingerprint: str
