@@ -39,6 +39,7 @@ from greybox.solve.runs import CUT_SHORT, IMPROVED, POLISHED, Outcome, Outcomes,
 from greybox.solve.stationarity import is_above, is_minimum
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
+AT_BOUND = 1e-8  # distance from a bound, by which IPOPT widens it
 EXCEEDED = "Maximum_Iterations_Exceeded"  # IPOPT's status at its limit
 
 # Iterations of a batch. Runs on the fits of the paper take 20 to 60, on polynomials of high order
@@ -174,7 +175,9 @@ class ResponseSolver(Descent):
         own = stages[-1]
         converged = status not in CUT_SHORT and self._is_minimum(own, z, p)
         if not (converged or status in (*CUT_SHORT, EXCEEDED)):
-            near = own.variant({**CONFIRMING, **self._options})
+            # Beyond a bound, which IPOPT widens by 1e-8, the others settle where they do not belong.
+            within = {**CONFIRMING, "bound_relax_factor": 0.0}
+            near = own.variant({**within, **self._options})
             end, again, count = near.solve(z, p, self._bounds)
             iterations += count
             if self._is_minimum(near, end, p):
@@ -186,7 +189,15 @@ class ResponseSolver(Descent):
         """Return whether z (p,) is a minimum of IPOPT's program with the parameters p."""
         # IPOPT respects bounds to a tolerance only.
         z = self.nlp.scaling.to_solver(self.nlp.estimate_at(z))
-        return is_minimum(self._limits, z, *stage.derivatives(z, p), self.limits["tolerance"])
+        # Its barrier holds variables off the bounds that hold them: where the cost is steep, the
+        # rest of the way is worth more than the tolerance.
+        low, high = self._limits.low, self._limits.high
+        at_bounds = np.where(z - low < AT_BOUND, low, np.where(high - z < AT_BOUND, high, z))
+        tolerance = self.limits["tolerance"]
+        return any(
+            is_minimum(self._limits, point, *stage.derivatives(point, p), tolerance)
+            for point in (z, at_bounds)
+        )
 
     @cached_property
     def _limits(self) -> Limits:

@@ -60,7 +60,7 @@ OWN, IPOPT = gb.MultipleShooting(), gb.SingleShooting()
 )
 def test_a_compiled_problem_solves_alike_where_the_model_is_not_known(which, method):
     nlp = compile_problem(PROBLEMS[which](), method)
-    with pytest.raises((pickle.PicklingError, AttributeError)):
+    with pytest.raises(TypeError, match="cannot be imported by its name"):
         pickle.dumps(nlp.problem)
     sent = pickle.loads(pickle.dumps(nlp))
     for compiled in (sent, *sent.parts):
