@@ -175,7 +175,7 @@ class ResponseSolver(Descent):
         own = stages[-1]
         converged = status not in CUT_SHORT and self._is_minimum(own, z, p)
         if not (converged or status in (*CUT_SHORT, EXCEEDED)):
-            # Beyond a bound, which IPOPT widens by 1e-8, the others settle where they do not belong.
+            # Beyond a bound, which IPOPT widens by 1e-8, the others settle in the wrong place.
             within = {**CONFIRMING, "bound_relax_factor": 0.0}
             near = own.variant({**within, **self._options})
             end, again, count = near.solve(z, p, self._bounds)
