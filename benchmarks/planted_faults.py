@@ -51,11 +51,12 @@ def with_finite_slopes(formula):
 """,
     ),
     Fault(
-        "a worker lacks what finer steps are compiled from",
-        "class RecordModel(",
+        # A worker that lacks something costs time alone: its runs are made again at home.
+        "a worker weighs its data twice",
+        "class Part(",
         """
-_left = "problem", "record", "criterion", "biases"
-RecordModel.__getstate__ = lambda self: {k: v for k, v in vars(self).items() if k not in _left}
+_right_state = Part.__getstate__
+Part.__getstate__ = lambda self: _right_state(self) | {"weight": 2 * self.weight}
 """,
     ),
     Fault(

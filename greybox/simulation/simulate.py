@@ -122,7 +122,9 @@ def simulate(
 
     # Without states and delays, samples are independent of one another.
     static = not (estimated.system.states or estimated.system.delayed)
-    stretches = gapless(record, estimated.system.inputs, (), held=estimated.held)
+    stretches = gapless(
+        record, estimated.system.inputs, (), lead=estimated.delays, held=estimated.held
+    )
     # From one sample alone, nothing moves.
     if max(map(len, stretches), default=0) < (1 if static else 2):
         what = "sample" if static else "two consecutive samples"

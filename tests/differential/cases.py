@@ -23,8 +23,6 @@ FAMILIES: dict[str, Callable[[np.random.Generator], str | None]] = {
 # same; the sample of the test suite leaves them out. Whoever mends one removes its line.
 OPEN = {
     "fit-worse-clock": "lost rows and rounded stamps may cost more than four times the precision",
-    "simulate-uneven-delays": "gb.simulate shifts delayed inputs by samples, also where times jitter",
-    "relation-pickle": "a fit cannot be pickled",
 }
 
 

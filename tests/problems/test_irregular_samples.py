@@ -61,6 +61,8 @@ def test_what_needs_uniform_samples_says_so():
 
     with pytest.raises(ValueError, match=r"not uniform .* a delay needs uniform sampling"):
         gb.fit(gb.Problem(Late(), ramped()))
+    with pytest.raises(ValueError, match=r"not uniform .* a delay needs uniform sampling"):
+        gb.simulate(Late(), {"k": 0.8, "b": 2.0}, ramped())
     with pytest.raises(ValueError, match="corrects its states by a constant gain"):
         gb.fit(gb.Problem(Decay(), ramped(), gb.PredictionError()))
     with pytest.raises(ValueError, match="uniform"):
