@@ -47,9 +47,8 @@ MEANS: dict[int, Callable[..., ca.SX]] = {
 }
 
 
-def is_elementary(formula: ca.SX | ca.Function) -> bool:
-    """Return whether every operation of a formula, or of an SX function, is one of `ELEMENTARY`."""
-    program = formula if isinstance(formula, ca.Function) else program_of(formula)
+def is_elementary(program: ca.Function) -> bool:
+    """Return whether every operation of an SX function is one of `ELEMENTARY`."""
     ends = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
     return (ELEMENTARY | ends).issuperset(operations(program))
 
