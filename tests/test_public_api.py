@@ -12,7 +12,7 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap Collocation Controller Criterion Draws EquationError Fit FrequencyResponse Integrator MagnitudePhase
+Bootstrap CHECKS Collocation Controller Criterion Draws EquationError Evidence Finding Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 Radau RelativeLikelihood RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
 Transcription TransferFunction batch bootstrap compare cost draws feedback fit frequency_response identify load margins misfit

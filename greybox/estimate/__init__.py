@@ -4,7 +4,10 @@ Begin with `fit`.
 
 | file | contents |
 | --- | --- |
-| `fit` | from a problem to its answer: search, accuracy, warnings |
+| `fit` | from a problem to its answer in three steps: search, estimate, assess |
+| `at_minimum` | the estimate at the best minimum, with its errors |
+| `assessment` | what its checks find, the misfit, and profiles |
+| `checks/` | the checks, a file each |
 | `result` | `Fit`, the answer as values |
 | `verdict` | the answer in a few sentences |
 | `printed` | the answer as text, as HTML for notebooks, and as plain values for JSON |
@@ -26,6 +29,8 @@ Begin with `fit`.
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
 | `profile` | likelihood profiles, by minima with a quantity held, and where they end |
 | `profile_result` | the profiles as values |
-| `diagnostics` | the folder of warnings |
+| `largest_deviation` | the point of a response that deviates most |
+| `wrapped_outputs` | outputs that jump by a full turn |
+| `pade_error` | how far a Padé approximation is from the delay |
 | `storage`, `stored_values` | fits in HDF5 files, and how their fields are stored |
 """

@@ -186,7 +186,9 @@ class PartAccuracy:
     noise: float | None = None
 
 
-def assess(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = ()) -> Accuracy:
+def accuracy_at(
+    nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory] = ()
+) -> Accuracy:
     """Return the accuracy of the estimate `x` (p,).
 
     Parts with nodes need their best `trajectories` there.
@@ -399,7 +401,7 @@ def directions_beside(
     beside = np.where(np.isin(nlp.free, at_bound), x, np.clip(moved, nlp.lower, nlp.upper))
 
     try:
-        accuracy = assess(nlp, beside, trajectories_at(beside))
+        accuracy = accuracy_at(nlp, beside, trajectories_at(beside))
     except np.linalg.LinAlgError:  # the model may diverge there
         return None
     return known_directions(accuracy, beside, np.eye(len(x), len(nlp.names)))

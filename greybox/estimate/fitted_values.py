@@ -12,8 +12,8 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.diagnostics.discretization import pade_error
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.pade_error import pade_error
 from greybox.estimate.response_band import response_and_slope
 from greybox.files.arrays import (
     Array,

@@ -14,7 +14,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
-from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
+from greybox.estimate.largest_deviation import SIZE, largest_deviation
 from greybox.estimate.misfit import FALSE_ALARMS, Cause
 from greybox.estimate.missing_terms import (
     SMOOTH,

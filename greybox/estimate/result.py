@@ -161,6 +161,8 @@ class Fit(Printed):
         Seed and rule of the starts, duration of the fit, versions of the packages.
     command : tuple of str
         Arguments of the ``greybox`` command that made the fit; empty from Python.
+    left_out : tuple of str
+        Names of the included checks that were not made, see ``greybox.CHECKS``.
     models, given : tuple of Model or None, tuple of Model or class
         The fitted models, None for a loaded fit; and the models that were given to `load`.
 
@@ -200,6 +202,7 @@ class Fit(Printed):
     prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = None
     command: Strings = ()
+    left_out: Strings = ()
 
     @cached_property
     def free(self) -> Strings:

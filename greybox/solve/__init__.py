@@ -1,9 +1,10 @@
 """From starts to minima.
 
-Begin with `multistart`.
+Begin with `search`.
 
 | file | contents |
 | --- | --- |
+| `search` | the first step of a fit: runs from all starts, finer steps, polished minima |
 | `multistart` | the solver of a problem, the order of its starts, and its runs from them |
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
@@ -13,6 +14,7 @@ Begin with `multistart`.
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |
 | `ipopt` | IPOPT on one program |
+| `not_finite` | where and why a model has no finite value |
 | `stationarity` | whether the end of a run is a minimum |
 | `discretization_error` | finer integration steps |
 | `robust_fit` | fits in which large errors are bounded |

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.covariance import Accuracy, accuracy_at
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
@@ -391,7 +391,7 @@ def bootstrap(  # noqa: PLR0913  (what to repeat, how, and where it is kept)
 
 
 def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]) -> Accuracy:
-    accuracy = assess(nlp, x, trajectories)
+    accuracy = accuracy_at(nlp, x, trajectories)
     if not accuracy.parts:
         raise ValueError(
             f"the data of {nlp.problem.name!r} are too few for the size of their errors: "

@@ -1,5 +1,7 @@
 """Whether the harmonics of a sine test are enough: the step of the estimate, against least squares."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from duffing_oscillator import Spring
@@ -7,8 +9,8 @@ from evaluation import numeric_jacobian
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess
-from greybox.estimate.diagnostics import discretization
+from greybox.estimate.checks import few_harmonics as module
+from greybox.estimate.covariance import accuracy_at
 from greybox.modeling import Sine, harmonic_response
 
 OMEGA = np.array([0.45, 1.7])
@@ -31,7 +33,7 @@ def test_harmonics_that_would_shift_the_estimate_are_asked_for(noise, matters):
         Spring(), measured, gb.SquaredRelativeError(), amplitude=Sine("u", 0.7, harmonics=1)
     )
     nlp = compile_problem(problem)
-    texts = [*discretization.harmonic_warnings(nlp, x)]
+    texts = [f.text for f in module.few_harmonics(SimpleNamespace(nlp=nlp, x=x))]
     assert bool(texts) == matters
 
     # The step of least squares, in standard errors.
@@ -40,7 +42,7 @@ def test_harmonics_that_would_shift_the_estimate_are_asked_for(noise, matters):
 
     slopes = numeric_jacobian(lambda y: stacked(response(y, 1) / np.abs(data)), x)
     step = np.linalg.lstsq(slopes, stacked((more - few) / np.abs(data)), rcond=None)[0]
-    shift = np.abs(step) / np.sqrt(np.diag(assess(nlp, x).covariance))
+    shift = np.abs(step) / np.sqrt(np.diag(accuracy_at(nlp, x).covariance))
     assert (shift.max() > 0.1) == matters
     if matters:
         change = 100 * np.abs(more / few - 1).max()
@@ -67,6 +69,7 @@ def test_where_more_harmonics_find_no_motion_is_said(monkeypatch):
     measured = gb.FrequencyResponse(OMEGA, response(x, 7), "u", "x", name="run")
     problem = gb.Problem(Spring(), measured, amplitude=Sine("u", 0.7, harmonics=7))
     found = np.array([response(x, 7)[0], np.nan])
-    monkeypatch.setattr(discretization, "directly_found", lambda *_, **__: (found, 17))
-    (text,) = discretization.harmonic_warnings(compile_problem(problem), np.array(x))
+    monkeypatch.setattr(module, "directly_found", lambda *_, **__: (found, 17))
+    evidence = SimpleNamespace(nlp=compile_problem(problem), x=np.array(x))
+    (text,) = [f.text for f in module.few_harmonics(evidence)]
     assert "no motion was found at 1 of 2" in text
