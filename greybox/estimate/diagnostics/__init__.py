@@ -10,7 +10,7 @@ Begin with `general`.
 | `noise_level` | Is the noise as large as stated, and independent? Are there gusts? |
 | `outlying_points` | Which points of a response or samples of a record are outliers? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |
-| `discretization` | Are the integration, the Padé delay and the harmonics accurate enough? |
+| `discretization` | Are the integration and the Padé delay accurate enough? |
 | `not_finite` | Where and why does the model have no finite value? |
 | `repeated` | one sentence in place of many alike |
 """

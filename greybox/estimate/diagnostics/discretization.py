@@ -1,33 +1,23 @@
 """Whether the integration is accurate enough for the noise.
 
 Whether the Padé approximation of a delay is accurate enough over the fitted band.
-
-Whether the harmonics of a sine test are enough for the noise.
-
-Too few harmonics shift the response of a nonlinear model, and the parameters with it, without a
-trace in the residuals. In standard errors, the shift of a parameter is at most the shift of the
-whole response in multiples of the noise of a point.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values, by_name
-from greybox.files.text_table import Sentences, counted
+from greybox.files.arrays import Values
+from greybox.files.text_table import Sentences
 from greybox.formulation.problem import Problem
-from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
-from greybox.modeling.sine import MOST_HARMONICS
 from greybox.solve.discretization_error import DiscretizationError, discretization_error
 from greybox.statistics.metrics import rms
 
@@ -103,40 +93,4 @@ def delays_within_a_sample(nlp: CompiledProblem, answer: Fit) -> Sentences:
                 "path, all delays between two samples lead to the same samples: the delay is known "
                 "only to half a sample, and other parameters may be biased, which the standard "
                 "errors do not show. Fit the record itself."
-            )
-
-
-def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Sentences:
-    """Warn if more harmonics would change the estimate `x` (p,) noticeably, or cannot be tried."""
-    values = nlp.all_values(x)
-    named = by_name(nlp.names, values.tolist())
-    for part in nlp.parts_of(ResponsePart):
-        problem, sine = part.problem, part.problem.amplitude
-        if sine is None or not sine.harmonics:
-            continue
-        more = min(2 * sine.harmonics + 3, MOST_HARMONICS)
-        few = part.response(values)
-        many, _ = directly_found(
-            problem.model,
-            dict(problem.local_values(named)),
-            part.data.omega,
-            replace(sine, harmonics=more),
-            **problem.signals,
-        )
-        lost = np.isnan(many)
-        change = np.where(lost, 0.0, np.abs(many / few - 1))
-        noise = rms(np.abs(part.data.response / few - 1))
-        # A shift matters above a tenth of a standard error, which adds 0.5 % to the root mean
-        # square error.
-        if np.linalg.norm(change) > max(0.1 * noise, 1e-7):
-            count = counted(sine.harmonics, "harmonic is", "harmonics are")
-            yield (
-                f"{count} too few for {problem.name!r}: with {more} the response changes by up to "
-                f"{100 * change.max():.2g} %; use Sine({sine.signal!r}, ..., harmonics={more})."
-            )
-        if lost.any():
-            yield (
-                f"with {more} harmonics no motion was found at {lost.sum()} of {lost.size} "
-                f"frequencies of {problem.name!r}: whether {sine.harmonics} are enough there is "
-                "not known."
             )

@@ -5,7 +5,6 @@ from greybox.estimate.diagnostics.discretization import (
     coarse_pade,
     delays_within_a_sample,
     discretization_warnings,
-    harmonic_warnings,
 )
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
@@ -86,7 +85,6 @@ def warnings(
         *(() if explained else (UNEXPLAINED,)),
         *record_warnings(answer, accuracy, noisy=noisy),
         *gusts(accuracy, noisy=noisy, explained=explained),
-        *harmonic_warnings(nlp, x),
         *not_determined(accuracy),
         *held_without_error(accuracy),
         *no_degrees_of_freedom(nlp),
