@@ -16,7 +16,7 @@ from greybox.compiled.part import (
     Part,
     Trajectory,
 )
-from greybox.compiled.shared_response import SharedSystem, SineTest
+from greybox.compiled.shared_response import SharedSystem
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -53,14 +53,14 @@ class ResponseFunctions(Rebuilt):
         response, stacked (2 n,).
     response : casadi.Function
         (all values x) -> the same response.
-    system : SharedSystem or SineTest or None
-        The state space of a large problem or the sine test, in numpy, at all values x: it takes a
-        quarter of the time of CasADi's functions, and its derivatives need not be built.
+    system : SharedSystem or None
+        The state space of a large problem, in numpy, at all values x: it takes a quarter of the
+        time of CasADi's functions, and its derivatives need not be built.
     """
 
     objective: ca.Function
     response: ca.Function
-    system: SharedSystem | SineTest | None = None
+    system: SharedSystem | None = None
 
     @cached_property
     @one_thread_at_a_time

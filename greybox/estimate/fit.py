@@ -61,7 +61,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     IPOPT polishes every minimum. Large problems of state spaces are searched together, too, with
     one solution of (jωI - A)⁻¹ for all responses; there, all starts but the most promising one of a
     batch, or the first of your own list, first move to a minimum with process noise. Other problems
-    that do not fit into a batch (finite amplitudes, large ones) are solved by IPOPT from every
+    that do not fit into a batch (large ones) are solved by IPOPT from every
     start, as with ``search="multistart"``. For records, ``"multistart"`` is one sparse program for
     IPOPT from every start.
 
@@ -106,7 +106,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         an interval by the standard error, or whose interval leaves the bounds, whose error exceeds
         half the value, or changes by 30 % within one error: `Fit.profiles`. Where that would take
         a second or longer, a note names these parameters. Slow problems (records, trims inside the
-        optimization, finite amplitudes) are not profiled unless you name the parameters in
+        optimization) are not profiled unless you name the parameters in
         `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of

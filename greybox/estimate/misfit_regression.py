@@ -313,14 +313,12 @@ def regression_of_response(
         turned = columns[order] * np.exp(-1j * np.angle(response[order]))[:, None]
         return real_and_imaginary(turned / size[order, None])
 
-    states, sine = part.problem.model.state_names, part.problem.amplitude
+    states = part.problem.model.state_names
     orders = [("own", part.name, 1.0)]
     orders += [
         ("trim" if signal in states else "schedule", signal, value)
         for signal, value in part.problem.at.items()
     ]
-    if sine is not None:
-        orders += [("amplitude", sine.signal, sine.amplitude)]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     path = Cause(
         f"a response of {data.output or 'the output'} to {data.input or 'the input'}",

@@ -126,7 +126,7 @@ def with_profiles_where_misleading(nlp: CompiledProblem, fit: Fit) -> Fit:
     likelihood, and where finding these parameters would take long.
     """
     is_batched = ResponseSolver.serves(nlp)
-    # Records with states, responses to finite amplitudes and sums of both take minutes.
+    # Records with states, and sums of these with responses, take minutes.
     are_quick = is_batched or nlp.limits
     if nlp.has_states:
         are_quick = all(p.has_states and (p.is_static or not p.samples) for p in nlp.parts)

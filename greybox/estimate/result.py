@@ -52,7 +52,7 @@ from greybox.files.text_table import Printed, counted, one_line, require_kind, w
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.time_criteria import Inputs
-from greybox.modeling.harmonic_balance import response_of_test
+from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.rational import Rational, rational
@@ -475,9 +475,7 @@ class Fit(Printed):
             If a loaded fit does not know the model.
         """
         response, model, values = self._response_part(part)
-        return response_of_test(
-            model, values, omega, response.sine, response.data.omega, **response.signals
-        )
+        return frequency_response(model, values, omega, **response.signals)
 
     def to_dict(self, level: float = 0.95) -> Fields:
         """Return the numbers as plain values, as ``greybox fit --json`` does; None where unknown.
@@ -578,15 +576,12 @@ class Fit(Printed):
         directions = self.known_directions(names)
         require_level(level)
         if omega is None:
-            curve = None if fitted.sine else fitted.curve
-            omega = curve.omega if curve is not None else fitted.data.omega
+            omega = fitted.curve.omega if fitted.curve is not None else fitted.data.omega
 
         response, slope = response_and_slope(
             model,
             values,
             finite_numbers("omega", omega),
-            fitted.sine,
-            fitted.data.omega,
             **fitted.signals,
         )
         bias = np.array([self.by_name[name].bias for name in names])

@@ -88,11 +88,7 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
         return None
     omega = part.data.omega[np.argmax(lost)]
     place = "any frequency" if lost.all() else f"omega = {omega:g} rad/s"
-    if part.problem.amplitude is None:
-        return Trouble(f"no finite response at {place}")
-    what = f"no periodic motion is found at {place}"
-    cure = "start elsewhere, or state other amplitudes or another operating point, `at`"
-    return Trouble(what, f"in {part.name!r} {what}", cure)
+    return Trouble(f"no finite response at {place}")
 
 
 def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:

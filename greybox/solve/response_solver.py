@@ -53,6 +53,7 @@ FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 FEW = 10  # iterations that suffice for the last digits where no residual is zero
 NO_OPTIONS: Named = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
+POLISHED_TO = 1e-13  # the same for the last digits of a minimum
 
 
 class ResponseSolver(Descent):
@@ -64,7 +65,6 @@ class ResponseSolver(Descent):
     starts = 200  # a run takes some milliseconds
     promising = (8, 4)
     fewest = 2  # IPOPT makes fewer runs
-    polished_to = 1e-13  # tolerance on the projected gradient of the last digits
 
     def __init__(
         self,
@@ -431,7 +431,7 @@ class ResponseSolver(Descent):
         ends = self.settled(
             self.nlp.scaling.to_solver(best.estimate)[:, None],
             max_iterations=most,
-            tolerance=self.polished_to,
+            tolerance=POLISHED_TO,
             smoothing=smoothing,
         )
         estimate = self.nlp.estimate_at(ends.z[:, 0])

@@ -1,10 +1,10 @@
 """The solver of large problems whose responses share one solve a frequency.
 
-All starts but the first of a batch, except those of sine tests, get short delays and move to a
-minimum with process noise, where most of them meet; then all are improved together by Newton's
-method. The cost is that of `greybox.compiled.shared_response`, whose gradient is exact: a minimum
-counts where it vanishes, and IPOPT need not confirm it. Constraints do not guide the search: most
-bounds of tied parameters hold where it ends, and IPOPT continues where one does not.
+All starts but the first of a batch get short delays and move to a minimum with process noise,
+where most of them meet; then all are improved together by Newton's method. The cost is that of
+`greybox.compiled.shared_response`, whose gradient is exact: a minimum counts where it vanishes, and
+IPOPT need not confirm it. Constraints do not guide the search: most bounds of tied parameters hold
+where it ends, and IPOPT continues where one does not.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.shared_response import SineTest
 from greybox.files.arrays import Array, Named
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BARRIERS, LAST, BatchedNewton, Ends, continued
@@ -35,15 +34,11 @@ class SharedSolver(ResponseSolver):
     # Starts that meet continue once: with 32 a start takes half as long again. More delay progress.
     together = 128
     fewest = 1  # a fit of the mirror from one start took three times as long by IPOPT
-    polished_to = 1e-11  # as the equations of periodic motions: beyond, steps are rounding
 
     def __init__(self, nlp: CompiledProblem, *arguments: Any, **options: Any) -> None:
-        """Build the solver; starts of sine tests share no work, and their progress is shown."""
+        """Build the solver of a problem whose responses share one solve."""
         super().__init__(nlp, *arguments, **options)
         self._shared: Any = nlp.programs[-1].shared
-        self._sine_tests = [test for test in self._shared.systems if isinstance(test, SineTest)]
-        if self._sine_tests:
-            self.together, self.starts = 2, 32
 
     @staticmethod
     def serves(nlp: CompiledProblem) -> bool:
@@ -52,12 +47,6 @@ class SharedSolver(ResponseSolver):
 
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m)."""
-        if self._sine_tests:
-            ends = super().improved(z, **limits)
-            # A search near the last motions may find others than a search that begins anew.
-            for test in self._sine_tests:
-                test.last.clear()
-            return continued(ends, super().improved(ends.z, max_iterations=FEW, from_near=True))
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
         near = self._in_phase(z[:, 1:])
         columns, iterations = np.arange(near.shape[1]), 0
@@ -111,8 +100,6 @@ class SharedSolver(ResponseSolver):
 
     def settled(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from z (p, m), after some steps with the whole Hessian."""
-        if self._sine_tests:  # a gradient takes too long
-            return super().settled(z, **limits)
         ends = super().settled(z, **{**limits, "max_iterations": FEW})
         rest = np.flatnonzero(~ends.at_minimum)
         curved = self._curved.minimize(

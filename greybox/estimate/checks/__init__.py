@@ -22,7 +22,6 @@ own joins them by ``gb.fit(problem, checks=[*gb.CHECKS, mine])``.
 | `flattened_inputs` | Whether lines between the samples of an input attenuate it |
 | `carried_over` | Whether missing samples of an output were filled with the previous one |
 | `gusts` | Whether residuals are process noise, such as gusts, or noise of sensors |
-| `few_harmonics` | Whether the harmonics of a sine test are enough for the noise |
 | `not_determined` | Which parameters the data do not determine, or only in combination |
 | `held_without_error` | Whether values that an earlier fit holds have an error |
 | `no_degrees_of_freedom` | Whether there are more numbers than unknowns |

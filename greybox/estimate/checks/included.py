@@ -20,7 +20,6 @@ from greybox.estimate.checks.discontinuous_cost import discontinuous_cost
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.feedback import feedback
 from greybox.estimate.checks.few_agreeing_starts import few_agreeing_starts
-from greybox.estimate.checks.few_harmonics import few_harmonics
 from greybox.estimate.checks.finding import Findings
 from greybox.estimate.checks.flattened_inputs import flattened_inputs
 from greybox.estimate.checks.gain_at_limit import gain_at_limit
@@ -67,7 +66,6 @@ CHECKS: tuple[Check, ...] = (
     flattened_inputs,
     carried_over,
     gusts,
-    few_harmonics,
     not_determined,
     held_without_error,
     no_degrees_of_freedom,
