@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
+from greybox.compiled.information import ColoredErrors, CorrelatedPoints, Information
+from greybox.compiled.part import Trajectory
 from greybox.estimate.identifiability import (
     BLIND,
     Combination,
@@ -483,7 +484,7 @@ def _corrected(part: Information, share: _Share, root: Array, noise: float | Non
     # A whole number for a single part.
     paid = round(float(np.trace(bread)), 9)
     numbers = max(part.numbers - paid, 0.5)
-    colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
+    colored = part.colored(math.sqrt(problem.weight) * root)
     if colored:
         meat = problem.weight * colored.meat
         return PartAccuracy(share, meat, colored.dof, meat, colored.dof, bread, colored)
@@ -492,16 +493,16 @@ def _corrected(part: Information, share: _Share, root: Array, noise: float | Non
     share = _share(part, p, paid, noise)
     turned = share.meat @ root
     meat = turned.T @ turned
-    points = part.correlated and part.correlated(share.correction, root, dof)
+    points = part.correlated(share.correction, root, dof)
     return PartAccuracy(share, meat, dof, meat, numbers, bread, points=points, noise=noise)
 
 
 def _with_neighbors(parts: Sequence[PartAccuracy]) -> Iterator[PartAccuracy]:
     """Yield the parts with the correlation along frequency that all responses together show."""
-    judged = iter(judged_together([part.points[0] for part in parts if part.points]))
+    judged = iter(judged_together([part.points.neighbors for part in parts if part.points]))
     for part in parts:
         if part.points and (errors := next(judged)):
-            meat, dof = part.points[1](errors)
+            meat, dof = part.points.averaged(errors)
             yield replace(part, meat=meat, dof=dof, neighbors=errors)
         else:
             yield part
@@ -605,7 +606,8 @@ def _share(part: Information, p: int, paid: float = 0.0, noise: float | None = N
     root = size * part.jacobian
     # Exact data would have infinite weight, and rounding in them would hide all other parts.
     limit = math.sqrt(min(scale, 1e12) / scale)
-    pull = np.zeros(p) if part.offset is None else size * root[:, :p].T @ part.offset(correction)
+    offset = part.offset(correction)
+    pull = np.zeros(p) if offset is None else size * root[:, :p].T @ offset
     return _Share(root, weight * meat[:, :p], size * part.reach[:p], limit, pull, correction)
 
 
