@@ -255,11 +255,12 @@ class CompiledProblem(Portable):
 
     def judged(self, x: Array) -> ArrayPair:
         """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
-        sizes = [part.magnitude for part in self.parts_of(ResponsePart)]
         costs, responses = self._judged(self.all_values(x).T)
         # Over the measured magnitudes, so that responses of unlike units can be compared.
-        relative = responses / np.hstack([(), *sizes, *sizes])[:, None]
-        return costs, relative.T
+        magnitude = np.concatenate(
+            [np.zeros(0), *(p.magnitude for p in self.parts_of(ResponsePart))]
+        )
+        return costs, (responses / np.tile(magnitude, 2)[:, None]).T
 
 
 @one_thread_at_a_time

@@ -6,6 +6,7 @@ Begin with `search`.
 | --- | --- |
 | `search` | the first step of a fit: runs from all starts, finer steps, polished minima |
 | `multistart` | the solver of a problem, the order of its starts, and its runs from them |
+| `promising` | which of many starts are run first, and when the others are not needed |
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
 | `shared_solver` | many responses that share one solve: starts with process noise, no IPOPT |

@@ -35,6 +35,7 @@ from greybox.solve.minima import (
     likelihood_unit,
     same_cost,
 )
+from greybox.solve.promising import Promising
 from greybox.solve.runs import CUT_SHORT, IMPROVED, POLISHED, Outcome, Outcomes, Run, Runs, spent
 from greybox.solve.stationarity import is_above, is_minimum
 
@@ -63,7 +64,7 @@ class ResponseSolver(Descent):
     """
 
     starts = 200  # a run takes some milliseconds
-    promising = (8, 4)
+    promising = Promising((8,), agree=4)
     fewest = 2  # IPOPT makes fewer runs
 
     def __init__(

@@ -100,7 +100,7 @@ def search_minima(
             points,
             executor=executor,
             storage=storage,
-            promising=solver.promising if starts is None else (),
+            promising=solver.promising if starts is None else None,
             beside=beside,
             progress=progress,
         )
