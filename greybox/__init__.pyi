@@ -32,7 +32,7 @@ from greybox.estimate.checks.finding import Finding as Finding
 from greybox.estimate.checks.included import CHECKS as CHECKS
 from greybox.estimate.draws import Draws as Draws, draws as draws
 from greybox.estimate.fit import fit as fit
-from greybox.estimate.misfit_test import misfit as misfit
+from greybox.estimate.misfit_candidates import misfit as misfit
 from greybox.estimate.profile import profile as profile
 from greybox.estimate.profile_result import Profiles as Profiles
 from greybox.estimate.result import Fit as Fit

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from greybox.cli.options import option_words
 from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.read_log import read_log
+from greybox.data.excited_segment import Segments, segment_table
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segments, segment_table
 from greybox.files.arrays import Fields, Named, attributes, by_name
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of

@@ -7,7 +7,7 @@ Begin with `record` and `frequency_response`.
 | `record` | named signals on one time base, and all records of a log |
 | `frequency_response` | the frequency response of one input-output pair |
 | `transient_spectrum` | Fourier integrals of the signals of one manoeuvre |
-| `test_segment` | one test within a record, and the table of several |
+| `excited_segment` | one excited segment of a record, and the table of several |
 | `clock` | the steps of a record: uniform, in coarse stamps, a schedule; and where rows are lost |
 | `intersample` | signals between their samples: held or continuous |
 | `wrapped_angles` | angles that jump by a full turn |
@@ -19,6 +19,7 @@ Begin with `record` and `frequency_response`.
 | `pandas_frames` | pandas data frames from and to records and responses |
 """
 
+from greybox.data.excited_segment import Segment as Segment, segment_table as segment_table
 from greybox.data.frequency_response import (
     FrequencyResponse as FrequencyResponse,
     Stretch as Stretch,
@@ -30,5 +31,4 @@ from greybox.data.response_file import (
     write_response as write_response,
     write_responses as write_responses,
 )
-from greybox.data.test_segment import Segment as Segment, segment_table as segment_table
 from greybox.data.transient_spectrum import TransientSpectrum as TransientSpectrum

@@ -23,7 +23,7 @@ Begin with `fit`.
 | `misfit` | whether the model explains the data, and what it may lack |
 | `misfit_assessment` | the test for that |
 | `misfit_regression` | the regressors of that test, for a record or a response |
-| `misfit_test` | the same test for a given fit, with terms of your own |
+| `misfit_candidates` | the same test for a given fit, with terms of your own |
 | `missing_terms` | the terms that it tries |
 | `repeated_inputs` | what repeats in the residuals with the inputs |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |

@@ -42,7 +42,7 @@ from greybox.files.arrays import (
 )
 from greybox.modeling.added_terms import Formula
 from greybox.solve.local_solver import LocalSolver
-from greybox.statistics.autoregressive_test import (
+from greybox.statistics.autoregressive_likelihood import (
     Outputs,
     autoregressive_p_values,
     whitened,
@@ -55,7 +55,7 @@ from greybox.statistics.column_space import (
     outside,
     triangle_of,
 )
-from greybox.statistics.score_test import (
+from greybox.statistics.score_statistics import (
     correlated_fits,
     joint_test,
     p_values_of_fits,

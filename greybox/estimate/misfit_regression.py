@@ -36,9 +36,9 @@ from greybox.files.arrays import (
     real_and_imaginary,
     sum_of_squares,
 )
-from greybox.statistics.autoregressive_test import Outputs
+from greybox.statistics.autoregressive_likelihood import Outputs
 from greybox.statistics.column_space import column_basis, outside
-from greybox.statistics.score_test import chance, score_tests
+from greybox.statistics.score_statistics import chance, score_tests
 
 TINY = 1e-300
 STEP = 1e-6  # of the numbers of a term, for derivatives

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.disturbances import DisturbedRecord
 from greybox.estimate.missing_terms import Term
 from greybox.files.arrays import Array, Strings
-from greybox.statistics.autoregressive_test import ORDER
+from greybox.statistics.autoregressive_likelihood import ORDER
 from greybox.statistics.metrics import is_resolved
 
 ROUNDING = 1e-6  # of the range of an input, within which it is the same

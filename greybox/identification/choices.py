@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from greybox.data.excited_segment import Segment, Segments
 from greybox.data.record import Recording
-from greybox.data.test_segment import Segment, Segments
 from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair, unique
 from greybox.files.text_table import some
 from greybox.identification.measurement import Settings, found_tests

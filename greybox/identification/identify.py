@@ -36,7 +36,7 @@ from greybox.logs.readers import read
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.spectral.test_quality import COHERENCE, Finding
+from greybox.spectral.experiment_quality import COHERENCE, Finding
 
 STARTS = 20
 

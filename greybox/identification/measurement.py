@@ -13,10 +13,10 @@ from itertools import combinations
 import numpy as np
 
 from greybox.data.checked_array import require_band
+from greybox.data.excited_segment import Segment, Segments, segment_table
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, described_unstated_hold
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment, Segments, segment_table
 from greybox.data.units import known_unit
 from greybox.files.arrays import (
     Interval,
@@ -42,11 +42,18 @@ from greybox.logs.injected_tests import INJECTED
 from greybox.logs.known_filters import KnownFilters, in_series
 from greybox.logs.prepare import prepare
 from greybox.logs.segment_detection import find_segments, present
+from greybox.spectral.experiment_quality import (
+    Finding,
+    Findings,
+    Quality,
+    check,
+    frequencies,
+    jitter,
+)
 from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
 from greybox.spectral.sweeps_and_noise import spectral_response
-from greybox.spectral.test_quality import Finding, Findings, Quality, check, frequencies, jitter
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
 

@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.excited_segment import Segments
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segments
 from greybox.files.arrays import Array, ComplexArray, Interval, column_lengths, frozen, real_root
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
-from greybox.spectral.test_quality import SATURATED, Finding, frequencies, graded
+from greybox.spectral.experiment_quality import SATURATED, Finding, frequencies, graded
 
 # An error that is a smaller share of the response everywhere is not mentioned: a tenth of the
 # standard errors of sine tests of ten periods, 0.2 to 1 %.

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record, Recording, runs_between_gaps
-from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, BoolArray, IntArray, Interval
 
 INJECTED = "injected "  # begins the source of such a test, and the signal follows

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.data.clock import median_step
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, Interval, Labels
 from greybox.files.text_table import as_names
 from greybox.logs.segment_detection import SETPOINTS, present, stretches

@@ -9,8 +9,8 @@ from statistics import median
 import numpy as np
 
 from greybox.data.clock import ONE_LOST, clock_of, median_step, runs_between_holes
+from greybox.data.excited_segment import Segment, Segments
 from greybox.data.record import Record, Recording, require_time
-from greybox.data.test_segment import Segment, Segments
 from greybox.data.units import known_unit
 from greybox.files.arrays import (
     Array,

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from greybox.data.clock import median_step
-from greybox.data.test_segment import Segment
+from greybox.data.excited_segment import Segment
 from greybox.files.arrays import Array, ArrayPair, FloatPair, IntArray
 
 # `benchmarks/signal_constants.py` shows what these constants decide. Below, "of 20" means pairs of

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from greybox.data.clock import median_step
+from greybox.data.excited_segment import Segment, Segments, checked_segments
 from greybox.data.record import Record, Recording, runs_between_gaps
-from greybox.data.test_segment import Segment, Segments, checked_segments
 from greybox.files.arrays import Array, Labels
 from greybox.files.grouping import grouped
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable

@@ -13,13 +13,13 @@ Sweeps, noise and multisines
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
     `transients` has their Fourier integrals, which are data of a `Problem`.
 Before the fit
-    `test_quality` judges whether a test is worth one; `saturation` finds samples at a limit.
+    `experiment_quality` judges whether a test is worth one; `saturation` finds samples at a limit.
 """
 
+from greybox.spectral.experiment_quality import Quality as Quality, check as check
 from greybox.spectral.frequency_points import FiniteFrequency as FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response as periodic_response
 from greybox.spectral.orthogonal_multisines import response_matrix as response_matrix
 from greybox.spectral.single_sine import finite_frequency as finite_frequency
 from greybox.spectral.sweeps_and_noise import spectral_response as spectral_response
-from greybox.spectral.test_quality import Quality as Quality, check as check
 from greybox.spectral.transients import transient_spectrum as transient_spectrum

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.data.excited_segment import Segment
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, FloatPair, Strings, frozen, unique
 from greybox.files.text_table import Printed, number, text_table
 

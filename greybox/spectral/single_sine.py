@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.data.clock import median_step
+from greybox.data.excited_segment import Segment, checked_segments
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, require_time
-from greybox.data.test_segment import Segment, checked_segments
 from greybox.files.arrays import Array, ComplexArray, all_finite, sum_of_squares, unique
 from greybox.spectral.demodulation import (
     UnusableSegmentError,

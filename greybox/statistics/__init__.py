@@ -11,8 +11,8 @@ time.
 | `residual_autocorrelation` | autoregressions of one series |
 | `error_spectrum` | a spectrum of errors: residuals made white, errors drawn |
 | `frequency_grid` | transforms, and the bands in which spectra are compared |
-| `score_test` | whether residuals follow terms that a fitted model does not have |
-| `autoregressive_test` | whether records lack a term, if errors are autoregressive |
+| `score_statistics` | whether residuals follow terms that a fitted model does not have |
+| `autoregressive_likelihood` | whether records lack a term, if errors are autoregressive |
 | `variance_components` | the variances of sensors and process noise in residuals |
 | `residual_spectrum` | covariance of an estimate whose errors are correlated in time |
 | `neighbor_correlation` | the same for errors that are correlated along frequency |

@@ -11,8 +11,8 @@ import pytest
 from command_line import run
 
 from greybox.cli.inspect_command import about, contents, message, next_command, rate
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment
 
 LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 PITCH = ["--announced", "SINE", "--input", "u=RATE.POut", "--output", "theta=ATT.Pitch"]

@@ -9,7 +9,7 @@ import pytest
 import greybox as gb
 from greybox.cli.options import UsageError
 from greybox.cli.output import require_figure, require_writable, save_figure
-from greybox.data.test_segment import Segment
+from greybox.data.excited_segment import Segment
 from greybox.files.json_numbers import plain
 
 

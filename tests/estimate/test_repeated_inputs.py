@@ -8,7 +8,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.disturbances import DisturbedRecord
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.statistics.autoregressive_test import ORDER
+from greybox.statistics.autoregressive_likelihood import ORDER
 
 
 class Lag(gb.StateSpace):

@@ -8,8 +8,8 @@ import pytest
 from linear_simulation import lsim
 
 import greybox as gb
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment
 from greybox.identification.choices import choose, motion
 from greybox.identification.structure_fit import Structure
 from greybox.models.polynomial import Polynomial

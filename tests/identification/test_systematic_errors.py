@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from greybox.data.excited_segment import Segment
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment
 from greybox.identification.systematic_errors import (
     SystematicError,
     _size,
@@ -14,7 +14,7 @@ from greybox.identification.systematic_errors import (
     with_systematic_errors,
 )
 from greybox.logs.ardupilot.motors import pwm_of_control, rounding_error
-from greybox.spectral.test_quality import Finding
+from greybox.spectral.experiment_quality import Finding
 
 QUAD = {"MOT_THST_EXPO": 0.65, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
 QUAD |= {f"SERVO{k}_FUNCTION": 32 + k for k in (1, 2)}

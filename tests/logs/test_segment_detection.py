@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from sine_schedules import schedule
 
+from greybox.data.excited_segment import segment_table
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import segment_table
 from greybox.logs.segment_detection import announcing, find_segments
 
 # --- System Identification mode

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from sine_schedules import STEP, schedule
 
-from greybox.data.test_segment import segment_table
+from greybox.data.excited_segment import segment_table
 from greybox.logs.sine_detection import (
     sines_and_sweeps,
 )

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record, Recording
-from greybox.data.test_segment import Segment
 
 mpl.use("Agg")
 TIME = np.arange(0, 100, 0.0025)

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from greybox.data.excited_segment import Segment
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.test_segment import Segment
 from greybox.spectral.frequency_points import (
     DRIFTING,
     FiniteFrequency,

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record
-from greybox.data.test_segment import Segment
 from greybox.spectral import harmonic_distortion
 from greybox.spectral.demodulation import spectral_line
 from greybox.spectral.single_sine import finite_frequency

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from sampled_sines import amplitude, irregular, sine
 from scipy import signal, stats
 
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record
-from greybox.data.test_segment import Segment
 from greybox.spectral import single_sine
 from greybox.spectral.saturation import at_limit
 from greybox.spectral.single_sine import finite_frequency, frequency_error, saturation

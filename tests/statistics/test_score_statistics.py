@@ -5,7 +5,12 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import f
 
-from greybox.statistics.score_test import chance, correlated_fits, p_values_of_fits, score_tests
+from greybox.statistics.score_statistics import (
+    chance,
+    correlated_fits,
+    p_values_of_fits,
+    score_tests,
+)
 
 
 def blocks():

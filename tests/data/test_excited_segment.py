@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from greybox.data.test_segment import Segment, checked_segments, segment_table
+from greybox.data.excited_segment import Segment, checked_segments, segment_table
 
 
 def test_a_segment_says_what_it_is():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from greybox.statistics.autoregressive_test import autoregressive_p_values, whitened
+from greybox.statistics.autoregressive_likelihood import autoregressive_p_values, whitened
 
 N = 300
 OUTPUTS = [[np.arange(N)]]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.data.excited_segment import Segment
 from greybox.data.record import Record
-from greybox.data.test_segment import Segment
-from greybox.spectral.test_quality import Finding, check
+from greybox.spectral.experiment_quality import Finding, check
 
 RANDOM = np.random.default_rng(3)
 

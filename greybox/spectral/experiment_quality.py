@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from greybox.data.excited_segment import Segments
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
-from greybox.data.test_segment import Segments
 from greybox.files.arrays import Array, Interval, Labels, Strings
 from greybox.files.text_table import Printed, counted, some
 from greybox.spectral.saturation import at_limit
