@@ -14,7 +14,8 @@ import sys
 from dataclasses import replace
 
 import greybox as gb
-from greybox.files.text_table import number, text_table
+from greybox.files.numbers_in_text import number
+from greybox.files.text_table import text_table
 from greybox.models.coupled import CoupledVelocityTransfer, DampedCoupledVelocityTransfer
 from greybox.models.rate import BasicAngle, BasicRate, DampedRate, YawRateLag, YawRateLead
 from greybox.models.tilt import Tilt

@@ -12,9 +12,11 @@ from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inpu
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.terminal import write
 from greybox.cli.workers import stated_executor
-from greybox.files.arrays import Fields, attributes
+from greybox.files.arrays import Fields
+from greybox.files.named_values import attributes
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import counted, some, text_table
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, some
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
 from greybox.study.batch import Member, batch

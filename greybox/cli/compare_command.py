@@ -6,7 +6,8 @@ from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import HELD_OUT, held_out_records, saved_fit
-from greybox.files.arrays import attributes, unique
+from greybox.files.grouping import unique
+from greybox.files.named_values import attributes
 from greybox.files.safe_files import write_text
 from greybox.study.study import read_study
 from greybox.validation.compare import compare

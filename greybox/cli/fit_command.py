@@ -15,7 +15,7 @@ from greybox.estimate.printed import summary
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.files.arrays import Fields
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 from greybox.solve.interruption import (
     Interrupted,
     Response,

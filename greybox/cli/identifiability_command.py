@@ -7,7 +7,7 @@ from greybox.cli.options import UsageError
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.structural_identifiability import structural_identifiability
-from greybox.files.arrays import attributes, non_empty
+from greybox.files.named_values import attributes, non_empty
 from greybox.files.safe_files import HDF5
 from greybox.study.catalog import find_model
 

@@ -11,7 +11,8 @@ from greybox.cli.output import Answer, require_figure, require_writable, save_fi
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
-from greybox.files.arrays import Fields, attributes
+from greybox.files.arrays import Fields
+from greybox.files.named_values import attributes
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.structure_fit import Structure
 from greybox.logs.flight_controllers import axis_of

@@ -9,8 +9,10 @@ from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.excited_segment import Segments, segment_table
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Fields, Named, attributes, by_name
-from greybox.files.text_table import number, text_table
+from greybox.files.arrays import Fields, Named
+from greybox.files.named_values import attributes, by_name
+from greybox.files.numbers_in_text import number
+from greybox.files.text_table import text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
 from greybox.logs.segment_detection import announcing, find_segments

@@ -4,7 +4,9 @@ import argparse
 from types import ModuleType
 
 from greybox.cli.output import Answer
-from greybox.files.arrays import Fields, attributes, unique
+from greybox.files.arrays import Fields
+from greybox.files.grouping import unique
+from greybox.files.named_values import attributes
 from greybox.files.text_table import text_table
 from greybox.modeling.model import Model, equation
 from greybox.modeling.parameter import parameter_table

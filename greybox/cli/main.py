@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 from greybox.cli.options import COMMON, HelpFormatter, UsageError, declare
 from greybox.cli.output import BAD_INPUT, write_answer
 from greybox.files.arrays import Labels
-from greybox.files.text_table import alternatives, nearest
+from greybox.files.spelling import alternatives, nearest
 from greybox.files.version import __version__
 
 # The command `fit` is the module `greybox.cli.fit_command`.

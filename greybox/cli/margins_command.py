@@ -9,7 +9,8 @@ from greybox.data.response_file import read_response
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
-from greybox.files.arrays import Fields, attributes, selected
+from greybox.files.arrays import Fields
+from greybox.files.named_values import attributes, selected
 from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module
 from greybox.study.study import read_study

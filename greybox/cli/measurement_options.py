@@ -5,7 +5,8 @@ import math
 from dataclasses import fields
 
 from greybox.cli.options import UsageError
-from greybox.files.arrays import Fields, Interval, selected
+from greybox.files.arrays import Fields, Interval
+from greybox.files.named_values import selected
 from greybox.identification.measurement import Settings
 
 # Which tests, which samples, which estimate.

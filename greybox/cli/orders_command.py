@@ -6,7 +6,8 @@ from greybox.cli.output import Answer
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.data.response_file import read_response
 from greybox.estimate.printed import summary
-from greybox.files.arrays import Fields, attributes
+from greybox.files.arrays import Fields
+from greybox.files.named_values import attributes
 from greybox.identification.orders import select_orders
 from greybox.identification.selection import Selection
 from greybox.study.stated_problem import filters_of

@@ -10,7 +10,8 @@ from greybox.cli.read_log import read_log
 from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Fields, NamedStrings, attributes, selected
+from greybox.files.arrays import Fields, NamedStrings
+from greybox.files.named_values import attributes, selected
 from greybox.logs.prepare import prepare
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulate import predict

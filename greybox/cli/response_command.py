@@ -12,7 +12,8 @@ from greybox.cli.read_log import read_log
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
-from greybox.files.arrays import Fields, attributes, non_empty
+from greybox.files.arrays import Fields
+from greybox.files.named_values import attributes, non_empty
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 

@@ -10,7 +10,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.data.record import Recording
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import load, save
-from greybox.files.arrays import attributes
+from greybox.files.named_values import attributes
 from greybox.files.safe_files import HDF5
 from greybox.logs.readers import read
 from greybox.study.catalog import find_problem

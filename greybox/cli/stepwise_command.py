@@ -6,7 +6,7 @@ from greybox.cli.output import Answer
 from greybox.cli.problem_options import PROBLEM_OPTIONS, problem_of
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.estimate.printed import summary
-from greybox.files.arrays import attributes
+from greybox.files.named_values import attributes
 from greybox.validation.stepwise import stepwise
 
 EXAMPLES = (

@@ -7,7 +7,7 @@ from greybox.cli.output import Answer, require_figure, require_writable, save_fi
 from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
-from greybox.files.arrays import attributes
+from greybox.files.named_values import attributes
 from greybox.study.catalog import shipped_module
 
 EXAMPLES = (

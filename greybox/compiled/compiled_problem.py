@@ -20,6 +20,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.argument_checks import require_kind
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -29,10 +30,9 @@ from greybox.files.arrays import (
     Fields,
     Labels,
     Strings,
-    by_name,
-    frozen,
 )
-from greybox.files.text_table import require_kind
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import by_name
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum

@@ -12,14 +12,8 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.response_columns import EXTRAS
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    NamedArrays,
-    by_name,
-    real_and_imaginary,
-    selected,
-)
+from greybox.files.arrays import Array, ComplexArray, NamedArrays, real_and_imaginary
+from greybox.files.named_values import by_name, selected
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, NamedArrays, frozen
+from greybox.files.arrays import Array, ArrayPair, NamedArrays
+from greybox.files.frozen_values import frozen
 from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
 

@@ -14,7 +14,9 @@ import numpy as np
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
-from greybox.files.arrays import Array, ArrayPair, IntArray, all_finite, frozen, places_of
+from greybox.files.arrays import Array, ArrayPair, IntArray, all_finite
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import places_of
 from greybox.modeling.one_thread import cached_property
 
 

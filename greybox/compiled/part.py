@@ -20,16 +20,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greybox.compiled.information import Information
-from greybox.files.arrays import (
-    Array,
-    Fields,
-    Indices,
-    IntArray,
-    StringPair,
-    Strings,
-    all_finite,
-    frozen,
-)
+from greybox.files.arrays import Array, Fields, Indices, IntArray, StringPair, Strings, all_finite
+from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 

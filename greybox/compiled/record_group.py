@@ -19,8 +19,9 @@ from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, Arrays, IntArray, by_name, diagonal, of_diagonal
+from greybox.files.arrays import Array, Arrays, IntArray, diagonal, of_diagonal
 from greybox.files.grouping import grouped
+from greybox.files.named_values import by_name
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
 

@@ -10,7 +10,8 @@ from greybox.compiled.colored_errors import colored_errors
 from greybox.compiled.information import ColoredErrors, Information
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_sensitivity import Sensitivity, sensitivity
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array
+from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import triangle_of
 
 

@@ -14,7 +14,8 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.vectorized import Columns
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray, Named, StringPair, Strings, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray, Named, StringPair, Strings
+from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion, between_samples
 from greybox.modeling.integrators import Integrator

@@ -29,11 +29,11 @@ from greybox.files.arrays import (
     Named,
     StringPair,
     Strings,
-    by_name,
     nans,
     positive_or_one,
 )
 from greybox.files.grouping import grouped
+from greybox.files.named_values import by_name
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS

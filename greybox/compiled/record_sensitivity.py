@@ -10,7 +10,8 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart, filter_information
 from greybox.compiled.segments import Linearization
-from greybox.files.arrays import Array, NamedArrays, frozen, of_diagonal, real_root
+from greybox.files.arrays import Array, NamedArrays, of_diagonal, real_root
+from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import triangle_of
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 

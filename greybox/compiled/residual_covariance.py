@@ -12,11 +12,11 @@ from greybox.files.arrays import (
     Strings,
     all_finite,
     diagonal,
-    frozen,
     of_diagonal,
     positive_or_one,
 )
-from greybox.files.text_table import listed
+from greybox.files.frozen_values import frozen
+from greybox.files.wording import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
 

@@ -5,13 +5,8 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.information import CorrelatedPoints, Information
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    column_lengths,
-    complex_array,
-    frozen,
-)
+from greybox.files.arrays import Array, ComplexArray, column_lengths, complex_array
+from greybox.files.frozen_values import frozen
 from greybox.statistics.neighbor_correlation import NeighborCorrelation, averaged_meat
 
 # Share of the information on its best direction with which a response counts for another one. The

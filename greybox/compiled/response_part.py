@@ -26,9 +26,9 @@ from greybox.files.arrays import (
     Strings,
     as_arrays,
     complex_array,
-    frozen,
     real_and_imaginary,
 )
+from greybox.files.frozen_values import frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood
 from greybox.formulation.problem import Problem

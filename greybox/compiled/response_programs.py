@@ -30,7 +30,8 @@ from greybox.compiled.shared_response import (
 )
 from greybox.compiled.vectorized import CHUNK, Columns, second_order
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, Fields, Labels, Named, StringPair, frozen
+from greybox.files.arrays import Array, Fields, Labels, Named, StringPair
+from greybox.files.frozen_values import frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem

@@ -22,11 +22,11 @@ from greybox.files.arrays import (
     all_finite,
     as_arrays,
     diagonal,
-    frozen,
     nans,
     of_diagonal,
-    places_of,
 )
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import places_of
 from greybox.modeling.symbolic_reading import dense_jacobian
 
 

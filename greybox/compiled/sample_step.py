@@ -13,7 +13,8 @@ import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, Strings, frozen
+from greybox.files.arrays import Array, Strings
+from greybox.files.frozen_values import frozen
 from greybox.modeling.integrators import Integrator, repeated, substep_function
 from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics

@@ -17,17 +17,10 @@ from numpy.typing import ArrayLike
 
 from greybox.data.clock import JITTER, decimal_tick, off_uniform
 from greybox.data.record import Record, unrounded
-from greybox.files.arrays import (
-    Array,
-    ArrayPair,
-    Arrays,
-    BoolArray,
-    IntArray,
-    Strings,
-    array_of,
-    frozen,
-)
-from greybox.files.text_table import listed
+from greybox.files.arrays import Array, ArrayPair, Arrays, BoolArray, IntArray, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import array_of
+from greybox.files.wording import listed
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.noise_ratio import noise_ratio
 

@@ -17,15 +17,9 @@ from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Course, Linearization, Segments
-from greybox.files.arrays import (
-    Array,
-    ArrayPair,
-    BoolArray,
-    Fields,
-    IntArray,
-    frozen,
-    without,
-)
+from greybox.files.arrays import Array, ArrayPair, BoolArray, Fields, IntArray
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import without
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness

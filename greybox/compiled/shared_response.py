@@ -29,9 +29,9 @@ from greybox.files.arrays import (
     ComplexPair,
     IntArray,
     Named,
-    frozen,
     real_and_imaginary,
 )
+from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.fingerprint import function_key

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, Labels, by_name
+from greybox.files.arrays import Array, BoolArray, Labels
+from greybox.files.named_values import by_name
 from greybox.formulation.problem import Problem
 from greybox.modeling.formula_structure import ROOTS, operations, program_of
 from greybox.modeling.state_space import StateSpace

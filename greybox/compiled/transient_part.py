@@ -46,15 +46,15 @@ from greybox.files.arrays import (
     Named,
     Strings,
     all_finite,
-    array_of,
     as_arrays,
     column_lengths,
-    frozen,
     nans,
     positive_or_one,
     real_and_imaginary,
 )
+from greybox.files.frozen_values import frozen
 from greybox.files.grouping import grouped
+from greybox.files.named_values import array_of
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion

@@ -22,8 +22,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, evenly_spread, frozen
-from greybox.files.text_table import counted
+from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, evenly_spread
+from greybox.files.frozen_values import frozen
+from greybox.files.wording import counted
 
 Gaps = Literal["auto", "bridge", "cut"]
 

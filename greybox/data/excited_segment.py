@@ -4,8 +4,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from greybox.files.argument_checks import checked_items
 from greybox.files.arrays import Interval, Strings
-from greybox.files.text_table import checked_items, number, one_line, text_table
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import one_line
+from greybox.files.text_table import text_table
 
 KINDS = ("sine", "sweep", "multisine", "noise", "step", "manoeuvre")
 

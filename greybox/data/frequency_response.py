@@ -25,12 +25,13 @@ from greybox.files.arrays import (
     NamedArrays,
     NamedStrings,
     all_finite,
-    attributes,
-    frozen,
     nans,
 )
-from greybox.files.escapes import printable
-from greybox.files.text_table import Printed, counted, write_out
+from greybox.files.control_characters import printable, write_out
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import attributes
+from greybox.files.printed import Printed
+from greybox.files.wording import counted
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 

@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, NamedStrings, Values
-from greybox.files.text_table import number
+from greybox.files.arrays import Array, ComplexArray, NamedStrings
+from greybox.files.named_values import Values
+from greybox.files.numbers_in_text import number
 
 HELD = math.inf
 CONTINUOUS = 0.0

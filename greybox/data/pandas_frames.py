@@ -7,8 +7,9 @@ import numpy as np
 
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import AnyArray, Array, Named, NamedArrays, Strings, non_empty
+from greybox.files.arrays import AnyArray, Array, Named, NamedArrays, Strings
 from greybox.files.delimited_text import heading
+from greybox.files.named_values import non_empty
 from greybox.files.optional_package import required
 
 Frame = Any

@@ -38,23 +38,14 @@ from greybox.files.arrays import (
     NamedArrays,
     NamedStrings,
     Strings,
-    Values,
-    array_of,
-    attributes,
-    frozen,
-    selected,
-    unique,
 )
-from greybox.files.text_table import (
-    Printed,
-    all_printable,
-    alternatives,
-    counted,
-    nearest,
-    one_line,
-    some,
-    write_out,
-)
+from greybox.files.control_characters import all_printable, write_out
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values, array_of, attributes, selected
+from greybox.files.printed import Printed, one_line
+from greybox.files.spelling import alternatives, nearest
+from greybox.files.wording import counted, some
 
 NOT_STORED = {"stored": False}  # in the file of a fit
 

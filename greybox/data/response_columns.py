@@ -22,10 +22,10 @@ from greybox.files.arrays import (
     NamedArrays,
     NamedStrings,
     complex_array,
-    selected,
 )
 from greybox.files.delimited_text import heading
-from greybox.files.text_table import alternatives
+from greybox.files.named_values import selected
+from greybox.files.spelling import alternatives
 
 OMEGA = "omega_rad_s"
 RECTANGULAR = ("alpha", "beta")

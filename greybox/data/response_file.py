@@ -12,7 +12,7 @@ from greybox.data.response_columns import (
     written_columns,
 )
 from greybox.data.units import with_units_in_header
-from greybox.files.arrays import Fields, NamedStrings, by_name, unique, without
+from greybox.files.arrays import Fields, NamedStrings
 from greybox.files.delimited_text import (
     DelimitedText,
     heading,
@@ -21,6 +21,8 @@ from greybox.files.delimited_text import (
     write_delimited,
 )
 from greybox.files.escapes import in_sentences
+from greybox.files.grouping import unique
+from greybox.files.named_values import by_name, without
 from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit

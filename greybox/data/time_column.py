@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.data.units import known_unit
 from greybox.files.arrays import Array, Strings
-from greybox.files.escapes import printable
+from greybox.files.control_characters import printable
 
 # Names of a time column, in lower case and without a unit.
 TIMES = ("time", "t", "timestamp", "timestamps", "tout", "second", "seconds")

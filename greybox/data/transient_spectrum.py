@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.data.checked_array import checksum_of, finite_array, require_size
 from greybox.data.frequency_response import Stretch
+from greybox.files.argument_checks import as_names
 from greybox.files.arrays import (
     Array,
     ComplexArray,
@@ -16,10 +17,10 @@ from greybox.files.arrays import (
     NamedArrays,
     NamedStrings,
     Strings,
-    frozen,
 )
-from greybox.files.escapes import printable
-from greybox.files.text_table import as_names, one_line, write_out
+from greybox.files.control_characters import printable, write_out
+from greybox.files.frozen_values import frozen
+from greybox.files.printed import one_line
 
 
 @frozen

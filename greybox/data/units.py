@@ -14,8 +14,8 @@ from functools import lru_cache
 
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import DelimitedText
-from greybox.files.escapes import is_number
-from greybox.files.text_table import nearest
+from greybox.files.numbers_in_text import is_number
+from greybox.files.spelling import nearest
 
 
 @dataclass(frozen=True)

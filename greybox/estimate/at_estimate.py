@@ -8,8 +8,10 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.files.arrays import Array, NamedStrings, array_of
-from greybox.files.text_table import counted, require_whole
+from greybox.files.argument_checks import require_whole
+from greybox.files.arrays import Array, NamedStrings
+from greybox.files.named_values import array_of
+from greybox.files.wording import counted
 from greybox.formulation.restated_parameter import restated
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.model import Model

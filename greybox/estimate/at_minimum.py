@@ -19,7 +19,8 @@ from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, by_name
+from greybox.files.arrays import Array
+from greybox.files.named_values import by_name
 from greybox.files.version import __version__
 from greybox.formulation.prior_part import stated_priors
 from greybox.modeling.one_thread import one_thread_at_a_time

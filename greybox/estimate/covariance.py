@@ -24,17 +24,16 @@ from greybox.files.arrays import (
     IntArray,
     Labels,
     Strings,
-    Values,
     all_finite,
-    by_name,
     column_lengths,
-    frozen,
     nans,
     positive_or_one,
     real_root,
     sum_of_squares,
     unit_length,
 )
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, by_name
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 from greybox.statistics.column_space import open_directions, triangle_of

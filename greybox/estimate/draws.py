@@ -13,17 +13,16 @@ import numpy as np
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit, require_fit
-from greybox.files.arrays import Array, Labels, Strings, by_name, frozen, positive_or_one, real_root
+from greybox.files.argument_checks import require_whole
+from greybox.files.arrays import Array, Labels, Strings, positive_or_one, real_root
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import by_name
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import (
-    Printed,
-    alternatives,
-    counted,
-    number,
-    require_whole,
-    some,
-    text_table,
-)
+from greybox.files.spelling import alternatives
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, some
 from greybox.formulation.starts import sobol_shares
 from greybox.modeling.model import Names
 from greybox.modeling.parameter import lower_and_upper

@@ -19,8 +19,10 @@ from greybox.estimate.assessment import assess
 from greybox.estimate.at_minimum import estimate_at_minimum
 from greybox.estimate.checks.included import CHECKS, Check, require_checks
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Named, frozen
-from greybox.files.text_table import counted, require_kind
+from greybox.files.argument_checks import require_kind
+from greybox.files.arrays import Named
+from greybox.files.frozen_values import frozen
+from greybox.files.wording import counted
 from greybox.formulation.starts import AnyStarts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once

@@ -22,9 +22,10 @@ from greybox.files.arrays import (
     NamedStrings,
     StringPair,
     Strings,
-    Values,
 )
-from greybox.files.text_table import counted, one_line
+from greybox.files.named_values import Values
+from greybox.files.printed import one_line
+from greybox.files.wording import counted
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.prior import Prior
 from greybox.formulation.time_criteria import Inputs, described_inputs

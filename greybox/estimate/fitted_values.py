@@ -15,16 +15,8 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.pade_error import pade_error
 from greybox.estimate.response_band import response_and_slope
-from greybox.files.arrays import (
-    Array,
-    Fields,
-    NamedArrays,
-    Values,
-    all_finite,
-    by_name,
-    nans,
-    selected,
-)
+from greybox.files.arrays import Array, Fields, NamedArrays, all_finite, nans
+from greybox.files.named_values import Values, by_name, selected
 from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, equation

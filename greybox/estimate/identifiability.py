@@ -16,15 +16,18 @@ from greybox.files.arrays import (
     Labels,
     NamedArrays,
     Strings,
-    by_name,
-    frozen,
     nans,
     real_root,
     sum_of_squares,
-    unique,
     unit_length,
 )
-from greybox.files.text_table import Printed, counted, number, one_line, text_table, with_error
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import by_name
+from greybox.files.numbers_in_text import number, with_error
+from greybox.files.printed import Printed, one_line
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted
 from greybox.statistics.column_space import triangle_of
 
 # Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System

@@ -15,7 +15,8 @@ import math
 import numpy as np
 
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, ComplexArray, frozen, nans, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, nans, real_and_imaginary
+from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import column_basis
 
 # Share of fits to clean data in which any point is called an outlier.

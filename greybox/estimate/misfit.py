@@ -4,7 +4,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from greybox.files.arrays import Strings
-from greybox.files.text_table import Printed, listed, number, percent, text_table, with_error
+from greybox.files.numbers_in_text import number, percent, with_error
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table
+from greybox.files.wording import listed
 from greybox.modeling.added_terms import Formula
 
 # Largest probability at which a model is called wrong. Of 959 right fits of simulated records,

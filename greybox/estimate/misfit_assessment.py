@@ -31,15 +31,8 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import KNOTS, Term, constants_of_record, terms_of_record
 from greybox.estimate.repeated_inputs import period, repeated_residuals
-from greybox.files.arrays import (
-    Array,
-    Arrays,
-    Labels,
-    Strings,
-    frozen,
-    sum_of_squares,
-    unit_length,
-)
+from greybox.files.arrays import Array, Arrays, Labels, Strings, sum_of_squares, unit_length
+from greybox.files.frozen_values import frozen
 from greybox.modeling.added_terms import Formula
 from greybox.solve.local_solver import LocalSolver
 from greybox.statistics.autoregressive_likelihood import (

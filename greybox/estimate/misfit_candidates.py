@@ -8,7 +8,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.result import Fit, require_fit
-from greybox.files.text_table import require_kind
+from greybox.files.argument_checks import require_kind
 from greybox.modeling.added_terms import Formula
 from greybox.solve.multistart import solver_for
 

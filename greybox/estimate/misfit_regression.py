@@ -32,10 +32,10 @@ from greybox.files.arrays import (
     IntArray,
     Labels,
     NamedArrays,
-    frozen,
     real_and_imaginary,
     sum_of_squares,
 )
+from greybox.files.frozen_values import frozen
 from greybox.statistics.autoregressive_likelihood import Outputs
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_statistics import chance, score_tests

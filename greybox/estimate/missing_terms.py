@@ -25,12 +25,11 @@ from greybox.files.arrays import (
     Labels,
     NamedArrays,
     StringPair,
-    Values,
-    by_name,
-    frozen,
     positive_or_one,
 )
-from greybox.files.text_table import number
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, by_name
+from greybox.files.numbers_in_text import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.functions import maximum, minimum, tanh

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Values
+from greybox.files.named_values import Values
 from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order

@@ -15,19 +15,13 @@ from greybox.data.intersample import described_unstated_hold
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Fields, StringPair, Strings, all_finite, attributes, unique
+from greybox.files.arrays import Fields, StringPair, Strings, all_finite
+from greybox.files.grouping import unique
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import (
-    Sentences,
-    counted,
-    listed,
-    number,
-    percent,
-    some,
-    text_table,
-    titled,
-    with_error,
-)
+from greybox.files.named_values import attributes
+from greybox.files.numbers_in_text import number, percent, with_error
+from greybox.files.text_table import Sentences, text_table, titled
+from greybox.files.wording import counted, listed, some
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import SCREENED, Runs

@@ -25,9 +25,13 @@ from greybox.estimate.profile_result import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
-from greybox.files.arrays import Array, Interval, Labels, Strings, all_finite, array_of, frozen
+from greybox.files.argument_checks import checked_items
+from greybox.files.arrays import Array, Interval, Labels, Strings, all_finite
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import array_of
+from greybox.files.numbers_in_text import number
 from greybox.files.progress import bar
-from greybox.files.text_table import checked_items, listed, number
+from greybox.files.wording import listed
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time

@@ -3,9 +3,14 @@
 import math
 from typing import Literal
 
-from greybox.files.arrays import Array, Fields, Interval, Strings, attributes, by_name, frozen
+from greybox.files.arrays import Array, Fields, Interval, Strings
+from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, alternatives, number, one_line, titled
+from greybox.files.named_values import attributes, by_name
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed, one_line
+from greybox.files.spelling import alternatives
+from greybox.files.text_table import titled
 
 End = Literal["crossed", "bound", "flat", "failed"]
 

@@ -10,7 +10,8 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.estimate.covariance import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
-from greybox.files.arrays import Array, Labels, attributes
+from greybox.files.arrays import Array, Labels
+from greybox.files.named_values import attributes
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import entries_by_name

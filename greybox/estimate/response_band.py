@@ -7,16 +7,11 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import (
-    Array,
-    ArrayPair,
-    ComplexArray,
-    Values,
-    frozen,
-    real_and_imaginary,
-    real_root,
-)
-from greybox.files.text_table import counted, one_line
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, real_and_imaginary, real_root
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
+from greybox.files.printed import one_line
+from greybox.files.wording import counted
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time

@@ -32,6 +32,7 @@ from greybox.estimate.response_band import (
     response_and_slope,
     t_quantile,
 )
+from greybox.files.argument_checks import require_kind
 from greybox.files.arrays import (
     AnyArray,
     Array,
@@ -41,14 +42,13 @@ from greybox.files.arrays import (
     Labels,
     NamedStrings,
     Strings,
-    Values,
-    attributes,
-    by_name,
-    frozen,
-    places_of,
-    unique,
 )
-from greybox.files.text_table import Printed, counted, one_line, require_kind, with_error
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values, attributes, by_name, places_of
+from greybox.files.numbers_in_text import with_error
+from greybox.files.printed import Printed, one_line
+from greybox.files.wording import counted
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.time_criteria import Inputs

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Fields, complex_array
-from greybox.files.escapes import printable
+from greybox.files.control_characters import printable
 
 ITEMS = {np.bool_: bool, np.integer: int, np.floating: float}
 LINES = "\n\t"  # control characters of docstrings, source and warnings

@@ -18,6 +18,7 @@ from greybox.estimate.identifiability import (
     identifiability,
     invisible_groups,
 )
+from greybox.files.argument_checks import as_names, require_kind
 from greybox.files.arrays import (
     Array,
     BoolArray,
@@ -25,15 +26,14 @@ from greybox.files.arrays import (
     Named,
     NamedArrays,
     Strings,
-    Values,
     all_finite,
-    array_of,
-    by_name,
     column_lengths,
-    frozen,
     positive_or_one,
 )
-from greybox.files.text_table import Printed, as_names, counted, listed, require_kind
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, array_of, by_name
+from greybox.files.printed import Printed
+from greybox.files.wording import counted, listed
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError

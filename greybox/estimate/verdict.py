@@ -6,8 +6,10 @@ from typing import Any, Literal
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.wrapped_outputs import wrapped
-from greybox.files.arrays import Strings, by_name, without
-from greybox.files.text_table import counted, percent, some
+from greybox.files.arrays import Strings
+from greybox.files.named_values import by_name, without
+from greybox.files.numbers_in_text import percent
+from greybox.files.wording import counted, some
 from greybox.solve.runs import SCREENED
 
 Grade = Literal["good", "doubt", "poor", "failed"]

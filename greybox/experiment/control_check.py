@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, updated
-from greybox.files.arrays import by_name
+from greybox.files.named_values import by_name
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import entries_by_name
 

@@ -7,17 +7,10 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.arrays import (
-    Fields,
-    Labels,
-    Named,
-    NamedStrings,
-    Strings,
-    Values,
-    by_name,
-    unique,
-)
-from greybox.files.text_table import checked_items, is_finite_number
+from greybox.files.argument_checks import checked_items, is_finite_number
+from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values, by_name
 from greybox.modeling.model import (
     Names,
     declared_parameters,

@@ -10,7 +10,7 @@ from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controllers
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Values, places_of
+from greybox.files.named_values import Values, places_of
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import lower_and_upper
 

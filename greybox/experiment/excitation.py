@@ -17,14 +17,9 @@ import numpy as np
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.record import NOT_STORED, Record
-from greybox.files.arrays import (
-    Array,
-    IntArray,
-    Labels,
-    Named,
-    Values,
-    frozen,
-)
+from greybox.files.arrays import Array, IntArray, Labels, Named
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
 
 NOTHING: Values = MappingProxyType({})  # where no noise, limit or start is given
 

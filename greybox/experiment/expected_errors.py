@@ -4,7 +4,10 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import accuracy_at, propagate
-from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen, unique
+from greybox.files.arrays import Array, NamedStrings, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values, by_name
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum

@@ -13,8 +13,13 @@ import numpy as np
 from greybox.experiment.controller import Controller, outside_names, sensors_of
 from greybox.experiment.loop_numbers import REST, loop_frequencies, samples_to_settle
 from greybox.experiment.sampled_loop import DOT, LinearController, SampledLoop
-from greybox.files.arrays import Array, NamedArrays, Strings, Values, frozen
-from greybox.files.text_table import Printed, listed, number, text_table
+from greybox.files.arrays import Array, NamedArrays, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table
+from greybox.files.wording import listed
 
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
 ROUNDING = 1e-6  # of a ratio, with the same gains on both sides

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from greybox.files.arrays import Values
+from greybox.files.named_values import Values
 from greybox.files.safe_files import write_text
 
 REAL = 9  # MAV_PARAM_TYPE_REAL32 of MAVLink

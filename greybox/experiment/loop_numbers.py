@@ -19,9 +19,9 @@ from greybox.files.arrays import (
     ComplexArray,
     FloatPair,
     IntArray,
-    frozen,
     nans,
 )
+from greybox.files.frozen_values import frozen
 
 POINTS = 400  # in four decades below the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits

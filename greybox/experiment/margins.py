@@ -26,20 +26,15 @@ from greybox.experiment.loop_numbers import (
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    Fields,
-    FloatPair,
-    StringPair,
-    Strings,
-    Values,
-    attributes,
-    frozen,
-    nans,
-)
+from greybox.files.argument_checks import require_kind
+from greybox.files.arrays import Array, ComplexArray, Fields, FloatPair, StringPair, Strings, nans
+from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, listed, number, require_kind, text_table
+from greybox.files.named_values import Values, attributes
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table
+from greybox.files.wording import listed
 from greybox.modeling.model import Model
 
 UNITS = {

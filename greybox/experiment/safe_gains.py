@@ -27,6 +27,7 @@ from greybox.experiment.gain_comparison import (
 )
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
+from greybox.files.argument_checks import checked_items
 from greybox.files.arrays import (
     Array,
     BoolArray,
@@ -35,12 +36,15 @@ from greybox.files.arrays import (
     Labels,
     NamedArrays,
     Strings,
-    Values,
-    frozen,
     nans,
 )
+from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import Printed, checked_items, counted, listed, number, text_table
+from greybox.files.named_values import Values
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, listed
 from greybox.modeling.model import Names, require_known
 from greybox.spectral import spectral_response
 

@@ -30,12 +30,11 @@ from greybox.files.arrays import (
     IntArray,
     Labels,
     Strings,
-    Values,
     as_arrays,
-    frozen,
-    places_of,
-    unique,
 )
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values, places_of
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time

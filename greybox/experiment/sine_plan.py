@@ -24,12 +24,10 @@ from greybox.files.arrays import (
     Interval,
     StringPair,
     Strings,
-    Values,
-    array_of,
-    by_name,
-    frozen,
     positive_or_one,
 )
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, array_of, by_name
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response

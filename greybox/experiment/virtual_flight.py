@@ -26,8 +26,11 @@ from greybox.experiment.controller import (
 )
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import in_periods, measured_signal
-from greybox.files.arrays import Array, Labels, Strings, Values, frozen, unique
-from greybox.files.text_table import is_finite_number, require_whole
+from greybox.files.argument_checks import is_finite_number, require_whole
+from greybox.files.arrays import Array, Labels, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time

@@ -1,8 +1,7 @@
-"""Types of arrays and of named numbers; tests, parts and divisors of arrays."""
+"""Types of arrays; parts, lengths and divisors of arrays."""
 
-from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, TypeVar, dataclass_transform
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,6 @@ ComplexArray = NDArray[np.complexfloating]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
 AnyArray = NDArray[Any]  # of numbers or of objects
-Values = Mapping[str, float]  # by the names of parameters or signals
 NamedStrings = Mapping[str, str]  # by the names of signals, columns or facts
 NamedArrays = Mapping[str, Array]  # by the names of signals
 Named = Mapping[str, Any]  # by the names of parameters, signals, settings or facts
@@ -27,59 +25,6 @@ Interval = FloatPair  # its low and its high end
 Indices = tuple[int, ...]  # of parameters, states, rows or runs
 Strings = tuple[str, ...]  # mostly names of signals and parameters, or texts
 Labels = Sequence[str]  # the same, in a list or a tuple
-
-Kind = TypeVar("Kind")
-Item = TypeVar("Item")
-
-
-@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
-def frozen(kind: type[Kind]) -> type[Kind]:
-    """Make a class a frozen dataclass without an equality of its own.
-
-    Values with arrays have none: whether two arrays are equal is an array, too. Those that print
-    themselves have the `repr` of `Printed`.
-    """
-    return dataclass(frozen=True, eq=False, repr=not hasattr(kind, "_repr_html_"))(kind)
-
-
-def by_name(names: Iterable[Any], values: Iterable[Any]) -> dict[Any, Any]:
-    """Return values by their names, one for each."""
-    return dict(zip(names, values, strict=True))
-
-
-def attributes(value: Any, *names: str) -> Fields:
-    """Return some attributes by name."""
-    return {name: getattr(value, name) for name in names}
-
-
-def selected(values: Mapping[str, Any], names: Container[str]) -> dict[str, Any]:
-    """Return the values whose names are among these, in their own order."""
-    return {name: value for name, value in values.items() if name in names}
-
-
-def without(values: Mapping[str, Any], names: Container[str]) -> dict[str, Any]:
-    """Return the values whose names are not among these, in their own order."""
-    return {name: value for name, value in values.items() if name not in names}
-
-
-def array_of(values: Any, names: Iterable[Any]) -> AnyArray:
-    """Return the values of these names, numbers or arrays of equal lengths, in one array."""
-    return np.array([values[name] for name in names])
-
-
-def places_of(names: Iterable[str], among: Strings) -> IntArray:
-    """Return the places of some names among others."""
-    return np.array([among.index(name) for name in names], dtype=int)
-
-
-def non_empty(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that are not empty: no zero, empty text or table, and not None."""
-    return {name: value for name, value in values.items() if value}
-
-
-def unique(items: Iterable[Item]) -> tuple[Item, ...]:
-    """Return every item once, in the order in which they come first."""
-    return tuple(dict.fromkeys(items))
 
 
 def all_finite(*arrays: Any) -> bool:

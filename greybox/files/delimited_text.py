@@ -20,10 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.files.arrays import Labels, NamedArrays, NamedStrings, Strings, by_name, frozen
-from greybox.files.escapes import csv_cell, is_number, printable
+from greybox.files.arrays import Labels, NamedArrays, NamedStrings, Strings
+from greybox.files.control_characters import printable
+from greybox.files.escapes import csv_cell
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import by_name
+from greybox.files.numbers_in_text import is_number
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 
 COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separator
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")

@@ -9,15 +9,13 @@ r"""Names and texts from files, escaped where they are written: one function for
 ======================= ==========================================================
 """
 
-import unicodedata
 from collections.abc import Callable
 from functools import wraps
 from numbers import Number
 from typing import Any, ParamSpec, TypeVar
 
-# Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
-# follows), halves of characters (no terminal takes them), line and paragraph separators.
-CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
+from greybox.files.control_characters import printable
+from greybox.files.numbers_in_text import is_number
 
 # A spreadsheet takes a text that begins so for a formula: OWASP, CSV injection.
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")
@@ -32,21 +30,6 @@ LONGEST_SENTENCE = 2000  # characters of a message: more than a person reads
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
-
-
-def printable(text: str, keep: str = "") -> str:
-    r"""Return a text with its control characters written out, as ``\x1b``, except those in `keep`.
-
-    Every name and text that comes from a file passes through here before it is printed.
-    """
-    if text.isprintable():
-        return text
-    return "".join(
-        c
-        if c in keep or unicodedata.category(c) not in CONTROLS
-        else c.encode("unicode_escape", "surrogatepass").decode("ascii")
-        for c in text
-    )
 
 
 def terminal_text(text: str) -> str:
@@ -106,12 +89,3 @@ def in_sentences(function: Callable[Arguments, Result]) -> Callable[Arguments, R
             raise
 
     return reading
-
-
-def is_number(cell: str) -> bool:
-    """Return whether a cell of a table is a number."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

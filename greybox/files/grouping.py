@@ -1,8 +1,9 @@
-"""Items in groups that are alike."""
+"""Items in groups that are alike, and every item once."""
 
 from collections.abc import Callable, Hashable, Iterable
+from typing import TypeVar
 
-from greybox.files.arrays import Item
+Item = TypeVar("Item")
 
 
 def grouped(items: Iterable[Item], key: Callable[[Item], Hashable]) -> list[list[Item]]:
@@ -11,3 +12,8 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Hashable]) -> list[list
     for item in items:
         groups.setdefault(key(item), []).append(item)
     return [*groups.values()]
+
+
+def unique(items: Iterable[Item]) -> tuple[Item, ...]:
+    """Return every item once, in the order in which they come first."""
+    return tuple(dict.fromkeys(items))

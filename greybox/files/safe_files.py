@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from greybox.files.text_table import require_kind
+from greybox.files.argument_checks import require_kind
 
 HDF5 = (".h5", ".hdf5")  # suffixes
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Fields
-from greybox.files.escapes import printable
+from greybox.files.control_characters import printable
 from greybox.files.subprocess_main import REFUSED
 
 SCRIPT = Path(__file__).with_name("subprocess_main.py")

@@ -14,7 +14,8 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Strings, frozen, real_and_imaginary
+from greybox.files.arrays import Array, ArrayPair, ComplexArray, Strings, real_and_imaginary
+from greybox.files.frozen_values import frozen
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.relative_score import ROUNDING, relative_score
 from greybox.modeling.complex_arithmetic import Complex

@@ -2,7 +2,8 @@
 
 from typing import Protocol, runtime_checkable
 
-from greybox.files.arrays import Array, Labels, NamedStrings, Values
+from greybox.files.arrays import Array, Labels, NamedStrings
+from greybox.files.named_values import Values
 
 
 @runtime_checkable

@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, FloatPair, NamedStrings, Strings, array_of, by_name, frozen
-from greybox.files.text_table import listed, require_kind
+from greybox.files.argument_checks import require_kind
+from greybox.files.arrays import Array, FloatPair, NamedStrings, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import array_of, by_name
+from greybox.files.wording import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import require_known

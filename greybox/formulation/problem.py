@@ -18,18 +18,11 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import MULTIPLIED
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import (
-    Fields,
-    Interval,
-    Labels,
-    Named,
-    NamedStrings,
-    Values,
-    attributes,
-    frozen,
-    selected,
-)
-from greybox.files.text_table import as_names, is_finite_number, one_line, require_kind
+from greybox.files.argument_checks import as_names, is_finite_number, require_kind
+from greybox.files.arrays import Fields, Interval, Labels, Named, NamedStrings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, attributes, selected
+from greybox.files.printed import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors

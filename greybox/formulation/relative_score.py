@@ -15,7 +15,8 @@ from typing import Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array
+from greybox.files.frozen_values import frozen
 
 # Smaller relative errors are rounding errors, of data that a model reproduces exactly.
 ROUNDING = float(np.finfo(float).eps)

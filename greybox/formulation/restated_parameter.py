@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 from greybox.data.checked_array import number_pair
+from greybox.files.argument_checks import is_finite_number
 from greybox.files.arrays import Interval
-from greybox.files.text_table import is_finite_number
 from greybox.modeling.parameter import Parameter
 
 

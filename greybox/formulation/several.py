@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from greybox.data.record import Record
-from greybox.files.text_table import as_names
+from greybox.files.argument_checks import as_names
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model, require_known

@@ -7,7 +7,8 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import are_of_one_kind, known_unit, misspelled, to_si
-from greybox.files.arrays import by_name, unique
+from greybox.files.grouping import unique
+from greybox.files.named_values import by_name
 from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Strings, frozen
+from greybox.files.arrays import Strings
+from greybox.files.frozen_values import frozen
 from greybox.formulation.time_criteria import OutputError, TimeCriterion, modeled_outputs
 from greybox.modeling.colored_disturbance import gust_time
 from greybox.modeling.model import Model

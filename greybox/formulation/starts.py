@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Values
-from greybox.files.text_table import counted, is_finite_number, one_line, require_whole
+from greybox.files.argument_checks import is_finite_number, require_whole
+from greybox.files.arrays import Array
+from greybox.files.named_values import Values
+from greybox.files.printed import one_line
+from greybox.files.wording import counted
 from greybox.modeling.parameter import Parameters
 
 # Starts of a rule: a million of ten parameters take 80 MB, and their runs ten times as much.

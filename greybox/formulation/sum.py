@@ -10,8 +10,11 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import by_name, frozen, unique
-from greybox.files.text_table import counted, numbered_where_alike, one_line, preformatted
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import by_name
+from greybox.files.printed import one_line, preformatted
+from greybox.files.wording import counted, numbered_where_alike
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters

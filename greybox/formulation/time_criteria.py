@@ -17,8 +17,12 @@ import numpy as np
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings, Values, frozen
-from greybox.files.text_table import as_names, counted, is_finite_number, number
+from greybox.files.argument_checks import as_names, is_finite_number
+from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
+from greybox.files.numbers_in_text import number
+from greybox.files.wording import counted
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, ParameterFormula, require_known

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.result import Fits
-from greybox.files.arrays import Named, unique
-from greybox.files.grouping import grouped
+from greybox.files.arrays import Named
+from greybox.files.grouping import grouped, unique
 from greybox.html_report.elements import COLUMNS, Cell, figure_grid, number_cell, table, tag
 from greybox.html_report.fit_section import Entry
 from greybox.plotting.figure import Figure

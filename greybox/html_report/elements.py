@@ -23,9 +23,11 @@ import numpy as np
 from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Labels, by_name, frozen
-from greybox.files.escapes import html_text, is_number
-from greybox.files.text_table import number, percent, with_error
+from greybox.files.arrays import Labels
+from greybox.files.escapes import html_text
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import by_name
+from greybox.files.numbers_in_text import is_number, number, percent, with_error
 from greybox.plotting.figure import Figure, Series
 
 Child = Element | str | Iterable["Child"]

@@ -20,9 +20,11 @@ from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.profile_result import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Named, frozen, unique
-from greybox.files.grouping import grouped
-from greybox.files.text_table import counted, number
+from greybox.files.arrays import Named
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import grouped, unique
+from greybox.files.numbers_in_text import number
+from greybox.files.wording import counted
 from greybox.html_report.elements import (
     COLUMNS,
     Cell,

@@ -16,11 +16,13 @@ import numpy as np
 
 from greybox.estimate.result import Fit
 from greybox.experiment.margins import Margins
+from greybox.files.argument_checks import checked_items, require_kind
 from greybox.files.arrays import Strings
 from greybox.files.grouping import grouped
+from greybox.files.numbers_in_text import number
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import checked_items, counted, number, require_kind
 from greybox.files.version import __version__
+from greybox.files.wording import counted
 from greybox.html_report.comparison_section import comparison_section, overview, study_section
 from greybox.html_report.elements import Child, figure_grid, html, tag
 from greybox.html_report.fit_section import Entry, fit_section

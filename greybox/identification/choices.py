@@ -10,8 +10,9 @@ import numpy as np
 
 from greybox.data.excited_segment import Segment, Segments
 from greybox.data.record import Recording
-from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair, unique
-from greybox.files.text_table import some
+from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair
+from greybox.files.grouping import unique
+from greybox.files.wording import some
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, axis_of

@@ -15,17 +15,11 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import (
-    Interval,
-    Labels,
-    Named,
-    Strings,
-    Values,
-    attributes,
-    frozen,
-    non_empty,
-)
-from greybox.files.text_table import checked_items, one_line
+from greybox.files.argument_checks import checked_items
+from greybox.files.arrays import Interval, Labels, Named, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, attributes, non_empty
+from greybox.files.printed import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
 from greybox.identification.orders import select_orders

@@ -6,8 +6,12 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Interval, Labels, Strings, frozen
-from greybox.files.text_table import counted, number, one_line, text_table
+from greybox.files.arrays import Interval, Labels, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import one_line
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.measurement import named_signals
 from greybox.logs.prepare import prepare

@@ -18,17 +18,14 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, described_unstated_hold
 from greybox.data.record import Record, Recording
 from greybox.data.units import known_unit
-from greybox.files.arrays import (
-    Interval,
-    Labels,
-    NamedStrings,
-    StringPair,
-    Strings,
-    frozen,
-    non_empty,
-    unique,
-)
-from greybox.files.text_table import Sentences, counted, number, one_line
+from greybox.files.arrays import Interval, Labels, NamedStrings, StringPair, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import non_empty
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import one_line
+from greybox.files.text_table import Sentences
+from greybox.files.wording import counted
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.identification.systematic_errors import (

@@ -14,16 +14,9 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    Named,
-    Strings,
-    Values,
-    selected,
-    sum_of_squares,
-)
-from greybox.files.text_table import counted
+from greybox.files.arrays import Array, ComplexArray, Named, Strings, sum_of_squares
+from greybox.files.named_values import Values, selected
+from greybox.files.wording import counted
 from greybox.formulation.starts import Sobol
 from greybox.identification.selection import (
     UNSTABLE,

@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Strings, frozen
-from greybox.files.text_table import counted, listed, number, one_line, text_table
+from greybox.files.arrays import Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import one_line
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, listed
 from greybox.validation.measures import relative_rms
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import count_unknowns

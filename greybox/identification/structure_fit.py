@@ -7,7 +7,8 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Fields, Interval, Labels, Named, Values
+from greybox.files.arrays import Fields, Interval, Labels, Named
+from greybox.files.named_values import Values
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair

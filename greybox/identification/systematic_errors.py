@@ -12,7 +12,8 @@ import numpy as np
 from greybox.data.excited_segment import Segments
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, ComplexArray, Interval, column_lengths, frozen, real_root
+from greybox.files.arrays import Array, ComplexArray, Interval, column_lengths, real_root
+from greybox.files.frozen_values import frozen
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error

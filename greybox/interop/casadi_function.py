@@ -4,7 +4,7 @@ from typing import Any
 
 import casadi as ca
 
-from greybox.files.arrays import Values
+from greybox.files.named_values import Values
 from greybox.interop.linear_systems import given_model
 
 

@@ -7,7 +7,9 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Values, as_arrays, by_name, frozen
+from greybox.files.arrays import Array, as_arrays
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, by_name
 from greybox.modeling.linearization import linearize
 from greybox.modeling.model import Model, require_operating_point
 from greybox.modeling.one_thread import one_thread_at_a_time

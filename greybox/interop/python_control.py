@@ -8,9 +8,11 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
-from greybox.files.arrays import Labels, NamedStrings, Strings, Values, unique
+from greybox.files.argument_checks import as_names
+from greybox.files.arrays import Labels, NamedStrings, Strings
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values
 from greybox.files.optional_package import required
-from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import pick_signals

@@ -1,6 +1,7 @@
 """The signals of one axis of a vehicle, as a flight controller logs them."""
 
-from greybox.files.arrays import Strings, frozen
+from greybox.files.arrays import Strings
+from greybox.files.frozen_values import frozen
 
 
 @frozen

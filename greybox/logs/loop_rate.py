@@ -25,7 +25,9 @@ import numpy as np
 from greybox.data.clock import median_step
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, ComplexArray, FloatPair, Values, frozen
+from greybox.files.arrays import Array, ComplexArray, FloatPair
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
 from greybox.logs.ardupilot.filters import CONTROLLERS
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"

@@ -13,8 +13,8 @@ import numpy as np
 from greybox.data.clock import median_step
 from greybox.data.excited_segment import Segment
 from greybox.data.record import Record, Recording
+from greybox.files.argument_checks import as_names
 from greybox.files.arrays import Array, Interval, Labels
-from greybox.files.text_table import as_names
 from greybox.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.logs.sine_detection import sines_and_sweeps
 

@@ -19,8 +19,11 @@ from greybox.data.clock import (
 from greybox.data.intersample import HELD, intersample
 from greybox.data.record import Record, Recording, require_time
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, ArrayPair, IntArray, Labels, Strings, frozen, nans, unique
-from greybox.files.text_table import as_names, counted, is_finite_number, require_kind
+from greybox.files.argument_checks import as_names, is_finite_number, require_kind
+from greybox.files.arrays import Array, ArrayPair, IntArray, Labels, Strings, nans
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.wording import counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 

@@ -12,6 +12,7 @@ from greybox.data.clock import ONE_LOST, clock_of, median_step, runs_between_hol
 from greybox.data.excited_segment import Segment, Segments
 from greybox.data.record import Record, Recording, require_time
 from greybox.data.units import known_unit
+from greybox.files.argument_checks import as_names
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -21,9 +22,8 @@ from greybox.files.arrays import (
     NamedArrays,
     NamedStrings,
     Strings,
-    Values,
 )
-from greybox.files.text_table import as_names
+from greybox.files.named_values import Values
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.flight_controllers import AXES, axis_of

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.text_table import require_whole
+from greybox.files.argument_checks import require_whole
 from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 

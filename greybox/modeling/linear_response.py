@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, Indices, StringPair, Values, all_finite, as_arrays
+from greybox.files.arrays import Array, Indices, StringPair, all_finite, as_arrays
+from greybox.files.named_values import Values
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import is_casadi

@@ -3,17 +3,10 @@
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    Strings,
-    Values,
-    all_finite,
-    as_arrays,
-    by_name,
-    frozen,
-)
-from greybox.files.text_table import one_line
+from greybox.files.arrays import Array, ComplexArray, Strings, all_finite, as_arrays
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, by_name
+from greybox.files.printed import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_column

@@ -9,17 +9,11 @@ from dataclasses import replace
 from types import CodeType, MappingProxyType
 from typing import Any, ClassVar, Self, SupportsIndex
 
-from greybox.files.arrays import (
-    Fields,
-    Interval,
-    Labels,
-    Named,
-    NamedStrings,
-    StringPair,
-    Strings,
-    Values,
-)
-from greybox.files.text_table import alternatives, listed, nearest, require_kind
+from greybox.files.argument_checks import require_kind
+from greybox.files.arrays import Fields, Interval, Labels, Named, NamedStrings, StringPair, Strings
+from greybox.files.named_values import Values
+from greybox.files.spelling import alternatives, nearest
+from greybox.files.wording import listed
 from greybox.modeling.parameter import Parameter, Parameters
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Fields, Named
-from greybox.files.escapes import printable
+from greybox.files.control_characters import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import AnyModel, Model, Names, class_of

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from greybox.data.checked_array import number_pair
+from greybox.files.argument_checks import is_finite_number, require_kind
 from greybox.files.arrays import Array, FloatPair, Interval
-from greybox.files.text_table import is_finite_number, number, require_kind, text_table
+from greybox.files.numbers_in_text import number
+from greybox.files.text_table import text_table
 
 
 @dataclass(frozen=True)

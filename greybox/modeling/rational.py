@@ -14,8 +14,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import ComplexArray, Values
-from greybox.files.text_table import number
+from greybox.files.arrays import ComplexArray
+from greybox.files.named_values import Values
+from greybox.files.numbers_in_text import number
 from greybox.modeling.function_of_s import (
     FunctionOfS,
     is_casadi,

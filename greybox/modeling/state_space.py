@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+from greybox.files.argument_checks import is_finite_number
 from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings
-from greybox.files.text_table import is_finite_number
 from greybox.modeling.model import (
     Model,
     ParameterFormula,

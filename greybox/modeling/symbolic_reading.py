@@ -10,8 +10,9 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Fields, by_name
-from greybox.files.text_table import counted
+from greybox.files.arrays import Fields
+from greybox.files.named_values import by_name
+from greybox.files.wording import counted
 from greybox.modeling.formula_structure import with_finite_slopes
 from greybox.modeling.model import Model, Names, ParameterFormula
 from greybox.modeling.one_thread import once

@@ -6,8 +6,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, Values, frozen
-from greybox.files.text_table import is_finite_number
+from greybox.files.argument_checks import is_finite_number
+from greybox.files.arrays import Array, IntArray
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
 from greybox.modeling.model import Model, Names, require_operating_point
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import start_values

@@ -7,8 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Interval, Labels, frozen
-from greybox.files.text_table import number
+from greybox.files.arrays import Array, ComplexArray, Interval, Labels
+from greybox.files.frozen_values import frozen
+from greybox.files.numbers_in_text import number
 
 GRAY = -1  # colors without a number
 INK = -2

@@ -8,7 +8,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Fields, Interval, Labels
-from greybox.files.text_table import number
+from greybox.files.numbers_in_text import number
 from greybox.plotting.figure import Figure, Panel, outlined
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, by_pair, drawn_responses, ratio, title

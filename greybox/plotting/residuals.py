@@ -7,7 +7,8 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, NamedArrays
-from greybox.files.text_table import in_greek, p_text
+from greybox.files.greek_letters import in_greek
+from greybox.files.numbers_in_text import p_text
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit, with_unit

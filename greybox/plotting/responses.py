@@ -12,8 +12,10 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Labels, StringPair, frozen, unique
-from greybox.files.text_table import in_greek
+from greybox.files.arrays import Array, Labels, StringPair
+from greybox.files.frozen_values import frozen
+from greybox.files.greek_letters import in_greek
+from greybox.files.grouping import unique
 from greybox.plotting.figure import GRAY, INK, Series, require_drawable
 from greybox.plotting.signals import distinct_labels
 

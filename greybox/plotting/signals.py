@@ -4,8 +4,10 @@ import math
 from collections.abc import Sequence
 
 from greybox.data.record import Record
-from greybox.files.arrays import Item, Labels, NamedStrings
-from greybox.files.text_table import in_greek, numbered_where_alike
+from greybox.files.arrays import Labels, NamedStrings
+from greybox.files.greek_letters import in_greek
+from greybox.files.grouping import Item
+from greybox.files.wording import numbered_where_alike
 
 
 def shown_unit(units: NamedStrings, name: str) -> tuple[float, str]:

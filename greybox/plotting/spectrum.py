@@ -8,7 +8,8 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, ComplexArray, all_finite
-from greybox.files.text_table import counted, in_greek
+from greybox.files.greek_letters import in_greek
+from greybox.files.wording import counted
 from greybox.plotting.figure import (
     ANGLES,
     CROSS,

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Interval
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, require_drawable
 from greybox.plotting.matplotlib_figure import draw
 from greybox.solve.runs import SCREENED, Run

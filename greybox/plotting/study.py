@@ -9,8 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Array, StringPair, Values, sum_of_squares, unique
-from greybox.files.text_table import number, p_text, some
+from greybox.files.arrays import Array, StringPair, sum_of_squares
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values
+from greybox.files.numbers_in_text import number, p_text
+from greybox.files.wording import some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series, require_drawable
 from greybox.plotting.matplotlib_figure import draw
 from greybox.plotting.signals import distinct_labels, with_unit

@@ -6,7 +6,10 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name, frozen, unique
+from greybox.files.arrays import Array, IntArray, Labels, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import by_name
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, require_drawable, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw

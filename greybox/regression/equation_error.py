@@ -12,17 +12,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.record import Record, require_time, unrounded
-from greybox.files.arrays import (
-    Array,
-    Labels,
-    NamedStrings,
-    Strings,
-    Values,
-    by_name,
-    frozen,
-    sum_of_squares,
-)
-from greybox.files.text_table import Printed, number, require_kind, text_table, titled
+from greybox.files.argument_checks import require_kind
+from greybox.files.arrays import Array, Labels, NamedStrings, Strings, sum_of_squares
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, by_name
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table, titled
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import (
     Inputs,

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, Indices, IntArray, column_lengths, frozen, positive_or_one
+from greybox.files.arrays import Array, Indices, IntArray, column_lengths, positive_or_one
+from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import triangle_of
 
 

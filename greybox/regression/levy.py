@@ -13,16 +13,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.argument_checks import require_whole
 from greybox.files.arrays import (
     Array,
     ArrayTriple,
     ComplexArray,
-    Values,
-    frozen,
     positive_or_one,
     real_and_imaginary,
 )
-from greybox.files.text_table import Printed, counted, number, require_whole, text_table
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.modeling.rational import factored, upper_half
 from greybox.regression.poles_and_zeros import NearPair, near_pairs, root_text

@@ -5,7 +5,9 @@ from typing import Literal
 
 import casadi as ca
 
-from greybox.files.arrays import Strings, Values, frozen
+from greybox.files.arrays import Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics

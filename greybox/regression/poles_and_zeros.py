@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from greybox.files.text_table import number
+from greybox.files.numbers_in_text import number
 from greybox.modeling.rational import upper_half
 
 

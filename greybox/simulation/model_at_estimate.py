@@ -7,17 +7,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import (
-    Array,
-    IntArray,
-    StringPair,
-    Strings,
-    Values,
-    frozen,
-    places_of,
-    selected,
-)
-from greybox.files.text_table import is_finite_number
+from greybox.files.argument_checks import is_finite_number
+from greybox.files.arrays import Array, IntArray, StringPair, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, places_of, selected
 from greybox.formulation.time_criteria import (
     Inputs,
     OutputError,

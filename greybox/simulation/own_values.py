@@ -16,20 +16,12 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import (
-    Array,
-    FloatPair,
-    IntArray,
-    Labels,
-    Strings,
-    by_name,
-    frozen,
-    places_of,
-    selected,
-    unique,
-    without,
-)
-from greybox.files.text_table import counted, listed, with_error
+from greybox.files.arrays import Array, FloatPair, IntArray, Labels, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import by_name, places_of, selected, without
+from greybox.files.numbers_in_text import with_error
+from greybox.files.wording import counted, listed
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from greybox.compiled.sampled_data import SampledData, Stretch, gapless
 from greybox.data.clock import JITTER, off_uniform
 from greybox.data.record import Record
+from greybox.files.argument_checks import is_finite_number
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -23,11 +24,14 @@ from greybox.files.arrays import (
     IntArray,
     Labels,
     Strings,
-    frozen,
     nans,
-    places_of,
 )
-from greybox.files.text_table import Printed, counted, is_finite_number, number, text_table, titled
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import places_of
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table, titled
+from greybox.files.wording import counted
 from greybox.statistics.metrics import fit_percent, rms
 
 AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is reported

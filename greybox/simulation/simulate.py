@@ -8,19 +8,11 @@ from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import Stretch, gapless
 from greybox.data.record import Record, share_samples
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    Labels,
-    Strings,
-    Values,
-    all_finite,
-    array_of,
-    nans,
-    selected,
-    unique,
-)
-from greybox.files.text_table import as_names, counted, require_kind, some
+from greybox.files.argument_checks import as_names, require_kind
+from greybox.files.arrays import Array, BoolArray, Labels, Strings, all_finite, nans
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values, array_of, selected
+from greybox.files.wording import counted, some
 from greybox.formulation.time_criteria import Inputs
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, require_known

@@ -22,15 +22,14 @@ from greybox.files.arrays import (
     NamedArrays,
     Strings,
     all_finite,
-    by_name,
     evenly_spread,
-    frozen,
     nans,
-    places_of,
     positive_or_one,
     real_root,
 )
-from greybox.files.text_table import counted
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import by_name, places_of
+from greybox.files.wording import counted
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta, repeated
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (

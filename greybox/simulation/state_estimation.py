@@ -15,7 +15,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen, nans, of_diagonal
+from greybox.files.arrays import Array, ArrayPair, BoolArray, nans, of_diagonal
+from greybox.files.frozen_values import frozen
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
 # Initial states (w, n) -> derivatives of the outputs with respect to them (w, samples, k, n).

@@ -7,7 +7,8 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, ArrayPair, BoolArray, frozen
+from greybox.files.arrays import Array, ArrayPair, BoolArray
+from greybox.files.frozen_values import frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.solve.quadratic_program import solve_small_qp

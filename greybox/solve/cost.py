@@ -4,7 +4,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
-from greybox.files.arrays import Values
+from greybox.files.named_values import Values
 from greybox.modeling.model import require_known
 from greybox.solve.gauss_newton.driver import GaussNewton
 

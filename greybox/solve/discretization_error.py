@@ -17,7 +17,8 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ArrayPair, all_finite, frozen, positive_or_one, real_root
+from greybox.files.arrays import Array, ArrayPair, all_finite, positive_or_one, real_root
+from greybox.files.frozen_values import frozen
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver

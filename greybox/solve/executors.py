@@ -43,8 +43,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from greybox.files.argument_checks import require_whole
 from greybox.files.arrays import Array, Fields
-from greybox.files.text_table import require_whole
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import Stored
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested

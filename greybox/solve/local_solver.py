@@ -8,8 +8,9 @@ from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, Arrays, IntArray, frozen
+from greybox.files.arrays import Array, Arrays, IntArray
 from greybox.files.error_place import error_sentence
+from greybox.files.frozen_values import frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.solve.interruption import raise_interrupt
 from greybox.solve.minima import Minimum, Multistart

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, Indices, IntArray, frozen
-from greybox.files.text_table import counted, one_line
+from greybox.files.arrays import Array, Indices, IntArray
+from greybox.files.frozen_values import frozen
+from greybox.files.printed import one_line
+from greybox.files.wording import counted
 from greybox.formulation.frequency_criteria import cost_of_zero
 from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
 

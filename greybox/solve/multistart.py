@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array, Named, by_name, frozen
+from greybox.files.arrays import Array, Named
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import by_name
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton

@@ -16,7 +16,8 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, by_name, places_of
+from greybox.files.arrays import Array
+from greybox.files.named_values import by_name, places_of
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.modeling.linear_response import frequency_response
 from greybox.solve.batched_newton import BatchedNewton

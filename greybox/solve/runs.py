@@ -13,8 +13,10 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import AnyArray, Array, BoolArray, IntArray, frozen
-from greybox.files.text_table import counted, one_line
+from greybox.files.arrays import AnyArray, Array, BoolArray, IntArray
+from greybox.files.frozen_values import frozen
+from greybox.files.printed import one_line
+from greybox.files.wording import counted
 from greybox.modeling.fingerprint import value_fingerprint
 
 # Statuses of a run besides those of its solver: it could not begin, ended where the integration

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import frozen
+from greybox.files.frozen_values import frozen
 from greybox.files.progress import DELAY, bar
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.interruption import is_search_over, stop_requested

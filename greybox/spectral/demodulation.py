@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.clock import median_step
 from greybox.files.arrays import Array, BoolArray, ComplexArray
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 
 
 class UnusableSegmentError(ValueError):

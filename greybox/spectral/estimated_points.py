@@ -9,8 +9,9 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import hold_of_response
-from greybox.files.arrays import Array, BoolArray, ComplexArray, Fields, unique
-from greybox.files.text_table import counted
+from greybox.files.arrays import Array, BoolArray, ComplexArray, Fields
+from greybox.files.grouping import unique
+from greybox.files.wording import counted
 from greybox.spectral.uniform_stretches import UniformStretch
 
 HZ = math.tau  # rad/s

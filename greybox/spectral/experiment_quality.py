@@ -11,7 +11,8 @@ from greybox.data.excited_segment import Segments
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
 from greybox.files.arrays import Array, Interval, Labels, Strings
-from greybox.files.text_table import Printed, counted, some
+from greybox.files.printed import Printed
+from greybox.files.wording import counted, some
 from greybox.spectral.saturation import at_limit
 
 Severity = Literal["note", "warning", "refusal"]

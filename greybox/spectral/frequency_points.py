@@ -7,8 +7,12 @@ import numpy as np
 
 from greybox.data.excited_segment import Segment
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, FloatPair, Strings, frozen, unique
-from greybox.files.text_table import Printed, number, text_table
+from greybox.files.arrays import Array, FloatPair, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table
 
 # Change of trim over the amplitude, and standard error over the response: an error of the gain
 # about as large as that of harmonics of a tenth.

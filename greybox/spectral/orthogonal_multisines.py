@@ -13,7 +13,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.files.arrays import Arrays, ComplexArray, Labels, column_lengths
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 from greybox.spectral.estimated_points import measured_in
 from greybox.spectral.multisine_lines import EXCITED, period_spectra
 

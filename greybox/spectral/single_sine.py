@@ -12,7 +12,8 @@ from greybox.data.excited_segment import Segment, checked_segments
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, ComplexArray, all_finite, sum_of_squares, unique
+from greybox.files.arrays import Array, ComplexArray, all_finite, sum_of_squares
+from greybox.files.grouping import unique
 from greybox.spectral.demodulation import (
     UnusableSegmentError,
     least_squares,

@@ -10,8 +10,8 @@ from greybox.data.checked_array import finite_numbers, require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, SPACING, response_of_hold
 from greybox.data.record import Record
+from greybox.files.argument_checks import require_whole
 from greybox.files.arrays import Array, ComplexArray, Interval, Labels, NamedStrings
-from greybox.files.text_table import require_whole
 from greybox.spectral.estimated_points import HZ, measured_in, response_at, without_incoherent
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches

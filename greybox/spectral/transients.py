@@ -9,8 +9,9 @@ from greybox.data.checked_array import require_band
 from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, Interval, Labels, selected
-from greybox.files.text_table import as_names
+from greybox.files.argument_checks import as_names
+from greybox.files.arrays import Array, ComplexArray, Interval, Labels
+from greybox.files.named_values import selected
 from greybox.spectral.uniform_stretches import uniform_stretches
 
 # Highest frequency over the sampling rate: signals have little power above, and aliases there are

@@ -7,8 +7,9 @@ import numpy as np
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps, unrounded
-from greybox.files.arrays import Array, Labels, array_of
-from greybox.files.text_table import checked_items
+from greybox.files.argument_checks import checked_items
+from greybox.files.arrays import Array, Labels
+from greybox.files.named_values import array_of
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, frozen, nans, sum_of_squares
+from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, nans, sum_of_squares
+from greybox.files.frozen_values import frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30

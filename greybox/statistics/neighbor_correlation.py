@@ -35,9 +35,9 @@ from greybox.files.arrays import (
     ComplexArray,
     FloatPair,
     all_finite,
-    frozen,
     real_and_imaginary,
 )
+from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import column_basis
 
 # Probability of independent errors below which a correlation is reported: in simulated fits of 10

@@ -28,7 +28,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, ComplexPair, frozen
+from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, ComplexPair
+from greybox.files.frozen_values import frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,

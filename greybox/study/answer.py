@@ -22,7 +22,7 @@ from typing import (
 
 from greybox.estimate.verdict import Grade
 from greybox.files.arrays import Fields
-from greybox.files.escapes import printable
+from greybox.files.control_characters import printable
 
 PROSE = ("error", "warnings", "notes", "sentences")  # may have several lines, as names may not
 LONGEST = 10_000  # characters of a text: a table pads every cell of a column to the longest

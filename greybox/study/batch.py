@@ -20,11 +20,14 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.printed import data_names, summary
 from greybox.estimate.storage import to_bytes
-from greybox.files.arrays import Fields, Named, frozen, unique
+from greybox.files.argument_checks import require_kind
+from greybox.files.arrays import Fields, Named
+from greybox.files.control_characters import printable
 from greybox.files.error_place import error_sentence
-from greybox.files.escapes import printable
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, require_kind
+from greybox.files.wording import counted
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in

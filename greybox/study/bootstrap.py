@@ -22,19 +22,17 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
-from greybox.files.arrays import Array, Fields, Interval, NamedArrays, Strings, by_name, frozen
+from greybox.files.argument_checks import require_whole
+from greybox.files.arrays import Array, Fields, Interval, NamedArrays, Strings
+from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
+from greybox.files.named_values import by_name
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
 from greybox.files.progress import bar
-from greybox.files.text_table import (
-    Printed,
-    alternatives,
-    counted,
-    number,
-    require_whole,
-    some,
-    text_table,
-    titled,
-)
+from greybox.files.spelling import alternatives
+from greybox.files.text_table import text_table, titled
+from greybox.files.wording import counted, some
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all

@@ -12,7 +12,7 @@ from typing import TypeVar
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.experiment.controller import Controller
 from greybox.files.arrays import Fields
-from greybox.files.text_table import alternatives
+from greybox.files.spelling import alternatives
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model, require_known

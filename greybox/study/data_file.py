@@ -11,9 +11,10 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.files.arrays import Fields, Named, NamedStrings, Strings, unique
+from greybox.files.arrays import Fields, Named, NamedStrings, Strings
 from greybox.files.delimited_text import heading, read_delimited
 from greybox.files.escapes import in_sentences
+from greybox.files.grouping import unique
 from greybox.files.safe_files import require_file
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.named_columns import in_si

@@ -11,7 +11,8 @@ from glob import escape, glob
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Fields, Named, by_name, selected
+from greybox.files.arrays import Fields, Named
+from greybox.files.named_values import by_name, selected
 from greybox.modeling.model import require_known
 from greybox.study.batch import Member
 from greybox.study.data_file import UnreadableError, reading_once

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 from greybox.files.arrays import Labels
 from greybox.files.escapes import latex_text
-from greybox.files.text_table import greek, with_error
+from greybox.files.greek_letters import greek
+from greybox.files.numbers_in_text import with_error
 
 ACCENTS = ("tilde", "hat", "bar", "dot")
 

@@ -12,8 +12,10 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import StringPair, unique
-from greybox.files.text_table import counted, percent, some
+from greybox.files.arrays import StringPair
+from greybox.files.grouping import unique
+from greybox.files.numbers_in_text import percent
+from greybox.files.wording import counted, some
 from greybox.modeling.one_thread import unchanged
 from greybox.simulation.prediction import default_length
 from greybox.simulation.simulate import predict

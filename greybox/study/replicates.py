@@ -22,15 +22,8 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
-from greybox.files.arrays import (
-    Array,
-    Arrays,
-    ComplexArray,
-    frozen,
-    nans,
-    real_root,
-    sum_of_squares,
-)
+from greybox.files.arrays import Array, Arrays, ComplexArray, nans, real_root, sum_of_squares
+from greybox.files.frozen_values import frozen
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.gauss_newton.driver import GaussNewton

@@ -35,11 +35,13 @@ from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
-from greybox.files.arrays import Array, Fields, Labels, Named, NamedStrings, Strings, frozen
-from greybox.files.escapes import printable
+from greybox.files.arrays import Array, Fields, Labels, Named, NamedStrings, Strings
+from greybox.files.control_characters import printable
+from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import parsed
 from greybox.files.packed import packed, unpacked
-from greybox.files.text_table import counted, listed, one_line
+from greybox.files.printed import one_line
+from greybox.files.wording import counted, listed
 from greybox.solve.interruption import Response, responding
 from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome, RunStorage, RunStorageError
 from greybox.study.answer import LONGEST, checked_answer

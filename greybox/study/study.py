@@ -17,19 +17,15 @@ from typing import Any
 import numpy as np
 
 from greybox.data.pandas_frames import Frame
-from greybox.files.arrays import Fields, Labels, Strings, frozen, unique
+from greybox.files.arrays import Fields, Labels, Strings
 from greybox.files.escapes import csv_cell, in_sentences, latex_text, sentence, terminal_text
-from greybox.files.grouping import grouped
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import grouped, unique
+from greybox.files.numbers_in_text import number, with_error
 from greybox.files.optional_package import required
-from greybox.files.text_table import (
-    Printed,
-    counted,
-    number,
-    one_line,
-    some,
-    text_table,
-    with_error,
-)
+from greybox.files.printed import Printed, one_line
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, some
 from greybox.modeling.model import require_known
 from greybox.study.latex import latex_number, latex_symbol, latex_table
 from greybox.study.ranking import ranking

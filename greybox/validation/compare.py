@@ -5,8 +5,8 @@ from typing import Any
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fits
+from greybox.files.argument_checks import checked_items
 from greybox.files.arrays import Labels
-from greybox.files.text_table import checked_items
 from greybox.simulation.prediction import require_lengths
 from greybox.validation.comparison import (
     HELD_OUT,

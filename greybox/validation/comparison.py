@@ -3,17 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from greybox.files.arrays import Fields, Strings, by_name, frozen, unique
-from greybox.files.grouping import grouped
-from greybox.files.text_table import (
-    Printed,
-    counted,
-    number,
-    one_line,
-    probability,
-    text_table,
-    titled,
-)
+from greybox.files.arrays import Fields, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import grouped, unique
+from greybox.files.named_values import by_name
+from greybox.files.numbers_in_text import number, probability
+from greybox.files.printed import Printed, one_line
+from greybox.files.text_table import text_table, titled
+from greybox.files.wording import counted
 from greybox.simulation.prediction import Prediction, seconds
 
 IDENTIFICATION = "identification"

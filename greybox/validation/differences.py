@@ -6,8 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import FloatPair, Labels, Strings, frozen
-from greybox.files.text_table import Printed, counted, listed, probability, text_table, with_error
+from greybox.files.arrays import FloatPair, Labels, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.numbers_in_text import probability, with_error
+from greybox.files.printed import Printed
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, listed
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.same_data import check_fits, labels_of

@@ -8,8 +8,9 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import BoolArray, FloatPair, Labels, Strings, unique
-from greybox.files.text_table import counted
+from greybox.files.arrays import BoolArray, FloatPair, Labels, Strings
+from greybox.files.grouping import unique
+from greybox.files.wording import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.prediction import Prediction, cut, default_length
 from greybox.simulation.simulate import cure, predict_windows

@@ -12,7 +12,9 @@ from greybox.estimate.fit import SolverChoice
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Array, StringPair, frozen, nans, unique
+from greybox.files.arrays import Array, StringPair, nans
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
 from greybox.files.json_numbers import finite
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood, RelativeLikelihood
 from greybox.modeling.one_thread import one_thread_at_a_time

@@ -17,18 +17,11 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import (
-    Array,
-    FloatPair,
-    StringPair,
-    Strings,
-    Values,
-    all_finite,
-    array_of,
-    by_name,
-    without,
-)
-from greybox.files.text_table import Printed, listed, number, p_text
+from greybox.files.arrays import Array, FloatPair, StringPair, Strings, all_finite
+from greybox.files.named_values import Values, array_of, by_name, without
+from greybox.files.numbers_in_text import number, p_text
+from greybox.files.printed import Printed
+from greybox.files.wording import listed
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
 from greybox.modeling.realization import dynamics

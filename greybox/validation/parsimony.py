@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from greybox.files.text_table import listed, number, p_text
+from greybox.files.numbers_in_text import number, p_text
+from greybox.files.wording import listed
 from greybox.validation.comparison import SIGNIFICANT
 from greybox.validation.nested_models import NestedTest
 

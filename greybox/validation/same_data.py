@@ -1,8 +1,11 @@
 """Whether fits have the same data, and whether their costs may be compared."""
 
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Labels, Strings, unique
-from greybox.files.text_table import number, numbered_where_alike, require_kind
+from greybox.files.argument_checks import require_kind
+from greybox.files.arrays import Labels, Strings
+from greybox.files.grouping import unique
+from greybox.files.numbers_in_text import number
+from greybox.files.wording import numbered_where_alike
 
 
 def check_fits(fits: Fits) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit, Fits
 from greybox.files.arrays import Arrays, ArrayTriple, Labels, StringPair
-from greybox.files.text_table import counted, listed, number, p_text
+from greybox.files.numbers_in_text import number, p_text
+from greybox.files.wording import counted, listed
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
 from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT

@@ -18,9 +18,15 @@ from greybox.compiled.compiled_problem import AnyProblem, require_problem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Labels, Strings, Values, frozen, selected, without
+from greybox.files.argument_checks import as_names
+from greybox.files.arrays import Labels, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.named_values import Values, selected, without
+from greybox.files.numbers_in_text import number
+from greybox.files.printed import Printed
 from greybox.files.progress import bar
-from greybox.files.text_table import Printed, as_names, counted, listed, number, text_table
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, listed
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.added_terms import AddedTerms

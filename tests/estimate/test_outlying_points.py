@@ -13,7 +13,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.checks.unequal_errors import unequal_errors
 from greybox.estimate.largest_deviation import SIZE, deletion_ratios, largest_deviation
-from greybox.files.text_table import number
+from greybox.files.numbers_in_text import number
 from greybox.problems import pitch_hover
 
 TRUTH = {"K": 5.0, "T": 0.3}

@@ -14,7 +14,7 @@ import greybox as gb
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.profile import likelihood_factor
 from greybox.estimate.profile_result import ProfileOf, Profiles
-from greybox.files.text_table import number
+from greybox.files.numbers_in_text import number
 from greybox.models.tilt import PAPER_G
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.solve.gauss_newton.driver import GaussNewton

@@ -2,19 +2,13 @@ import math
 
 import pytest
 
-from greybox.files.escapes import is_number, printable
-from greybox.files.text_table import (
-    alternatives,
-    counted,
-    in_greek,
-    listed,
-    nearest,
-    number,
-    one_line,
-    some,
-    text_table,
-    with_error,
-)
+from greybox.files.control_characters import printable
+from greybox.files.greek_letters import in_greek
+from greybox.files.numbers_in_text import is_number, number, with_error
+from greybox.files.printed import one_line
+from greybox.files.spelling import alternatives, nearest
+from greybox.files.text_table import text_table
+from greybox.files.wording import counted, listed, some
 
 
 def test_columns_are_aligned():

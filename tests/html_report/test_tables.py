@@ -11,7 +11,7 @@ from page_results import lag
 
 import greybox as gb
 from greybox.estimate.printed import error_statement
-from greybox.files.text_table import number, with_error
+from greybox.files.numbers_in_text import number, with_error
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.elements import Cell, number_cell, parameter_table, table
 from greybox.html_report.fit_section import Entry, data_summary, provenance, remarks

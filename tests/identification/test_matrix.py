@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.data.record import Record, Recording
-from greybox.files.text_table import number
+from greybox.files.numbers_in_text import number
 from greybox.identification.matrix import measure_matrix
 
 PERIOD, RATE = 8.0, 20.0

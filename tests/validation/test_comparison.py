@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from greybox.files.text_table import p_text
+from greybox.files.numbers_in_text import p_text
 from greybox.validation.comparison import Comparison, Row
 
 ROWS = (

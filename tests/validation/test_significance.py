@@ -8,7 +8,7 @@ from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 from scipy.stats import ttest_1samp
 
 import greybox as gb
-from greybox.files.text_table import p_text
+from greybox.files.numbers_in_text import p_text
 from greybox.validation import significance
 
 

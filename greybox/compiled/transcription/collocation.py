@@ -9,7 +9,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.transcription.method import Transcribed, Transcription
-from greybox.files.text_table import require_whole
+from greybox.files.argument_checks import require_whole
 from greybox.modeling.integrators import ImplicitIntegrator, Radau
 
 # What CasADi tabulates.

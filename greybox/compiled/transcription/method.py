@@ -9,8 +9,10 @@ import casadi as ca
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
-from greybox.files.arrays import Array, frozen
-from greybox.files.text_table import counted, require_kind, require_whole
+from greybox.files.argument_checks import require_kind, require_whole
+from greybox.files.arrays import Array
+from greybox.files.frozen_values import frozen
+from greybox.files.wording import counted
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta
 
 

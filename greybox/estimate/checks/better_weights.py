@@ -4,7 +4,7 @@ import numpy as np
 
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.text_table import some
+from greybox.files.wording import some
 
 
 def better_weights(evidence: Evidence) -> Findings:

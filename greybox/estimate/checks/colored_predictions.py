@@ -11,7 +11,7 @@ from greybox.estimate.checks.records import (
     in_time,
     place_of,
 )
-from greybox.files.text_table import some
+from greybox.files.wording import some
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.statistics.metrics import whiteness
 

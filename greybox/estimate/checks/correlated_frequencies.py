@@ -6,7 +6,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.checks.unlikely_noise import LEAST_RATIO
-from greybox.files.text_table import percent
+from greybox.files.numbers_in_text import percent
 from greybox.statistics.neighbor_correlation import UNLIKELY
 
 

@@ -2,8 +2,8 @@
 
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.arrays import unique
-from greybox.files.text_table import listed
+from greybox.files.grouping import unique
+from greybox.files.wording import listed
 
 
 def determined_together(evidence: Evidence) -> Findings:

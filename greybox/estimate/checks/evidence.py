@@ -7,7 +7,8 @@ from greybox.compiled.record_part import RecordPart
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array
+from greybox.files.frozen_values import frozen
 from greybox.solve.search import Search
 
 Pairs = list[tuple[RecordPart, FittedRecord]]

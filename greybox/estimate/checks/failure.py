@@ -5,7 +5,7 @@ import numpy as np
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.checks.not_determined import undetermined
 from greybox.estimate.covariance import accuracy_at
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 from greybox.solve.minima import best_unfinished
 from greybox.solve.runs import CUT_SHORT, Run
 from greybox.solve.search import Search

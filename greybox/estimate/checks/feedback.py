@@ -3,7 +3,7 @@
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.checks.records import FALSE_ALARMS, by_piece, in_time, place_of
-from greybox.files.text_table import some
+from greybox.files.wording import some
 from greybox.statistics.metrics import cross_correlation, is_resolved, whiteness
 
 

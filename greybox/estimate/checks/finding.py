@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from greybox.files.grouping import grouped
-from greybox.files.text_table import some
+from greybox.files.wording import some
 
 
 @dataclass(frozen=True)

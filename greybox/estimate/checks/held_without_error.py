@@ -4,7 +4,7 @@ import numpy as np
 
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.text_table import listed
+from greybox.files.wording import listed
 
 
 def held_without_error(evidence: Evidence) -> Findings:

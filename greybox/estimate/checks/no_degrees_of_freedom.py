@@ -2,7 +2,7 @@
 
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.text_table import counted
+from greybox.files.wording import counted
 
 
 def no_degrees_of_freedom(evidence: Evidence) -> Findings:

@@ -7,7 +7,7 @@ from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.identifiability import Combination
-from greybox.files.text_table import counted, listed
+from greybox.files.wording import counted, listed
 from greybox.modeling.symbolic_reading import switching_parameters
 
 

@@ -4,7 +4,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.largest_deviation import SIZE, largest_deviation
-from greybox.files.text_table import number, percent
+from greybox.files.numbers_in_text import number, percent
 
 
 def outlying_points(evidence: Evidence) -> Findings:

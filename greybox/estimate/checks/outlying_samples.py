@@ -8,7 +8,8 @@ from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.largest_deviation import SIZE
 from greybox.files.arrays import Array, FloatPair
-from greybox.files.text_table import listed, number
+from greybox.files.numbers_in_text import number
+from greybox.files.wording import listed
 from greybox.statistics.huber import bounded, robust_deviation
 from greybox.statistics.metrics import is_resolved
 

@@ -4,7 +4,7 @@ import math
 
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.text_table import number, with_error
+from greybox.files.numbers_in_text import number, with_error
 
 
 def prior_conflicts(evidence: Evidence) -> Findings:

@@ -8,7 +8,7 @@ from greybox.data.record import share_samples
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.files.grouping import grouped
-from greybox.files.text_table import listed
+from greybox.files.wording import listed
 
 
 def repeated_data(evidence: Evidence) -> Findings:

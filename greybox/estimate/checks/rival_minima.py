@@ -9,7 +9,8 @@ from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.covariance import propagate
 from greybox.files.arrays import Array
-from greybox.files.text_table import listed, number
+from greybox.files.numbers_in_text import number
+from greybox.files.wording import listed
 from greybox.solve.minima import RIVAL, likelihood_unit
 
 

@@ -6,7 +6,8 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.files.arrays import Array
-from greybox.files.text_table import listed, number
+from greybox.files.numbers_in_text import number
+from greybox.files.wording import listed
 
 
 def several_estimates(evidence: Evidence) -> Findings:

@@ -9,7 +9,7 @@ from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.largest_deviation import ROUNDING, SIZE
 from greybox.files.arrays import Array
-from greybox.files.text_table import p_text
+from greybox.files.numbers_in_text import p_text
 from greybox.statistics.metrics import size_test
 
 

@@ -8,8 +8,8 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.arrays import by_name
-from greybox.files.text_table import counted
+from greybox.files.named_values import by_name
+from greybox.files.wording import counted
 
 # Squared residuals over given variances below which these are doubted, or include other errors.
 LEAST_RATIO = 0.4

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Values
+from greybox.files.named_values import Values
 from greybox.logs.known_filters import FirstOrderLowPass, KnownFilters, LowPass, Notch
 
 # Fields that are logged behind the filters of the gyro.

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, Interval, NamedArrays, Values
+from greybox.files.arrays import Array, Interval, NamedArrays
+from greybox.files.named_values import Values
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
 DEFAULTS = {

@@ -30,10 +30,10 @@ from typing import NamedTuple
 
 from greybox.data.clock import Gaps, require_gaps
 from greybox.data.record import Recording
+from greybox.files.argument_checks import is_finite_number
 from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.escapes import in_sentences
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import is_finite_number
 from greybox.logs.named_columns import in_si
 
 HEAD = 4096  # bytes by which a format is recognized

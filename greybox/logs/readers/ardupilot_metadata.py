@@ -6,7 +6,8 @@ from typing import Any
 
 from pymavlink.mavutil import mode_mapping_bynumber
 
-from greybox.files.arrays import Fields, non_empty
+from greybox.files.arrays import Fields
+from greybox.files.named_values import non_empty
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers.messages import Messages
 

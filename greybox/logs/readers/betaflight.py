@@ -16,8 +16,9 @@ import numpy as np
 from greybox.data.clock import median_step
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
-from greybox.files.arrays import Array, Values
+from greybox.files.arrays import Array
 from greybox.files.delimited_text import Heading, are_numbers
+from greybox.files.named_values import Values
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
 DOUBT = (

@@ -17,7 +17,8 @@ from dataclasses import replace
 
 from greybox.data.clock import median_step
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.files.arrays import NamedStrings, Values
+from greybox.files.arrays import NamedStrings
+from greybox.files.named_values import Values
 from greybox.logs.readers.messages import Messages
 
 # Message and fields. For fields in neither table, it is unknown.

@@ -13,6 +13,7 @@ from greybox.data.response_columns import find_column
 from greybox.data.time_column import TIMES, seconds
 from greybox.data.units import with_units_in_header
 from greybox.files.arrays import Array, Labels, NamedStrings
+from greybox.files.control_characters import printable
 from greybox.files.delimited_text import (
     MISSING,
     DelimitedText,
@@ -24,9 +25,8 @@ from greybox.files.delimited_text import (
     numbered,
     read_delimited,
 )
-from greybox.files.escapes import printable
 from greybox.files.progress import bar
-from greybox.files.text_table import counted, some
+from greybox.files.wording import counted, some
 from greybox.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.logs.readers.messages import MessageNames
 from greybox.logs.readers.named_arrays import recording

@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, IntArray, Labels, Strings, by_name
+from greybox.files.arrays import Array, IntArray, Labels, Strings
+from greybox.files.named_values import by_name
 from greybox.files.progress import bar
-from greybox.files.text_table import Sentences, counted
+from greybox.files.text_table import Sentences
+from greybox.files.wording import counted
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import (

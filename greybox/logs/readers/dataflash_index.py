@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT, MULT_TO_PREFIX
 
-from greybox.files.arrays import IntArray, NamedStrings, Strings, frozen, unique
+from greybox.files.arrays import IntArray, NamedStrings, Strings
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
 from greybox.logs.readers.ardupilot_metadata import column, unit
 from greybox.logs.readers.messages import Messages
 

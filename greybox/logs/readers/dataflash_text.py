@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import by_name
-from greybox.files.escapes import is_number
+from greybox.files.named_values import by_name
+from greybox.files.numbers_in_text import is_number
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, is_wanted, recording
 from greybox.logs.readers.dataflash_index import Layout, Units, UnitTables, sound_layout
 from greybox.logs.readers.messages import MessageNames, Messages, bare

@@ -10,19 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import (
-    Array,
-    IntArray,
-    Labels,
-    NamedArrays,
-    NamedStrings,
-    Strings,
-    Values,
-    frozen,
-    nans,
-    unique,
-)
-from greybox.files.text_table import counted
+from greybox.files.arrays import Array, IntArray, Labels, NamedArrays, NamedStrings, Strings, nans
+from greybox.files.frozen_values import frozen
+from greybox.files.grouping import unique
+from greybox.files.named_values import Values
+from greybox.files.wording import counted
 from greybox.logs.readers import time_stamps
 
 MessageNames = Collection[str] | None  # all if None

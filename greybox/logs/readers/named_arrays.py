@@ -6,7 +6,8 @@ The same records are made of the topics of PX4 logs and of tables of text.
 from pathlib import Path
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, Fields, Labels, NamedStrings, Values
+from greybox.files.arrays import Array, Fields, Labels, NamedStrings
+from greybox.files.named_values import Values
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds

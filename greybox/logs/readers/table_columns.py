@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.time_column import seconds, tick, times_in_seconds
 from greybox.files.arrays import AnyArray, NamedArrays, NamedStrings, Strings
-from greybox.files.text_table import some
+from greybox.files.wording import some
 from greybox.logs.named_columns import BETWEEN, unit_and_hold
 from greybox.logs.readers.messages import Messages
 

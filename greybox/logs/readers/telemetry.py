@@ -33,12 +33,9 @@ from greybox.files.arrays import (
     Labels,
     NamedArrays,
     NamedStrings,
-    Values,
-    by_name,
     nans,
-    non_empty,
-    without,
 )
+from greybox.files.named_values import Values, by_name, non_empty, without
 from greybox.files.progress import bar
 from greybox.files.text_table import Sentences
 from greybox.logs.readers import time_stamps

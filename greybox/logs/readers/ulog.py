@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Fields, Named, non_empty, without
+from greybox.files.arrays import Fields, Named
+from greybox.files.named_values import non_empty, without
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers import named_arrays
 from greybox.logs.readers.messages import MessageNames, bare

@@ -16,7 +16,8 @@ from dataclasses import replace
 from typing import Any
 
 from greybox.compiled.part import Condensed, Trajectory
-from greybox.files.arrays import Array, Arrays, BoolArray, frozen
+from greybox.files.arrays import Array, Arrays, BoolArray
+from greybox.files.frozen_values import frozen
 
 CONVERGED, STALLED = "converged", "stalled"
 

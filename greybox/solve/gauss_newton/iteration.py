@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array
+from greybox.files.frozen_values import frozen
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
     CONVERGED,
