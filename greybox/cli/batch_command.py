@@ -5,6 +5,7 @@ import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, save_figure
@@ -12,7 +13,6 @@ from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inpu
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.terminal import write
 from greybox.cli.workers import stated_executor
-from greybox.files.arrays import Fields
 from greybox.files.named_values import attributes
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import text_table
@@ -157,7 +157,7 @@ def quoted(path: Path) -> str:
     return shlex.quote(str(path))
 
 
-def as_json(study: Study) -> Fields:
+def as_json(study: Study) -> dict[str, Any]:
     """Return the members of a study by name."""
     members = [
         attributes(member, "name", "status", "runs")

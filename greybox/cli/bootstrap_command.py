@@ -1,11 +1,11 @@
 """The command `greybox bootstrap`: errors and intervals of a saved fit from resampled data."""
 
 import argparse
+from typing import Any
 
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import stated_fit
 from greybox.cli.workers import stated_executor
-from greybox.files.arrays import Fields
 from greybox.study.bootstrap import bootstrap
 
 EXAMPLES = (
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fit and repeat it."""
     # Before the fit is read: a wrong folder should not cost the time of compiling.
     fit, problem = stated_fit(options)
-    trust: Fields = {"trust": True} if options.trust else {}
+    trust: dict[str, Any] = {"trust": True} if options.trust else {}
     try:
         with stated_executor(options) as executor:
             result = bootstrap(

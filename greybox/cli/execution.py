@@ -6,11 +6,11 @@ import io
 import sys
 import traceback
 import warnings
+from typing import Any
 
 from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
 from greybox.cli.terminal import write
-from greybox.files.arrays import Fields
 from greybox.files.error_place import error_place
 from greybox.files.escapes import sentence
 from greybox.solve.executors import ExecutorLostError
@@ -34,7 +34,7 @@ def execute(options: argparse.Namespace) -> int:
         return ended_status() if take_interrupt() or status == INTERRUPTED else status
 
 
-def _answer(options: argparse.Namespace) -> tuple[Fields, str, int]:
+def _answer(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
     """Run the command; an error is an answer too, with its exit status."""
     with contextlib.ExitStack() as streams:
         if options.quiet:  # no progress bars, no warnings

@@ -3,6 +3,7 @@
 import argparse
 from contextlib import nullcontext
 from dataclasses import replace
+from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, save_figure
@@ -14,7 +15,6 @@ from greybox.estimate.fit import SolverChoice, fit_with_storage
 from greybox.estimate.printed import summary
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
-from greybox.files.arrays import Fields
 from greybox.files.wording import counted
 from greybox.solve.interruption import (
     Interrupted,
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> Answer:
         return _answer(options, stored, *_fitted(stored, stated, options))
 
 
-def _stated_fit(options: argparse.Namespace) -> Fields:
+def _stated_fit(options: argparse.Namespace) -> dict[str, Any]:
     """Return the arguments of `fit_with_storage` that the options state."""
     # A problem file suggests starts and seed; the command line has the last word.
     problem, settings = problem_of(options)
@@ -97,7 +97,7 @@ def _stated_fit(options: argparse.Namespace) -> Fields:
 
 
 def _fitted(
-    stored: StoredRuns | None, stated: Fields, options: argparse.Namespace
+    stored: StoredRuns | None, stated: dict[str, Any], options: argparse.Namespace
 ) -> tuple[Fit, bool]:
     """Return the fit, or the best one so far after Ctrl-C, and whether it was interrupted."""
     try:

@@ -4,6 +4,7 @@ import argparse
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
 from greybox.cli.orders_command import selection_json
@@ -11,7 +12,6 @@ from greybox.cli.output import Answer, require_figure, require_writable, save_fi
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
-from greybox.files.arrays import Fields
 from greybox.files.named_values import attributes
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.structure_fit import Structure
@@ -119,7 +119,7 @@ def _structure(word: str) -> Structure:
     return Structure(find_model(name), name, free)
 
 
-def _json(result: Identification) -> Fields:
+def _json(result: Identification) -> dict[str, Any]:
     return {
         "chosen": [
             {"what": choice.what, "why": choice.why, "option": f"--{choice.argument}"}

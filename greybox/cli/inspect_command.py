@@ -2,15 +2,15 @@
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from greybox.cli.options import option_words
 from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.excited_segment import Segments, segment_table
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Fields, Named
-from greybox.files.named_values import attributes, by_name
+from greybox.files.named_values import attributes
 from greybox.files.numbers_in_text import number
 from greybox.files.text_table import text_table
 from greybox.logs.flight_controllers import axis_of
@@ -110,7 +110,7 @@ def about(recording: Recording) -> str:
     return "\n".join(lines)
 
 
-def contents(messages: Sequence[Named]) -> str:
+def contents(messages: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of the messages."""
     rows = []
     for message in messages:
@@ -127,13 +127,13 @@ def contents(messages: Sequence[Named]) -> str:
     return text_table(["message", "samples", "Hz", "from s", "to s", "signals"], rows, (0, 5))
 
 
-def message(name: str, record: Record) -> Fields:
+def message(name: str, record: Record) -> dict[str, Any]:
     """Return the facts of a message."""
     times = (rate(record), *record.span) if record.has_time else [None] * 3
     return {
         "name": name,
         "samples": len(record),
-        **by_name(("rate", "start", "end"), times),
+        **dict(zip(("rate", "start", "end"), times, strict=True)),
         "signals": {signal: record.units.get(signal, "") for signal in record.signals},
     }
 

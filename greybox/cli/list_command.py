@@ -2,9 +2,9 @@
 
 import argparse
 from types import ModuleType
+from typing import Any
 
 from greybox.cli.output import Answer
-from greybox.files.arrays import Fields
 from greybox.files.grouping import unique
 from greybox.files.named_values import attributes
 from greybox.files.text_table import text_table
@@ -68,7 +68,7 @@ def _show(name: str) -> Answer:
     return answer, "\n\n".join([name, doc, *unique(map(_model_text, models))])
 
 
-def _parameters(model: Model) -> Fields:
+def _parameters(model: Model) -> dict[str, Any]:
     names = ("start", "bounds", "unit", "about", "fixed", "scale")
     rows = [{"name": name, **attributes(p, *names)} for name, p in model.parameters.items()]
     return {"parameters": rows, "inputs": model.input_names, "outputs": model.output_names}

@@ -9,13 +9,12 @@ import io
 import mmap
 import os
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
 from greybox.cli.options import COMMON, HelpFormatter, UsageError, declare
 from greybox.cli.output import BAD_INPUT, write_answer
-from greybox.files.arrays import Labels
 from greybox.files.spelling import alternatives, nearest
 from greybox.files.version import __version__
 
@@ -92,7 +91,7 @@ class _Parser(argparse.ArgumentParser):
         raise UsageError(f"{message.rstrip('.')}{see} {self.prog} --help.")
 
 
-def main(arguments: Labels | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
     0 a usable answer, 1 a run that failed, 2 bad usage or bad input, 130 interrupted by
@@ -164,7 +163,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
     return parser
 
 
-def _parse(arguments: Labels) -> argparse.Namespace | str:
+def _parse(arguments: Sequence[str]) -> argparse.Namespace | str:
     """Return the options, or the text of --help or --version."""
     # The first word that is not an option is the command, wherever --json is.
     first = [word for word in arguments if not word.startswith("-")][:1]

@@ -1,6 +1,7 @@
 """The command `greybox margins`: stability margins of saved fits in the loop of a controller."""
 
 import argparse
+from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
@@ -9,7 +10,6 @@ from greybox.data.response_file import read_response
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
-from greybox.files.arrays import Fields
 from greybox.files.named_values import attributes, selected
 from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module
@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> Answer:
             for place in options.broken_at or [""]
         ]
         loops = [loop for _, loop in labeled]
-        answer: Fields = {"loops": [loop.to_dict() for loop in loops]}
+        answer: dict[str, Any] = {"loops": [loop.to_dict() for loop in loops]}
         text = [margin_table(labeled)] if len(fits) > 1 else [*map(str, loops)]
 
     # A loop may be safe where it is broken at one signal, and not at another.
@@ -127,9 +127,9 @@ def run(options: argparse.Namespace) -> Answer:
     return answer, "\n\n".join(text)
 
 
-def _fits(options: argparse.Namespace) -> Fields:
+def _fits(options: argparse.Namespace) -> dict[str, Any]:
     """Return the fits, or measured loops, by their names."""
-    fits: Fields = {}
+    fits: dict[str, Any] = {}
     for path in options.results:
         if path.is_dir():
             fits |= {member.name: member.fit for member in read_study(path).done}

@@ -3,9 +3,10 @@
 import argparse
 import math
 from dataclasses import fields
+from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.files.arrays import Fields, Interval
+from greybox.files.arrays import Interval
 from greybox.files.named_values import selected
 from greybox.identification.measurement import Settings
 
@@ -44,7 +45,7 @@ MEASUREMENT_OPTIONS = """
 """
 
 
-def stated_choices(options: argparse.Namespace) -> Fields:
+def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options for one input and one output, by the names of `Settings`."""
     if len(options.instrument) > 1:
         raise UsageError(

@@ -4,12 +4,12 @@ import argparse
 import contextlib
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Fields, FloatPair, Interval, Labels, NamedStrings
+from greybox.files.arrays import Interval
 
 # Options that several commands have in common, in the form that `declare` reads.
 SHARED = """
@@ -100,7 +100,7 @@ def _blocks(text: str) -> list[str]:
     return re.split(r"\n+(?! )", text.strip())
 
 
-def _settings(words: Labels, about: str) -> Fields:
+def _settings(words: Sequence[str], about: str) -> dict[str, Any]:
     """Return the arguments of argparse for an option with these words behind its name."""
     if not words:
         return {"action": "store_true"}
@@ -135,7 +135,7 @@ class _ByName(argparse.Action):
         setattr(namespace, self.dest, getattr(namespace, self.dest) | stated)
 
 
-def by_name(words: Labels, flag: str, form: str) -> Fields:
+def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
     """Return values by name from words of a form such as ``NAME=VALUE``.
 
     A name alone has the value None where the form allows it: ``NAME[=VALUE]``.
@@ -145,7 +145,7 @@ def by_name(words: Labels, flag: str, form: str) -> Fields:
     UsageError
         For a word of another form, or a repeated name.
     """
-    result: Fields = {}
+    result: dict[str, Any] = {}
     for word in words:
         name, sign, text = word.partition("=")
         is_bare = not sign and "[=" in form
@@ -169,7 +169,7 @@ def by_name(words: Labels, flag: str, form: str) -> Fields:
 # --- how options are written, and how messages name them
 
 
-def option_words(values: Mapping[str, str | NamedStrings]) -> list[str]:
+def option_words(values: Mapping[str, str | Mapping[str, str]]) -> list[str]:
     """Return the words that state texts, or texts by name; empty ones are left out."""
     words: list[str] = []
     for name, value in values.items():
@@ -224,7 +224,7 @@ def _interval(text: str) -> Interval:
     return float(low or -math.inf), float(high or math.inf)
 
 
-def _corner(text: str) -> FloatPair:
+def _corner(text: str) -> tuple[float, float]:
     """Return delay and bandwidth of ``0.1:3``."""
     with contextlib.suppress(ValueError):
         delay, bandwidth = map(float, text.split(":"))
@@ -232,7 +232,7 @@ def _corner(text: str) -> FloatPair:
     raise argparse.ArgumentTypeError(f"{text!r} is not a corner such as 0.1:3")
 
 
-def _uncertain(text: str) -> FloatPair:
+def _uncertain(text: str) -> tuple[float, float]:
     """Return value and standard deviation of ``3.2+-0.1``, or with ±."""
     mean, sigma = text.replace("±", "+-").split("+-")
     return float(mean), float(sigma)

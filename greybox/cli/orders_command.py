@@ -1,12 +1,12 @@
 """The command `greybox orders`: orders of a transfer function that responses support."""
 
 import argparse
+from typing import Any
 
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.data.response_file import read_response
 from greybox.estimate.printed import summary
-from greybox.files.arrays import Fields
 from greybox.files.named_values import attributes
 from greybox.identification.orders import select_orders
 from greybox.identification.selection import Selection
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> Answer:
     return answer, *text
 
 
-def selection_json(selection: Selection) -> Fields:
+def selection_json(selection: Selection) -> dict[str, Any]:
     """Return the structures and the verdict."""
     structures = [
         {

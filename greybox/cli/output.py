@@ -3,12 +3,12 @@
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.terminal import write
-from greybox.files.arrays import Fields, Labels
 from greybox.files.json_numbers import plain
 from greybox.files.safe_files import replacing
 
@@ -21,7 +21,7 @@ BAD_INPUT = 2  # bad usage or bad input
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 
 
-def write_answer(result: Fields, text: str, as_json: bool, status: int = USABLE) -> int:
+def write_answer(result: dict[str, Any], text: str, as_json: bool, status: int = USABLE) -> int:
     """Write an answer to standard output, its error to standard error; return the exit status.
 
     By default the status follows from the error.
@@ -39,7 +39,9 @@ def write_answer(result: Fields, text: str, as_json: bool, status: int = USABLE)
     return FAILED if trouble and status == USABLE else status
 
 
-def require_writable(path: Path | None, force: bool, endings: Labels = (), kind: str = "") -> None:
+def require_writable(
+    path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = ""
+) -> None:
     """Check that a file can be written and has one of these endings; None means no file.
 
     Raises

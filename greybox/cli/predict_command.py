@@ -1,6 +1,8 @@
 """The command `greybox predict`: a saved model on another log, simulated and compared."""
 
 import argparse
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +12,6 @@ from greybox.cli.read_log import read_log
 from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Fields, NamedStrings
 from greybox.files.named_values import attributes, selected
 from greybox.logs.prepare import prepare
 from greybox.simulation.prediction import Prediction
@@ -65,7 +66,7 @@ def flown_record(fit: Fit, options: argparse.Namespace) -> Record:
     return record.between(*options.between) if options.between else record
 
 
-def _signals_of(fit: Fit) -> NamedStrings:
+def _signals_of(fit: Fit) -> Mapping[str, str]:
     """Return the signals of the log from which a fit was made; those of a record have its names."""
     # The signals of a fit to a record have the model's names; another log of the same kind has them
     # too.
@@ -82,7 +83,7 @@ def _signals_of(fit: Fit) -> NamedStrings:
     raise UsageError(f"{fit.name} has no signals of its log: give --signals NAME=SIGNAL ...")
 
 
-def _json(prediction: Prediction) -> Fields:
+def _json(prediction: Prediction) -> dict[str, Any]:
     measures = {
         name: {
             "fit_percent": prediction.fit_percent(name),

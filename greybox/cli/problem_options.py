@@ -1,10 +1,10 @@
 """The options of `greybox fit` that state a problem."""
 
 import argparse
+from typing import Any
 
 from greybox.cli.measurement_options import stated_band
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.files.arrays import Fields
 from greybox.study.stated_problem import CRITERIA_BY_NAME, METHODS, stated_problem
 
 PROBLEM_OPTIONS = f"""
@@ -52,6 +52,6 @@ problem [PROBLEM]
 """
 
 
-def problem_of(options: argparse.Namespace) -> tuple[AnyProblem, Fields]:
+def problem_of(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
     """Return the problem that the options state, and its settings."""
     return stated_problem(vars(options) | {"band": stated_band(options.band)})

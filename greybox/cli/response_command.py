@@ -12,7 +12,6 @@ from greybox.cli.read_log import read_log
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
-from greybox.files.arrays import Fields
 from greybox.files.named_values import attributes, non_empty
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
@@ -76,7 +75,7 @@ def run(options: argparse.Namespace) -> Answer:
     return answer, *lines
 
 
-Kind = tuple[Any, Fields, Sequence[FrequencyResponse]]
+Kind = tuple[Any, dict[str, Any], Sequence[FrequencyResponse]]
 """A measurement, its JSON, and its responses; none if they are not usable."""
 
 
@@ -112,7 +111,7 @@ def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
     return measured, answer, measured.responses
 
 
-def _origin(recording: Recording, measured: Any) -> Fields:
+def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
     """Return the part about the log in the JSON of every measurement."""
     return {
         "log": recording.source,
@@ -122,7 +121,7 @@ def _origin(recording: Recording, measured: Any) -> Fields:
     }
 
 
-def response_json(recording: Recording, measured: Measurement) -> Fields:
+def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
     """Return the JSON of a measurement; without a response its columns are None."""
     # The same keys in every answer: a script need not ask which ones there are.
     response, quality = measured.response, measured.quality

@@ -6,23 +6,23 @@ covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals coun
 numbers: as many white ones as would lose the same share of their variance to the parameters.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from greybox.compiled.information import ColoredErrors
-from greybox.files.arrays import Array, Arrays, sum_of_squares
+from greybox.files.arrays import Array, sum_of_squares
 from greybox.statistics.residual_spectrum import colored_information
 
 
 def colored_errors(
-    weighted: Arrays,
+    weighted: Sequence[Array],
     directions: Array,
-    residuals: Arrays,
+    residuals: Sequence[Array],
     weight: Array,
     initial_states: int,
     *,
-    initial: Arrays,
+    initial: Sequence[Array],
     shocks: Callable[[], Array],
 ) -> ColoredErrors:
     """Return the effect of correlated residuals on the accuracy of an estimate.

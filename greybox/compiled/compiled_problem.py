@@ -23,16 +23,10 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import require_kind
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
-    Arrays,
     BoolArray,
     ComplexArray,
-    Fields,
-    Labels,
-    Strings,
 )
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import by_name
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -146,8 +140,8 @@ class CompiledProblem(Portable):
     """
 
     problem: AnyProblem
-    free: Strings
-    constants: Strings
+    free: tuple[str, ...]
+    constants: tuple[str, ...]
     constant_values: Array
     lower: Array
     upper: Array
@@ -156,7 +150,7 @@ class CompiledProblem(Portable):
     method: Transcription
     parts: tuple[Part, ...]
     constraint: ca.Function
-    limits: Strings
+    limits: tuple[str, ...]
     programs: tuple[CostProgram, ...] = ()
     zero_costs: Array = field(default_factory=lambda: np.zeros(0))
     data: Array = field(default_factory=lambda: np.zeros(0))
@@ -193,7 +187,7 @@ class CompiledProblem(Portable):
         """Return the problem with `factor` times the steps per sample."""
         return replace(self, parts=tuple(part.refined(factor) for part in self.parts))
 
-    def has_stable_steps(self, z: Array, nodes: Arrays) -> bool:
+    def has_stable_steps(self, z: Array, nodes: Sequence[Array]) -> bool:
         """Return whether explicit steps of all records are stable at z (p,) and their nodes."""
         records = self.rows_of(RecordPart, nodes)
         return all(part.has_stable_steps(z, own) for part, own in records)
@@ -208,12 +202,12 @@ class CompiledProblem(Portable):
         }
 
     @property
-    def names(self) -> Strings:
+    def names(self) -> tuple[str, ...]:
         """Free parameters, then constants: the order of all values."""
         return (*self.free, *self.constants)
 
     @property
-    def bounds(self) -> ArrayPair:
+    def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,) of the solver's variables z, inside of steep ones."""
         low, high = self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)
         return low + MARGIN * self.steep[0], high - MARGIN * self.steep[1]
@@ -242,7 +236,7 @@ class CompiledProblem(Portable):
         """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
         return self.judged(x)[0]
 
-    def _judged(self, values: Array) -> ArrayPair:
+    def _judged(self, values: Array) -> tuple[Array, Array]:
         """Return costs (r,) and responses (2 N, r) at all values (k, r)."""
         costs, responses = self.responses(values, self.data)
         weights = [part.weight for part in self.parts if not part.has_states]
@@ -253,7 +247,7 @@ class CompiledProblem(Portable):
         pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
         return np.concatenate([constants, *(part.numbers_of(response) for part, response in pairs)])
 
-    def judged(self, x: Array) -> ArrayPair:
+    def judged(self, x: Array) -> tuple[Array, Array]:
         """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
         costs, responses = self._judged(self.all_values(x).T)
         # Over the measured magnitudes, so that responses of unlike units can be compared.
@@ -301,13 +295,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         ]
     )
 
-    def values_at(z: Any, constants: Any) -> Fields:
+    def values_at(z: Any, constants: Any) -> dict[str, Any]:
         """Return all values by name, at symbols of the solver's variables and the constants."""
-        return by_name(names, [*scaling.expressions(z), *constants])
+        return dict(zip(names, [*scaling.expressions(z), *constants], strict=True))
 
     limits, constraint = limits_of(problem, names)
     parts: dict[Problem, Part] = {}
-    functions: Fields = {}
+    functions: dict[str, Any] = {}
     if problem.parts_with(FrequencyResponse):
         responses = ResponseCompiler(problem, names, constant_values, values_at, constraint)
         response_parts, functions = responses.compiled()
@@ -338,7 +332,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     )
 
 
-def limits_of(problem: AnyProblem, names: Labels) -> tuple[Strings, ca.Function]:
+def limits_of(problem: AnyProblem, names: Sequence[str]) -> tuple[tuple[str, ...], ca.Function]:
     """Return what must be >= 0, in words, and (values of these names) -> its values, stacked.
 
     A constraint that parts share counts once.

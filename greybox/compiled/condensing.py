@@ -19,11 +19,9 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     BoolArray,
     all_finite,
     diagonal,
-    of_diagonal,
     positive_or_one,
 )
 
@@ -145,7 +143,7 @@ def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Arr
 
     Where continuity is exact the first nodes of every stretch are free.
     """
-    curvature = of_diagonal(b.node_hessian)
+    curvature = np.linalg.diagonal(b.node_hessian)
     relaxed = variance > 0
     curvature = np.where(data.begins_stretch[:, None] | relaxed, curvature, 0.0)
     stiffness = np.divide(1.0, variance, out=np.zeros_like(variance), where=relaxed)
@@ -162,7 +160,7 @@ def solve_continuity(
     stationarity: Array,
     continuity: Array,
     variance: Array | float = 0.0,
-) -> ArrayPair:
+) -> tuple[Array, Array]:
     """Solve the Karush-Kuhn-Tucker system of a chain of s segments with n states.
 
     There are r right-hand sides.
@@ -248,7 +246,7 @@ def _solved_bands(
     transition: Array,
     stationarity: Array,
     continuity: Array,
-) -> ArrayPair:
+) -> tuple[Array, Array]:
     """Solve the system of `solve_continuity`, its states of order one, as a banded matrix."""
     # It takes half a second to import.
     from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  # pyright: ignore[reportAttributeAccessIssue]
@@ -293,7 +291,7 @@ def state_sizes(hessian: Array, transition: Array) -> Array:
     hessian, transition : (s, n, n) arrays
         As in `solve_continuity`.
     """
-    curvature = np.abs(of_diagonal(hessian)).mean(axis=0)
+    curvature = np.abs(np.linalg.diagonal(hessian)).mean(axis=0)
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
         later = passed_on @ curvature

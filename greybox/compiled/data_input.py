@@ -3,7 +3,7 @@
 Problems that differ only in their data share the functions, with all that solvers build from them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.response_columns import EXTRAS
-from greybox.files.arrays import Array, ComplexArray, NamedArrays, real_and_imaginary
-from greybox.files.named_values import by_name, selected
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
+from greybox.files.named_values import selected
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -38,7 +38,7 @@ class _Measured(Complex):
 INCLUDED = {type(criterion) for criterion in CRITERIA}
 
 
-def columns_of(data: FrequencyResponse) -> NamedArrays:
+def columns_of(data: FrequencyResponse) -> Mapping[str, Array]:
     """Return the columns, besides the response, on which a cost may depend."""
     return selected(data.columns, EXTRAS)
 
@@ -56,7 +56,9 @@ def _with_symbols(data: FrequencyResponse, symbols: Any) -> FrequencyResponse:
     """Return the data with symbols in place of their numbers."""
     re, im, magnitude, *others = ca.vertsplit(symbols, len(data))
     opened = copy(data)  # a new one would check its values, which are symbols
-    vars(opened).update(response=_Measured(re, im, magnitude), **by_name(columns_of(data), others))
+    vars(opened).update(
+        response=_Measured(re, im, magnitude), **dict(zip(columns_of(data), others, strict=True))
+    )
     return opened
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ArrayPair
+from greybox.files.arrays import Array
 from greybox.modeling.added_terms import factors_of_derivatives
 
 Effect = Array
@@ -170,7 +170,7 @@ class DisturbedRecord:
         return nodes
 
     @cached_property
-    def _by_nodes(self) -> ArrayPair:
+    def _by_nodes(self) -> tuple[Array, Array]:
         """How ends (s, n, n) and residuals (s, length · k, n) follow the nodes."""
         part, n, weight = self.part, self.part.states, np.eye(len(self.weight))
         ends, J = part.segments.sensitivities(self.trajectory.course, slice(None), weight)
@@ -178,7 +178,7 @@ class DisturbedRecord:
         unknown = ~part.known_states[:, None]
         return ends[..., :n] * unknown, J[..., :n] * unknown
 
-    def _carried(self, effects: Effect) -> ArrayPair:
+    def _carried(self, effects: Effect) -> tuple[Array, Array]:
         """Carry the effects of c terms through the segments, from zero nodes.
 
         Returns those on ends (s, n, c) and on residuals (s, length · k, c).

@@ -5,13 +5,13 @@ Each kind of data has a class of its own: `record_information`, `response_inform
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, NamedArrays
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
@@ -97,8 +97,8 @@ class Information(ABC):
     jacobian: Array
     numbers: int
     reach: Array
-    initial: NamedArrays = field(default_factory=dict)
-    errors: ArrayPair | None = None
+    initial: Mapping[str, Array] = field(default_factory=dict)
+    errors: tuple[Array, Array] | None = None
     disturbed: bool = False
     noise_ratio: float | None = None
 

@@ -13,7 +13,6 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     BoolArray,
     ComplexArray,
     IntArray,
@@ -147,7 +146,7 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, flo
     return links
 
 
-def at_samples(data: SampledData, every: int, *, spread: bool = False) -> ArrayPair:
+def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[Array, Array]:
     """Return measured outputs (k, s) and inputs (m, s) at every n-th sample of a stretch.
 
     Gaps of the outputs are interpolated. An output that is mostly noise has its mean everywhere.

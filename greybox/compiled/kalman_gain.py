@@ -14,7 +14,7 @@ import numpy as np
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
-from greybox.files.arrays import Array, ArrayPair, IntArray, all_finite
+from greybox.files.arrays import Array, IntArray, all_finite
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import places_of
 from greybox.modeling.one_thread import cached_property
@@ -86,7 +86,7 @@ class KalmanGain:
         A, _ = self._mean_transition(trajectory, corrected)
         return self._reached(A)
 
-    def _mean_transition(self, trajectory: Trajectory, corrected: bool) -> ArrayPair:
+    def _mean_transition(self, trajectory: Trajectory, corrected: bool) -> tuple[Array, Array]:
         """Return the mean transition (n, n) and output matrix (k, n), with or without the gain."""
         q = trajectory.detail.q.copy()
         if not corrected:

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greybox.compiled.information import Information
-from greybox.files.arrays import Array, Fields, Indices, IntArray, StringPair, Strings, all_finite
+from greybox.files.arrays import Array, IntArray, all_finite
 from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
@@ -144,9 +144,9 @@ class Portable:
         Names of the attributes that stay.
     """
 
-    local: ClassVar[Strings] = ("problem",)
+    local: ClassVar[tuple[str, ...]] = ("problem",)
 
-    def __getstate__(self) -> Fields:
+    def __getstate__(self) -> dict[str, Any]:
         """Return what travels."""
         return vars(self) | {name: Elsewhere() for name in self.local if name in vars(self)}
 
@@ -194,7 +194,7 @@ class Part(Portable, ABC):
     has_nodes: bool = False
     is_static: bool = False
     unknown_initial_states: int = 0
-    gains: tuple[StringPair, ...] = ()
+    gains: tuple[tuple[str, str], ...] = ()
     is_logarithm: bool = False
     few: IntArray = np.zeros(0, dtype=int)
 
@@ -320,9 +320,9 @@ class Part(Portable, ABC):
 
     def information(
         self,
-        names: Strings,
+        names: tuple[str, ...],
         values: Array,
-        uncertain: Indices,
+        uncertain: tuple[int, ...],
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
@@ -344,7 +344,7 @@ class Part(Portable, ABC):
     # --- for the diagnostics
 
     @cached_property
-    def delays(self) -> Mapping[str, StringPair]:
+    def delays(self) -> Mapping[str, tuple[str, str]]:
         """Parameters of the delays of a record, each with its input and an output.
 
         At whole samples the cost has a kink. It jumps if the input is held and reaches the output

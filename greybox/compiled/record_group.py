@@ -19,9 +19,8 @@ from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, Arrays, IntArray, diagonal, of_diagonal
+from greybox.files.arrays import Array, IntArray, diagonal
 from greybox.files.grouping import grouped
-from greybox.files.named_values import by_name
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
 
@@ -113,16 +112,16 @@ class Groups:
         lots = [[self._all[k] for k in lot] for lot in self._lots]
         self.parts = [RecordGroup(lot) if len(lot) > 1 else lot[0] for lot in lots]
 
-    def joined(self, nodes: Arrays) -> list[Array]:
+    def joined(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every group, given those of every part."""
         return [np.concatenate([nodes[k] for k in lot]) for lot in self._lots]
 
-    def nodes_by_part(self, nodes: Arrays) -> list[Array]:
+    def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every part, given those of every group."""
         result: dict[int, Array] = {}
         for lot, group, of_group in zip(self._lots, self.parts, nodes, strict=True):
             firsts = group.segments.first_of_record if isinstance(group, RecordGroup) else [0]
-            result |= by_name(lot, np.split(of_group, firsts[1:]))
+            result |= dict(zip(lot, np.split(of_group, firsts[1:]), strict=True))
         return [result[k] for k in sorted(result)]
 
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
@@ -152,7 +151,7 @@ def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[T
     return result
 
 
-def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
+def shared_products(parts: Sequence[Part], products: Sequence[Array]) -> list[Array]:
     """Return the products of residuals; those of few numbers are means of their noise group.
 
     With a variance of its own, a record of few samples that chances to be fitted well would decide
@@ -164,7 +163,7 @@ def shared_products(parts: Sequence[Part], products: Arrays) -> list[Array]:
     result = [*products]
     short = {k: part for k, part in enumerate(parts) if part.few.any()}
     for lot in grouped(short, lambda k: short[k].noise_group):
-        squares = [of_diagonal(products[k]) for k in lot]
+        squares = [np.linalg.diagonal(products[k]) for k in lot]
         counts = np.vstack([short[k].few for k in lot])
         sums = np.sum(np.vstack(squares), axis=0, where=counts > 0)
         variance = sums / np.maximum(counts.sum(axis=0), 1)

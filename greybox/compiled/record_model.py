@@ -1,7 +1,7 @@
 """A record with its model, compiled independently of segments and substeps."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -14,7 +14,7 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.vectorized import Columns
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray, Named, StringPair, Strings
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion, between_samples
@@ -75,7 +75,7 @@ class RecordModel(Portable):
     problem: Problem
     name: str
     weight: float
-    biases: Strings
+    biases: tuple[str, ...]
     corrects_states: bool
     has_bounded_errors: bool
     has_time: bool
@@ -83,11 +83,11 @@ class RecordModel(Portable):
     method: Transcription
     system: Dynamics
     between: tuple[Intersample, ...]
-    outputs: Strings
-    parameters: Strings
-    outside_names: Strings
-    gains: tuple[StringPair, ...]
-    driven: Strings
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    outside_names: tuple[str, ...]
+    gains: tuple[tuple[str, str], ...]
+    driven: tuple[str, ...]
     begin: Array
     active: IntArray
     locate: Columns
@@ -95,7 +95,7 @@ class RecordModel(Portable):
     known_states: BoolArray
     initial_states: InitialStates
     steps: dict[tuple[Integrator, int], SampleStep]
-    expressions: Strings
+    expressions: tuple[str, ...]
 
     @property
     def record(self) -> Record:
@@ -134,7 +134,7 @@ SharedFunctions = tuple[Dynamics, ca.Function, InitialStates, dict[Any, SampleSt
 
 def record_model(
     problem: Problem,
-    expressions: Named,
+    expressions: Mapping[str, Any],
     z: ca.SX,
     method: Transcription,
     shared: list[tuple[Any, SharedFunctions]],
@@ -205,8 +205,8 @@ def record_model(
 def _shared_functions(
     problem: Problem,
     criterion: TimeCriterion,
-    parameters: Strings,
-    outputs: Strings,
+    parameters: tuple[str, ...],
+    outputs: tuple[str, ...],
     between: Sequence[Intersample],
 ) -> SharedFunctions:
     """Compile the functions that records of one kind share."""

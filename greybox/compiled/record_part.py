@@ -22,18 +22,9 @@ from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
-    Arrays,
-    Fields,
-    Indices,
-    Named,
-    StringPair,
-    Strings,
-    nans,
     positive_or_one,
 )
 from greybox.files.grouping import grouped
-from greybox.files.named_values import by_name
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
@@ -84,7 +75,7 @@ class RecordPart(SegmentedPart):
         """Return the part on evenly spaced excerpts with about this total number of samples."""
         return self.with_data(self.data.excerpts(samples))
 
-    def with_outputs(self, outputs: Arrays) -> "RecordPart":
+    def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
@@ -135,10 +126,10 @@ class RecordPart(SegmentedPart):
 
     @cached_property
     @one_thread_at_a_time
-    def delays(self) -> Mapping[str, StringPair]:
+    def delays(self) -> Mapping[str, tuple[str, str]]:
         """Parameters of the delays, see `Part.delays`."""
         system = self.system
-        result = dict[str, StringPair]()
+        result = dict[str, tuple[str, str]]()
         x, u, p = system.symbols
         outputs = [*zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)]
         delay = system.delay(p)
@@ -199,7 +190,7 @@ class RecordPart(SegmentedPart):
 
         # A steady filter belongs to one linear model: the one about the mean state.
         outputs, inputs = self.at_nodes
-        unknown = nans(self.states)
+        unknown = np.full(self.states, np.nan)
         nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
         rows = data.rows(np.zeros(len(self.system.inputs)))
         reference = nodes.mean(axis=1), rows.mean(axis=1)
@@ -208,7 +199,7 @@ class RecordPart(SegmentedPart):
         return noise_model(model, self.step, step, reference)
 
     @cached_property
-    def at_nodes(self) -> ArrayPair:
+    def at_nodes(self) -> tuple[Array, Array]:
         """Measured outputs and inputs at the nodes."""
         return at_samples(self.data, self.data.segment_length)
 
@@ -222,9 +213,9 @@ class RecordPart(SegmentedPart):
 
     def information(
         self,
-        names: Strings,
+        names: tuple[str, ...],
         values: Array,
-        uncertain: Indices,
+        uncertain: tuple[int, ...],
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
@@ -236,7 +227,7 @@ class RecordPart(SegmentedPart):
             # Constants with a covariance are treated as unknowns, all of them without scaling.
             places = (*places, *uncertain)
             point = ca.SX.sym("x", len(places))
-            named: Fields = by_name(names, values.tolist())
+            named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
             named |= {names[place]: point[i] for i, place in enumerate(places)}
             model = record_model(self.problem, named, point, self.model.method, [])
             part = RecordPart(model, self.data, self.substeps)
@@ -251,7 +242,7 @@ class RecordPart(SegmentedPart):
 
 
 def compile_records(
-    problems: Sequence[Problem], expressions: Named, z: ca.SX, method: Transcription
+    problems: Sequence[Problem], expressions: Mapping[str, Any], z: ca.SX, method: Transcription
 ) -> list[RecordPart]:
     """Compile records for the point z.
 

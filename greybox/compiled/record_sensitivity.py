@@ -1,6 +1,6 @@
 """Derivatives of the weighted residuals by the parameters, with the initial states fitted too."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -10,7 +10,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart, filter_information
 from greybox.compiled.segments import Linearization
-from greybox.files.arrays import Array, NamedArrays, of_diagonal, real_root
+from greybox.files.arrays import Array, real_root
 from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import triangle_of
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
@@ -46,7 +46,7 @@ class Sensitivity:
     by_initial: Array
     shocks: Callable[[], Array]
     reach: Array
-    initial: NamedArrays
+    initial: Mapping[str, Array]
 
 
 def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> Sensitivity:
@@ -56,7 +56,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
-    noticed = real_root(of_diagonal(linearization.node_hessian).sum(axis=0))
+    noticed = real_root(np.linalg.diagonal(linearization.node_hessian).sum(axis=0))
     del linearization  # for a long record, a tenth of the memory
     known = part.known_states
     by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)

@@ -9,10 +9,8 @@ import numpy as np
 from greybox.files.arrays import (
     Array,
     IntArray,
-    Strings,
     all_finite,
     diagonal,
-    of_diagonal,
     positive_or_one,
 )
 from greybox.files.frozen_values import frozen
@@ -20,7 +18,7 @@ from greybox.files.wording import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
 
-def require_independent(outputs: Strings, measured: Array) -> None:
+def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
     """Check that the measured outputs (k, samples) are independent.
 
     Otherwise their full covariance cannot be inverted.
@@ -98,7 +96,7 @@ class ResidualCovariance:
         floor = (1e-9 * self.spread) ** 2
         count = np.maximum(self.counts, 1)
         if not self.full:
-            return diagonal(np.maximum(of_diagonal(products) / count, floor))
+            return diagonal(np.maximum(np.linalg.diagonal(products) / count, floor))
 
         return products / count.max(axis=-1)[..., None, None] + diagonal(floor)
 
@@ -114,8 +112,8 @@ class ResidualCovariance:
                 squares = np.trace(np.linalg.solve(covariance, products))
             return float(np.sum(logarithms) + squares) / 2
 
-        variance = of_diagonal(covariance)
-        squares = of_diagonal(products) / variance if self.known is not None else self.counts
+        variance = np.linalg.diagonal(covariance)
+        squares = np.linalg.diagonal(products) / variance if self.known is not None else self.counts
         return float(0.5 * np.sum(squares + self.counts * np.log(math.tau * variance)))
 
     def weight(self, products: Array) -> Array:
@@ -137,7 +135,7 @@ class ResidualCovariance:
 
 
 def residual_covariance_of(
-    criterion: TimeCriterion, outputs: Strings, measured: Array
+    criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
 ) -> ResidualCovariance:
     """Return the residual covariance that the criterion asks for; measured outputs (k, samples)."""
     known = None

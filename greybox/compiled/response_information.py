@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.information import CorrelatedPoints, Information
-from greybox.files.arrays import Array, ComplexArray, column_lengths, complex_array
+from greybox.files.arrays import Array, ComplexArray, complex_array
 from greybox.files.frozen_values import frozen
 from greybox.statistics.neighbor_correlation import NeighborCorrelation, averaged_meat
 
@@ -115,7 +115,7 @@ def response_information(part: Any, values: Array) -> ResponseInformation:
         part=part,
         jacobian=jacobian,
         numbers=len(jacobian),
-        reach=column_lengths(jacobian),
+        reach=np.linalg.norm(jacobian, axis=0),
         errors=errors,
         noise_ratio=criterion.noise_ratio(response, data) if criterion.known_noise else None,
     )

@@ -19,12 +19,7 @@ from greybox.compiled.response_information import response_information
 from greybox.compiled.shared_response import SharedSystem
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     ComplexArray,
-    Fields,
-    Indices,
-    Strings,
-    as_arrays,
     complex_array,
     real_and_imaginary,
 )
@@ -108,7 +103,7 @@ class ResponsePart(Part):
         # Points that are nearly zero must not dominate the signature of a run.
         self.magnitude = np.maximum(size, 1e-12 * size.max() + 1e-150)
 
-    def __getstate__(self) -> Fields:
+    def __getstate__(self) -> dict[str, Any]:
         """Leave out a criterion of the user's too: its cost is compiled."""
         state = super().__getstate__()
         return state if self.travels_whole else state | {"criterion": Elsewhere()}
@@ -187,7 +182,7 @@ class ResponsePart(Part):
         """Return the point z, without nodes; its cost may not be finite."""
         # Smoothed already, because every iteration asks for this cost and rarely for another.
         outputs = self.functions.objective(z, SMOOTHING, self.inputs)
-        cost, response = as_arrays(outputs)
+        cost, response = [matrix.full() for matrix in outputs]
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True, detail=response)
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
@@ -196,10 +191,10 @@ class ResponsePart(Part):
             return trajectory.products.item()
         return float(self.objective(trajectory.z, smoothing))
 
-    def linearize(self, trajectory: Trajectory, weight: Array) -> ArrayPair:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
         derivatives = self.functions.derivatives(trajectory.z, SMOOTHING, self.inputs)
-        gradient, hessian = as_arrays(derivatives)
+        gradient, hessian = [matrix.full() for matrix in derivatives]
         # Away from a minimum the Hessian may be indefinite; a descent needs positive curvature.
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
         return gradient.ravel(), (vectors * np.abs(values)) @ vectors.T
@@ -212,9 +207,9 @@ class ResponsePart(Part):
 
     def information(
         self,
-        names: Strings,
+        names: tuple[str, ...],
         values: Array,
-        uncertain: Indices,
+        uncertain: tuple[int, ...],
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:

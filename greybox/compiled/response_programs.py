@@ -12,7 +12,7 @@ those of small problems with equal models and options are not traced again.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import groupby
 from typing import Any
@@ -30,7 +30,7 @@ from greybox.compiled.shared_response import (
 )
 from greybox.compiled.vectorized import CHUNK, Columns, second_order
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, Fields, Labels, Named, StringPair
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
@@ -117,9 +117,9 @@ class ResponseCompiler:
     def __init__(
         self,
         problem: Problem | Sum[Problem],
-        names: Labels,
+        names: Sequence[str],
         constants: Array,
-        values_at: Callable[[Any, Any], Named],
+        values_at: Callable[[Any, Any], Mapping[str, Any]],
         constraint: ca.Function,
     ) -> None:
         self.problem = problem
@@ -131,7 +131,7 @@ class ResponseCompiler:
         self.weights = solver_weights(self.parts)
         self.source = DataInput(constants, self.parts)
 
-    def compiled(self) -> tuple[dict[Problem, ResponsePart], Fields]:
+    def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
         """Return the parts, and the attributes of `CompiledProblem` for all of them."""
         stated = self.stated()
         functions, programs = _stored.result(stated, self.traced) if stated else self.traced()
@@ -145,7 +145,7 @@ class ResponseCompiler:
         zero_costs = np.array(self.weights) * zero
         return parts, {**programs, "data": data, "zero_costs": zero_costs}
 
-    def stated(self) -> StringPair | None:
+    def stated(self) -> tuple[str, str] | None:
         """Return a key of all that `traced` depends on; None if nobody knows that it suffices."""
         parts = self.parts
         study = unchanged_in.get()
@@ -164,7 +164,7 @@ class ResponseCompiler:
             return study, value_fingerprint((stated, shapes, common))
         return None
 
-    def traced(self) -> tuple[list[ResponseFunctions], Fields]:
+    def traced(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
         """Trace the formulas; return what was built for the same ones, or build it."""
         self.point = ca.SX.sym("z", len(self.names) - len(self.constants))
         is_located = any(_own_criterion(part).locator is not None for part in self.parts)
@@ -193,11 +193,11 @@ class ResponseCompiler:
             return self.built()
         return _stored.result((function_key(structure), *self.weights), self.built)
 
-    def limits(self, named: Named) -> Any:
+    def limits(self, named: Mapping[str, Any]) -> Any:
         """Return what must be >= 0 at values by name."""
         return self.constraint(ca.vertcat(*named.values()))
 
-    def responses_at(self, named: Named) -> list[Complex]:
+    def responses_at(self, named: Mapping[str, Any]) -> list[Complex]:
         """Return the responses of all parts at values by name."""
         pairs = zip(self.models, self.parts, strict=True)
         return [Complex(*model(_values(part, named))) for model, part in pairs]
@@ -243,7 +243,7 @@ class ResponseCompiler:
             ],
         )
 
-    def built(self) -> tuple[list[ResponseFunctions], Fields]:
+    def built(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
         """Return the functions of the parts, and those of the whole problem."""
         kind, x, z, data = self.kind, self.x, self.z, self.data
         scaled = self.responses_at(self.named)
@@ -320,7 +320,7 @@ class ResponseCompiler:
         function = ca.Function("program", [z, smoothing, data], outputs)
         return CostProgram(function, explicit, at_roots)
 
-    def at_point(self) -> tuple[ca.SX, Named, list[FrequencyResponse]]:
+    def at_point(self) -> tuple[ca.SX, Mapping[str, Any], list[FrequencyResponse]]:
         """Return SX symbols of the data, and with them the values by name and the data."""
         data = ca.SX.sym("data", len(self.source.numbers))
         constants, measured = self.source.at(data)
@@ -349,7 +349,7 @@ class ResponseCompiler:
         return SharedResponses(self.parts, systems, cost, (stacked, smoothing, data))
 
 
-def _values(part: Problem, named: Named) -> Any:
+def _values(part: Problem, named: Mapping[str, Any]) -> Any:
     """Return the values of a part's own parameters as a vector."""
     return ca.vertcat(*part.local_values(named).values())
 

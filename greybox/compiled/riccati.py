@@ -16,14 +16,10 @@ from greybox.compiled.record_model import RecordModel
 from greybox.compiled.sample_step import SampleStep
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     BoolArray,
     IntArray,
     all_finite,
-    as_arrays,
     diagonal,
-    nans,
-    of_diagonal,
 )
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import places_of
@@ -40,7 +36,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     (2004), International Journal of Control 77(8).
     """
     # States in units of their noise, because intensities may be decades apart.
-    variance: Any = of_diagonal(process)
+    variance: Any = np.linalg.diagonal(process)
     variance = variance.real
     largest = variance.max(axis=-1, keepdims=True, initial=0.0)
     size = np.sqrt(np.where(variance > 0, variance, largest))
@@ -66,7 +62,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
         if np.abs(change).max(initial=0.0) <= 1e-12 * np.abs(H).max(initial=0.0):
             return H * row * column
 
-    return nans(F.shape)
+    return np.full(F.shape, np.nan)
 
 
 @np.errstate(invalid="ignore")
@@ -136,7 +132,7 @@ class NoiseModel:
         tiny = 1e-100
         steps = 1j * tiny * np.eye(len(q))[self.columns]
         moved = q + np.vstack([np.zeros(len(q)), steps])
-        values = as_arrays(self.linear.call([ca.DM(q)]))
+        values = [matrix.full() for matrix in self.linear.call([ca.DM(q)])]
         matrices = []
         for M, slope in zip(values[:3], values[3:], strict=True):
             # CasADi stacks matrices column by column; the first filter is at q itself.
@@ -163,7 +159,7 @@ class NoiseModel:
         # Noise does not reach the other states, which may be integrators without a steady filter.
         r = np.flatnonzero(reached(F[0].real, self.driven))
         F, C, Q = F[:, r[:, None], r], C[:, :, r], Q[:, r[:, None], r]
-        deviation = np.sqrt(of_diagonal(V))[:, :, None]
+        deviation = np.sqrt(np.linalg.diagonal(V))[:, :, None]
         P = steady_covariance(F, C / deviation, Q)
         S = C @ P @ C.mT + V
         if not all_finite(S):
@@ -175,7 +171,7 @@ class NoiseModel:
 
 
 def noise_model(
-    model: RecordModel, sample: SampleStep, step: float, reference: ArrayPair
+    model: RecordModel, sample: SampleStep, step: float, reference: tuple[Array, Array]
 ) -> NoiseModel:
     """Compile the linearization of a `sample` of `step` s about a `reference` (state, data).
 

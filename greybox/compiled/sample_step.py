@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.modeling.integrators import Integrator, repeated, substep_function
 from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
@@ -115,11 +115,11 @@ class SampleStep:
 def sample_step(
     system: Dynamics,
     held: Sequence[bool],
-    names: Strings,
+    names: tuple[str, ...],
     integrator: Integrator,
     substeps: int,
     *,
-    biases: Strings = (),
+    biases: tuple[str, ...] = (),
     corrects_states: bool = False,
 ) -> SampleStep:
     """Compile one sample of the parameters `names`: the model's, then the criterion's.
@@ -147,7 +147,11 @@ def sample_step(
 
 @once
 def _measurement(
-    system: Dynamics, held: Sequence[bool], biases: Strings, corrects: bool, names: Strings
+    system: Dynamics,
+    held: Sequence[bool],
+    biases: tuple[str, ...],
+    corrects: bool,
+    names: tuple[str, ...],
 ) -> ca.Function:
     """Return the quantities before the step: delayed inputs, residuals, corrected states."""
     n, m, k = len(system.states), len(system.inputs), len(system.outputs)

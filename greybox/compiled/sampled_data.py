@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.clock import JITTER, decimal_tick, off_uniform
 from greybox.data.record import Record, unrounded
-from greybox.files.arrays import Array, ArrayPair, Arrays, BoolArray, IntArray, Strings
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import array_of
 from greybox.files.wording import listed
@@ -208,7 +208,7 @@ class SampledData:
             ),
         )
 
-    def padded(self, values: Arrays, fill: float | None = None) -> Array:
+    def padded(self, values: Sequence[Array], fill: float | None = None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).
 
         Without a `fill` the last value is repeated: zero may be outside of a model's domain, as an
@@ -257,7 +257,7 @@ class SampledData:
         # Rounding must not turn a delay of whole samples into one sample less.
         return np.floor(delays.T / steps[:, None] + 1e-9)
 
-    def delayed_inputs(self, delays: Array) -> ArrayPair:
+    def delayed_inputs(self, delays: Array) -> tuple[Array, Array]:
         """Return the whole samples of delays (m, samples), and inputs around them (3 m, samples).
 
         Before its first sample an input is taken to have had that value, after its last one to keep
@@ -283,8 +283,8 @@ def joined(records: Sequence[SampledData]) -> SampledData:
 
 def sampled_data(  # noqa: PLR0913  (as many facts as a record and its model have)
     record: Record,
-    inputs: Strings,
-    outputs: Strings,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
     *,
     lead: ArrayLike,
     complete: bool,
@@ -373,8 +373,8 @@ def sampled_data(  # noqa: PLR0913  (as many facts as a record and its model hav
 
 def gapless(
     record: Record,
-    inputs: Strings,
-    outputs: Strings,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
     *,
     lead: ArrayLike = 0.0,
     held: ArrayLike = False,

@@ -17,7 +17,7 @@ from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Course, Linearization, Segments
-from greybox.files.arrays import Array, ArrayPair, BoolArray, Fields, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import without
 from greybox.formulation.problem import Problem
@@ -74,7 +74,7 @@ class SegmentedPart(Part):
     """
 
     has_states = has_nodes = is_likelihood = True
-    _placed_data: ArrayPair | None = None
+    _placed_data: tuple[Array, Array] | None = None
     _linearized: Any = None  # trajectory, weight and linearization
 
     def __init__(
@@ -105,7 +105,7 @@ class SegmentedPart(Part):
         self.few = covariance.few() if is_estimated else 0 * covariance.counts
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
 
-    def __getstate__(self) -> Fields:
+    def __getstate__(self) -> dict[str, Any]:
         """Leave the results for the last delays and the last trajectory, which are large."""
         return without(super().__getstate__(), ("_placed_data", "_linearized"))
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
-from greybox.files.arrays import Array, ArrayPair, Arrays, Indices, IntArray
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
 
@@ -108,7 +108,7 @@ class Segments:
     # --- compiled functions
 
     @one_thread_at_a_time
-    def _columns(self, name: str) -> Callable[..., Arrays]:
+    def _columns(self, name: str) -> Callable[..., Sequence[Array]]:
         """Return a function of x, q and data, the same for all segments with this step.
 
         "advance" gives the next state, "output" residual and simulated output, "derivatives" those
@@ -159,7 +159,7 @@ class Segments:
         # Common subexpressions are few, and looking for them takes four times as long as the rest.
         return ca.Function(name, [x, q, d], results)
 
-    def _evaluate(self, name: str, at: Course) -> Arrays:
+    def _evaluate(self, name: str, at: Course) -> Sequence[Array]:
         """Evaluate the function of this name for columns of the segments that q is given for."""
         if self._own:
             at = at._replace(q=np.tile(at.q, at.data.shape[1] // at.q.shape[1]))
@@ -186,7 +186,7 @@ class Segments:
 
     # --- simulation
 
-    def simulate(self, nodes: Array, q: Array, data: Array) -> ArrayPair:
+    def simulate(self, nodes: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the states (n, columns) at all samples, and the ends (s, n), from nodes (s, n)."""
         # A call from Python costs 12 µs, which s segments share, and a sample in CasADi's own loop
         # 0.9 µs: few long segments are simulated one after the other.
@@ -206,7 +206,7 @@ class Segments:
 
     def simulate_stretches(
         self, counts: Sequence[int], nodes: Array, q: Array, data: Array
-    ) -> ArrayPair:
+    ) -> tuple[Array, Array]:
         """Simulate stretches of this many segments each, from the first node of each to its end.
 
         Returns states at all samples (n, columns) and ends (s, n).
@@ -282,7 +282,7 @@ class Segments:
             parameter_gradient=by_parameters[:, :-1, -1],
         )
 
-    def sensitivities(self, at: Course, batch: slice, weight: Array) -> ArrayPair:
+    def sensitivities(self, at: Course, batch: slice, weight: Array) -> tuple[Array, Array]:
         """Return derivatives of ends (c, n, v) and weighted residuals, with these: (c, r, v + 1).
 
         They are those of the c segments of a `batch`, by node and active parameters. The rows are
@@ -319,7 +319,7 @@ class Segments:
         slopes, _ = self._evaluate("output_derivatives", at)
         return self.propagated(slopes)[1]
 
-    def propagated(self, slopes: Array) -> ArrayPair:
+    def propagated(self, slopes: Array) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through c segments.
 
         Returns those of ends (c, n, v) and rows (c, length, k, v).
@@ -348,7 +348,7 @@ class Segments:
 
         return S.T, rows.T
 
-    def mean_transition(self, at: Course) -> ArrayPair:
+    def mean_transition(self, at: Course) -> tuple[Array, Array]:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(at.states.shape[1] // 500, 1))
@@ -363,7 +363,7 @@ class Segments:
         return [slice(first, first + size) for first in range(0, self.count, size)]
 
 
-def _finite(values: Arrays) -> list[Array]:
+def _finite(values: Sequence[Array]) -> list[Array]:
     """Return derivatives with zeros for non-finite ones, as 0 · inf of sqrt(max(h, 0))."""
     return [
         v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0)
@@ -384,8 +384,8 @@ class SubstepDerivatives:
         substep: ca.Function,
         identity: int,
         name: str,
-        active: Indices,
-        shared: Indices,
+        active: tuple[int, ...],
+        shared: tuple[int, ...],
     ) -> None:
         x, q, d = measurement.sx_in()
         corrected, mean, change, residual, output = measurement(x, q, d)
@@ -409,7 +409,7 @@ class SubstepDerivatives:
             )
         )
 
-    def __call__(self, substeps: int, states: Array, q: Array, data: Array) -> Arrays:
+    def __call__(self, substeps: int, states: Array, q: Array, data: Array) -> Sequence[Array]:
         """Return the derivatives ((n + k) v, columns), and the residuals."""
         n, columns = states.shape
         slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))

@@ -12,7 +12,7 @@ The Hessian of a criterion φ is composed as Jᵀ φ'' J (Gauss-Newton): the omi
 small where the residuals are, and may be indefinite far away from a minimum.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -23,12 +23,9 @@ import numpy as np
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import (
     Array,
-    ArrayTriple,
     BoolArray,
     ComplexArray,
-    ComplexPair,
     IntArray,
-    Named,
     real_and_imaginary,
 )
 from greybox.files.frozen_values import frozen
@@ -100,7 +97,7 @@ class SharedSystem:
             points = np.array([*signals, range(len(at))])
             yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
 
-    def responses(self, z: Array) -> ComplexPair:
+    def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the points of all pairs at z (p, k), (k, N), and their derivatives, (k, p, N)."""
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
         points = np.hstack([own for _, own in self.pairs])
@@ -189,7 +186,7 @@ class SharedResponses:
         outputs = [cost, first, second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
 
-    def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
+    def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).
 
         The columns of `data` (g, k) are those of `CompiledProblem`.
@@ -199,7 +196,7 @@ class SharedResponses:
         hessian = left @ (right * second.T[:, None]).mT
         return cost, gradient, hessian.reshape(len(hessian), -1).T
 
-    def with_curvature(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
+    def with_curvature(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return the same with the whole Hessian, by differences of the gradient.
 
         With large residuals, as of a wrong model, the curvature of the responses counts.
@@ -238,7 +235,7 @@ def response_symbols(parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
 
 
 def shared_systems(
-    parts: Sequence[Problem], point: ca.SX, named: Named
+    parts: Sequence[Problem], point: ca.SX, named: Mapping[str, Any]
 ) -> list[SharedSystem] | None:
     """Return the state spaces of all parts; None if one is not shared.
 

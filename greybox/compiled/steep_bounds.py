@@ -6,8 +6,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, Labels
-from greybox.files.named_values import by_name
+from greybox.files.arrays import Array, BoolArray
 from greybox.formulation.problem import Problem
 from greybox.modeling.formula_structure import ROOTS, operations, program_of
 from greybox.modeling.state_space import StateSpace
@@ -18,7 +17,7 @@ MARGIN = 1e-9
 
 
 def steep_bounds(
-    parts: Sequence[Problem], names: Labels, values: Array, bound: Array, size: Array
+    parts: Sequence[Problem], names: Sequence[str], values: Array, bound: Array, size: Array
 ) -> BoolArray:
     """Return at which of the bounds (p,) a root in a formula has no finite slope: (p,) booleans.
 
@@ -38,7 +37,7 @@ def steep_bounds(
     """
     steep = np.zeros(len(bound), dtype=bool)
     x = ca.SX.sym("x", len(names))
-    named = by_name(names, ca.vertsplit(x))
+    named = dict(zip(names, ca.vertsplit(x), strict=True))
     for part in parts:
         if not (isinstance(part.model, StateSpace) and isinstance(part.data, Record)):
             continue

@@ -20,7 +20,7 @@ which depends on the parameters.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -38,17 +38,8 @@ from greybox.compiled.residual_covariance import (
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
-    ArrayTriple,
     ComplexArray,
-    Indices,
-    Labels,
-    Named,
-    Strings,
     all_finite,
-    as_arrays,
-    column_lengths,
-    nans,
     positive_or_one,
     real_and_imaginary,
 )
@@ -169,7 +160,7 @@ class TransientPart(Part):
 
     has_states = True  # the states at both ends are unknown
 
-    def __init__(self, problem: Problem, expressions: Named, z: ca.SX) -> None:
+    def __init__(self, problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> None:
         """Compile the matrices of the model; `expressions` are all parameters by outside name."""
         super().__init__(problem)
         assert isinstance(problem.data, TransientSpectrum)
@@ -213,7 +204,7 @@ class TransientPart(Part):
 
     def along(self, q: Array) -> Along | None:
         """Return what follows from the parameters q of the model; None where it is not finite."""
-        matrices = as_arrays(self._matrices(q))
+        matrices = [matrix.full() for matrix in self._matrices(q)]
         matrix, delays, first, slopes, delay_slopes, first_slopes = matrices
         n, k = len(self.states), len(self.outputs)
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
@@ -274,7 +265,7 @@ class TransientPart(Part):
             logarithms=logarithms,
         )
 
-    def located(self, names: Labels) -> ca.Function:
+    def located(self, names: Sequence[str]) -> ca.Function:
         """Return the function from these values to the declared parameters, as `locate`."""
         point = ca.SX.sym("x", len(names))
         return _locate(self.problem, entries_by_name(names, point), point)
@@ -293,7 +284,7 @@ class TransientPart(Part):
         modeled += np.einsum("kml,mx->klx", at.by_delays, at.delay_slopes @ by)
         return modeled
 
-    def derivatives(self, at: Along, by: Array) -> ArrayTriple:
+    def derivatives(self, at: Along, by: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of the errors by x, with the end values held.
 
         `by` (q, x) are the derivatives of the parameters.
@@ -327,7 +318,7 @@ class TransientPart(Part):
             relative,
         )
 
-    def fisher_root(self, at: Along, mean: Array, change: Array) -> ArrayTriple:
+    def fisher_root(self, at: Along, mean: Array, change: Array) -> tuple[Array, Array, Array]:
         """Return a root of the Fisher information of x, for derivatives of mean and transform by x.
 
         Returns
@@ -346,7 +337,7 @@ class TransientPart(Part):
         variance = real_and_imaginary(hermitian, 1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
-        reach = column_lengths(np.vstack([rows, variance]))
+        reach = np.linalg.norm(np.vstack([rows, variance]), axis=0)
 
         return outside(rows, at.taken), variance, reach
 
@@ -358,7 +349,7 @@ class TransientPart(Part):
         """Return the point z, with the best end term; not finite where the model is not."""
         at = self.along(self.locate(z)[0].full().ravel())
         count = len(self.outputs)
-        products = nans((count, count)) if at is None else at.products
+        products = np.full((count, count), np.nan) if at is None else at.products
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, products, simulated=True, detail=at)
 
     @property
@@ -381,7 +372,7 @@ class TransientPart(Part):
             math.inf if at is None else at.covariance.cost(trajectory.products) - 2 * at.logarithms
         )
 
-    def linearize(self, trajectory: Trajectory, weight: Array) -> ArrayPair:
+    def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Fisher information (p, p); end term and noise follow."""
         at: Along = trajectory.detail
         mean, total, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
@@ -402,9 +393,9 @@ class TransientPart(Part):
     @one_thread_at_a_time
     def information(
         self,
-        names: Strings,
+        names: tuple[str, ...],
         values: Array,
-        uncertain: Indices,
+        uncertain: tuple[int, ...],
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
@@ -496,7 +487,7 @@ class ManoeuvreInformation(Information):
 
 
 def compile_manoeuvres(
-    problems: Sequence[Problem], expressions: Named, z: ca.SX
+    problems: Sequence[Problem], expressions: Mapping[str, Any], z: ca.SX
 ) -> list[TransientPart]:
     """Compile manoeuvres for the point z; `expressions` are all parameters by outside name.
 
@@ -515,13 +506,13 @@ def compile_manoeuvres(
     return parts
 
 
-def _locate(problem: Problem, expressions: Named, z: ca.SX) -> ca.Function:
+def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Function:
     """Return the function from z to the declared parameters and their derivatives."""
     q = as_column(problem.local_values(expressions).values())
     return ca.Function("locate", [z], [q, dense_jacobian(q, z)])
 
 
-def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function:
+def _matrices(problem: Problem, system: Dynamics, gusts: tuple[str, ...]) -> ca.Function:
     """Return (all parameters) -> [A, B; C, D], delays, [C B, D], and derivatives of all entries.
 
     In [C B, D], D is zero for inputs with delays: how late a step is seen jumps with the delay, and
@@ -557,7 +548,9 @@ def _matrices(problem: Problem, system: Dynamics, gusts: Strings) -> ca.Function
     return ca.Function("matrices", [declared], [*results, *slopes])
 
 
-def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -> ArrayPair:
+def _without_ends(
+    errors: Array, basis: Array, covariance: ResidualCovariance
+) -> tuple[Array, Array]:
     """Return errors (k, 2 lines) less the best combination (n,) of the basis (k, 2 lines, n)."""
     ends = np.zeros(basis.shape[-1])
     last, remaining = math.inf, errors
@@ -578,6 +571,6 @@ def _without_ends(errors: Array, basis: Array, covariance: ResidualCovariance) -
 def _best_ends(weight: Array, errors: Array, basis: Array) -> Array:
     """Return the combination (n,) of the basis (k, 2 lines, n) nearest to the weighted errors."""
     rows = np.einsum("ka,aln->kln", weight, basis).reshape(errors.size, -1)
-    size = positive_or_one(column_lengths(rows))
+    size = positive_or_one(np.linalg.norm(rows, axis=0))
     # Smaller singular values are rounding, as for a state that no output shows.
     return np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, Arrays, Indices
+from greybox.files.arrays import Array
 from greybox.files.rebuilt import Rebuilt
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
@@ -75,12 +75,14 @@ class Columns(Rebuilt):
         It, with dense inputs and outputs.
     """
 
-    def __init__(self, function: ca.Function, shared: Indices = (), fewest: int = FEWEST) -> None:
+    def __init__(
+        self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = FEWEST
+    ) -> None:
         self.function, self._shared = _dense(function), shared
         # Searches end one by one: layouts for past numbers of columns are not used again.
         self._layout = lru_cache(12)(partial(_layout, self.function, shared, fewest))
 
-    def __call__(self, *inputs: Array) -> Arrays:
+    def __call__(self, *inputs: Array) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = inputs[0].shape[1]
         f = self.function
@@ -95,7 +97,9 @@ class Columns(Rebuilt):
         return outputs
 
 
-def _layout(function: ca.Function, shared: Indices, fewest: int, m: int) -> "_Mapped | _Registers":
+def _layout(
+    function: ca.Function, shared: tuple[int, ...], fewest: int, m: int
+) -> "_Mapped | _Registers":
     """Return a function for m columns; registers from the `fewest` on, if numpy can do it all."""
     # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each. But the
     # layout takes 2 µs an operation.
@@ -158,7 +162,7 @@ class _Mapped:
     """A function of dense inputs and outputs mapped over m columns, with its own memory."""
 
     @one_thread_at_a_time
-    def __init__(self, function: ca.Function, shared: Indices, m: int) -> None:
+    def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
         mapped = function if m == 1 else function.map("columns", "serial", m, list(shared), [])
         buffer: Any
         buffer, self._call = mapped.buffer()
@@ -172,7 +176,7 @@ class _Mapped:
             buffer.set_res(k, value.data)
         self._references = mapped, buffer  # CasADi does not keep them alive
 
-    def run(self, inputs: Arrays, outputs: Arrays) -> None:
+    def run(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Write the outputs, (numel, m) each."""
         for memory, value in zip(self._inputs, inputs, strict=True):
             memory[...] = value.T
@@ -184,7 +188,7 @@ class _Mapped:
 class _Registers:
     """The instructions of an SX function as calls of numpy on registers for m columns."""
 
-    def __init__(self, function: ca.Function, shared: Indices, m: int) -> None:
+    def __init__(self, function: ca.Function, shared: tuple[int, ...], m: int) -> None:
         self._reads: list[tuple[int, int, Array]] = []
         self._calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
         self._outputs = list[Array]()
@@ -212,7 +216,7 @@ class _Registers:
                 self._calls.append((_OPERATIONS[operation], (*arguments, value)))
             current[targets[0]] = value
 
-    def run(self, inputs: Arrays, outputs: Arrays) -> None:
+    def run(self, inputs: Sequence[Array], outputs: Sequence[Array]) -> None:
         """Write the outputs, (numel, m) each."""
         self._outputs[:] = outputs
         for source, row, register in self._reads:
@@ -223,5 +227,5 @@ class _Registers:
         self._outputs.clear()  # those of a long record would stay in memory
 
 
-def _write(outputs: Arrays, output: int, row: int, value: Array) -> None:
+def _write(outputs: Sequence[Array], output: int, row: int, value: Array) -> None:
     outputs[output][row] = value

@@ -22,7 +22,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, evenly_spread
+from greybox.files.arrays import Array, BoolArray, IntArray, evenly_spread
 from greybox.files.frozen_values import frozen
 from greybox.files.wording import counted
 
@@ -159,7 +159,7 @@ def _off_whole(parts: Array) -> BoolArray:
     return np.abs(parts - np.maximum(np.round(parts), 1)) > JITTER
 
 
-def _neighbors(steps: Array, places: IntArray) -> ArrayPair:
+def _neighbors(steps: Array, places: IntArray) -> tuple[Array, Array]:
     """Return the ten steps before and after each of these places, (p, 10) each, or infinity."""
     ends = np.full(NEIGHBORS, np.inf)
     padded = np.concatenate([ends, steps, ends])
@@ -167,7 +167,7 @@ def _neighbors(steps: Array, places: IntArray) -> ArrayPair:
     return windows[places], windows[places + NEIGHBORS + 1]
 
 
-def _usual(steps: Array, places: IntArray) -> ArrayPair:
+def _usual(steps: Array, places: IntArray) -> tuple[Array, Array]:
     """Return the usual step before and after these places (p,); NaN for fewer than three steps."""
     usual = []
     for sides in _neighbors(steps, places):

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from greybox.files.argument_checks import checked_items
-from greybox.files.arrays import Interval, Strings
+from greybox.files.arrays import Interval
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import one_line
 from greybox.files.text_table import text_table
@@ -53,7 +53,7 @@ class Segment:
     unit: str = ""
     source: str = ""
     usable: bool = True
-    findings: Strings = ()
+    findings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the values; a sine's band is its frequency."""

@@ -1,6 +1,7 @@
 """The measured frequency response of one input-output pair."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,10 +23,7 @@ from greybox.files.arrays import (
     BoolArray,
     ComplexArray,
     IntArray,
-    NamedArrays,
-    NamedStrings,
     all_finite,
-    nans,
 )
 from greybox.files.control_characters import printable, write_out
 from greybox.files.frozen_values import frozen
@@ -120,8 +118,8 @@ class FrequencyResponse(Printed):
     name: str = ""
     source: str = ""
     stretches: tuple[Stretch, ...] = ()
-    units: NamedStrings = field(default_factory=dict)
-    about: NamedStrings = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    about: Mapping[str, str] = field(default_factory=dict)
     common_errors: ComplexArray | None = None
 
     def __post_init__(self) -> None:
@@ -216,7 +214,7 @@ class FrequencyResponse(Printed):
         logarithm of the magnitude if it is small.
         """
         if self.variance is None:
-            return nans(len(self))
+            return np.full(len(self), np.nan)
         # The variance is that of both components together.
         return np.sqrt(self.variance / 2) / np.maximum(np.abs(self.response), 1e-300)
 
@@ -231,7 +229,7 @@ class FrequencyResponse(Printed):
         return self.response.imag
 
     @property
-    def columns(self) -> NamedArrays:
+    def columns(self) -> Mapping[str, Array]:
         """The values at each frequency as real numbers, (n,) arrays by name, for tables and files.
 
         ``alpha, beta``, then, if known, ``coherence, variance, dof``, and ``alpha_common1,

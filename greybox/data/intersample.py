@@ -12,13 +12,13 @@ with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (in
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, NamedStrings
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number
 
@@ -59,7 +59,7 @@ def intersample(hold: float, step: float) -> Intersample:
 
 def hold_of_response(
     input: str, output: str, sampled: Iterable[tuple[Values, float]]
-) -> NamedStrings:
+) -> Mapping[str, str]:
     """Return for how long values of the input of a response lasted, for `FrequencyResponse.about`.
 
     `sampled` are `Record.hold` and the step of what it was measured from. Where the records do not
@@ -78,7 +78,7 @@ def hold_of_response(
     return {UNSTATED_HOLD: f"{max((step for _, step in records), default=math.nan):.6g}"}
 
 
-def described_unstated_hold(about: NamedStrings) -> str:
+def described_unstated_hold(about: Mapping[str, str]) -> str:
     """Return what an unstated hold of a response means for its delays; empty if it is stated."""
     if UNSTATED_HOLD not in about:
         return ""

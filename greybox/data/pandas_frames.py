@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.checked_array import checked_array, seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import AnyArray, Array, Named, NamedArrays, Strings
+from greybox.files.arrays import AnyArray, Array
 from greybox.files.delimited_text import heading
 from greybox.files.named_values import non_empty
 from greybox.files.optional_package import required
@@ -20,7 +20,7 @@ def frame_of(
     columns: Mapping[str, Sequence[Any] | AnyArray],
     index: Any,
     index_name: str,
-    attributes: Named,
+    attributes: Mapping[str, Any],
 ) -> Frame:
     """Return a data frame with an index of this name; copies of `attributes` are its `attrs`."""
     pd = required("pandas", "pandas", "to_pandas()")
@@ -41,7 +41,7 @@ def require_frame(frame: Frame) -> None:
         raise ValueError(f"the data frame has two columns {twice[0]!r}: rename or drop one.")
 
 
-def columns_of(frame: Frame, without: str = "") -> NamedArrays:
+def columns_of(frame: Frame, without: str = "") -> Mapping[str, Array]:
     """Return the columns of a data frame as numbers, by name, without the time column.
 
     Raises
@@ -65,7 +65,7 @@ def columns_of(frame: Frame, without: str = "") -> NamedArrays:
     return result
 
 
-def times_of(frame: Frame, time: str | None) -> tuple[Array, str, Strings]:
+def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...]]:
     """Return the times of a data frame in s, the column that they come from, and findings.
 
     The index is the time if it has dates, the name of a time column, or floating-point numbers.

@@ -1,6 +1,6 @@
 """Measured time histories: one experiment on one time base, and all records of a log file."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, fields, replace
 from functools import cached_property
 from itertools import chain
@@ -33,11 +33,6 @@ from greybox.files.arrays import (
     BoolArray,
     IntArray,
     Interval,
-    Labels,
-    Named,
-    NamedArrays,
-    NamedStrings,
-    Strings,
 )
 from greybox.files.control_characters import all_printable, write_out
 from greybox.files.frozen_values import frozen
@@ -106,15 +101,15 @@ class Record(Printed):
 
     noun: ClassVar = "record"
     time: Array
-    signals: NamedArrays
-    units: NamedStrings = field(default_factory=dict)
+    signals: Mapping[str, Array]
+    units: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     source: str = ""
     checksum: str = ""
-    metadata: Named = field(default_factory=dict, metadata=NOT_STORED)
+    metadata: Mapping[str, Any] = field(default_factory=dict, metadata=NOT_STORED)
     filters: Mapping[str, tuple[Any, ...]] = field(default_factory=dict, metadata=NOT_STORED)
     hold: Values = field(default_factory=dict)
-    findings: Strings = field(default=(), metadata=NOT_STORED)
+    findings: tuple[str, ...] = field(default=(), metadata=NOT_STORED)
     has_time: bool = True
     gaps: Gaps = "auto"
 
@@ -247,7 +242,7 @@ class Record(Printed):
             ends = lost_rows(self.time, np.zeros((0, len(self))), self.clock, self.gaps)
         return np.split(np.arange(len(self)), ends + 1)
 
-    def stretches(self, inputs: Labels) -> list[IntArray]:
+    def stretches(self, inputs: Sequence[str]) -> list[IntArray]:
         """Return the rows of each stretch through which a model with these inputs runs on.
 
         A new stretch begins where the inputs are unknown, see `greybox.data.clock`; missing values
@@ -259,7 +254,7 @@ class Record(Printed):
         ends = lost_rows(self.time, values, self.clock, self.gaps)
         return np.split(np.arange(len(self)), ends + 1)
 
-    def gaps_described(self, inputs: Labels) -> str:
+    def gaps_described(self, inputs: Sequence[str]) -> str:
         """Return what the long steps are for a model with these inputs, or "" if there is none."""
         if not self.has_time:
             return ""
@@ -294,7 +289,9 @@ class Record(Printed):
             )
         return self.rows(rows)
 
-    def with_signals(self, units: NamedStrings | None = None, **signals: ArrayLike) -> "Record":
+    def with_signals(
+        self, units: Mapping[str, str] | None = None, **signals: ArrayLike
+    ) -> "Record":
         """Return the record with signals added or replaced."""
         # The numbers are no longer those of the file, so the checksum is computed again.
         return replace(
@@ -310,7 +307,7 @@ class Record(Printed):
         frame: Frame,
         *,
         time: str | None = None,
-        units: NamedStrings | None = None,
+        units: Mapping[str, str] | None = None,
         **others: Any,
     ) -> Self:
         """Return the columns of a pandas data frame as signals.
@@ -407,8 +404,8 @@ class Recording(Mapping[str, Record]):
     records: Mapping[str, Record]
     source: str = ""
     checksum: str = ""
-    metadata: Named = field(default_factory=dict)
-    findings: Strings = ()
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Write out control characters in names and texts, which come from a file."""
@@ -433,7 +430,7 @@ class Recording(Mapping[str, Record]):
         return len(self.records)
 
     @property
-    def signal_names(self) -> Strings:
+    def signal_names(self) -> tuple[str, ...]:
         """Every signal, as ``"RATE.POut"``."""
         return tuple(f"{key}.{name}" for key, record in self.items() for name in record.signals)
 

@@ -5,7 +5,7 @@ Magnitudes and phases in the units of instruments and other programs become comp
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +17,6 @@ from greybox.files.arrays import (
     AnyArray,
     Array,
     ComplexArray,
-    Fields,
-    Labels,
-    NamedArrays,
-    NamedStrings,
     complex_array,
 )
 from greybox.files.delimited_text import heading
@@ -45,7 +41,7 @@ class Column(NamedTuple):
     unit: str
 
 
-def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
+def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
     """Return the column of every role, from ``{"frequency": "f:Hz", "magnitude": "mag:dB", ...}``.
 
     Names are those in the header, with or without a unit in brackets. A unit behind a colon
@@ -85,7 +81,7 @@ def columns_by_role(columns: NamedStrings, header: Labels) -> dict[str, Column]:
     return result
 
 
-def written_columns(header: Labels, prefix: str) -> NamedStrings:
+def written_columns(header: Sequence[str], prefix: str) -> Mapping[str, str]:
     """Return the columns of a file from `write_response`, as `columns_by_role` takes them.
 
     Another table names them by their roles, as in ``frequency [Hz], magnitude [dB], phase [deg]``,
@@ -132,7 +128,7 @@ def written_columns(header: Labels, prefix: str) -> NamedStrings:
 
 
 def assembled(
-    values: NamedArrays, columns: Mapping[str, Column], **others: Any
+    values: Mapping[str, Array], columns: Mapping[str, Column], **others: Any
 ) -> FrequencyResponse:
     """Return the response of these columns (n,) by role; `others` are names and the like.
 
@@ -153,7 +149,7 @@ def assembled(
     return FrequencyResponse(omega, response, **extras(values), **others)
 
 
-def extras(values: NamedArrays) -> Fields:
+def extras(values: Mapping[str, Array]) -> dict[str, Any]:
     """Return coherence, variance, dof and common errors if they are among the columns, (n,).
 
     Raises
@@ -177,7 +173,7 @@ def extras(values: NamedArrays) -> Fields:
     return optional | ({"common_errors": np.array(errors)} if errors else {})
 
 
-def find_column(text: str, header: Labels) -> Column:
+def find_column(text: str, header: Sequence[str]) -> Column:
     """Return the column that ``name`` or ``name:unit`` means; a header may have units in brackets.
 
     Raises

@@ -1,8 +1,9 @@
 """Writes and reads frequency responses as CSV files."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.response_columns import (
@@ -12,7 +13,6 @@ from greybox.data.response_columns import (
     written_columns,
 )
 from greybox.data.units import with_units_in_header
-from greybox.files.arrays import Fields, NamedStrings
 from greybox.files.delimited_text import (
     DelimitedText,
     heading,
@@ -22,7 +22,7 @@ from greybox.files.delimited_text import (
 )
 from greybox.files.escapes import in_sentences
 from greybox.files.grouping import unique
-from greybox.files.named_values import by_name, without
+from greybox.files.named_values import without
 from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit
@@ -40,7 +40,7 @@ def read_response(
     output: str = "",
     name: str = "",
     *,
-    columns: NamedStrings | None = None,
+    columns: Mapping[str, str] | None = None,
 ) -> FrequencyResponse:
     """Read a `FrequencyResponse` from a CSV file.
 
@@ -105,7 +105,7 @@ def read_response(
 
 @in_sentences
 def read_responses(
-    path: str | Path, *, columns: NamedStrings | None = None
+    path: str | Path, *, columns: Mapping[str, str] | None = None
 ) -> tuple[FrequencyResponse, ...]:
     """Read all responses of a matrix, in their order in the file.
 
@@ -187,7 +187,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
                 f"two responses are of {response.output} to {response.input}: keep one of them."
             )
         for name, x in response.columns.items():
-            values = by_name(response.omega.tolist(), x.tolist())
+            values = dict(zip(response.omega.tolist(), x.tolist(), strict=True))
             columns[prefix + name] = [values.get(w, "") for w in omega]
     write_delimited(path, {PAIRS: pairs}, columns)
 
@@ -198,7 +198,7 @@ def require_csv(path: Path) -> None:
         raise ValueError(f"{path} is not the name of a table: give one that ends in .csv.")
 
 
-def described(facts: NamedStrings) -> Fields:
+def described(facts: Mapping[str, str]) -> dict[str, Any]:
     """Return units, remarks and stretches from the facts of a file."""
     units, about, stretches = {}, {}, []
     for key, text in facts.items():

@@ -12,7 +12,7 @@ import re
 import numpy as np
 
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array
 from greybox.files.control_characters import printable
 
 # Names of a time column, in lower case and without a unit.
@@ -65,7 +65,7 @@ def tick(unit: str) -> float | None:
     return conversion.factor if conversion and conversion.si == "s" else None
 
 
-def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, Strings]:
+def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the times of a column (n,) in s, and a finding if its unit had to be assumed.
 
     Times since 1970 count from the first sample.

@@ -13,10 +13,6 @@ from greybox.files.argument_checks import as_names
 from greybox.files.arrays import (
     Array,
     ComplexArray,
-    ComplexPair,
-    NamedArrays,
-    NamedStrings,
-    Strings,
 )
 from greybox.files.control_characters import printable, write_out
 from greybox.files.frozen_values import frozen
@@ -65,12 +61,12 @@ class TransientSpectrum:
     outputs: Mapping[str, ComplexArray]
     duration: float
     step: float
-    input_changes: NamedArrays = field(default_factory=dict)
-    units: NamedStrings = field(default_factory=dict)
+    input_changes: Mapping[str, Array] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     source: str = ""
     stretch: Stretch | None = None
-    held: Strings = ()
+    held: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
@@ -147,7 +143,7 @@ class TransientSpectrum:
         """Return whether another spectrum has the same data."""
         return self.checksum == other.checksum
 
-    def delayed_input(self, name: str, delay: float) -> ComplexPair:
+    def delayed_input(self, name: str, delay: float) -> tuple[ComplexArray, ComplexArray]:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
         Also return its derivative with respect to the delay. The input is assumed to have its first

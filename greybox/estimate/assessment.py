@@ -12,7 +12,6 @@ from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import with_profiles_where_misleading
 from greybox.estimate.result import Fit
 from greybox.estimate.wrapped_outputs import wrapped
-from greybox.files.arrays import Strings
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.not_finite import not_finite_warnings
 
@@ -59,7 +58,7 @@ def _with_misfit(evidence: Evidence) -> Fit:
     return replace(evidence.fit, misfit=misfit)
 
 
-def _explained_failure(evidence: Evidence) -> Strings:
+def _explained_failure(evidence: Evidence) -> tuple[str, ...]:
     """Return why no run converged."""
     search = evidence.search
     return (
@@ -70,5 +69,5 @@ def _explained_failure(evidence: Evidence) -> Strings:
     )
 
 
-def _texts(findings: Iterable[Finding]) -> Strings:
+def _texts(findings: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(finding.text for finding in findings)

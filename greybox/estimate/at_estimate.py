@@ -9,7 +9,7 @@ import numpy as np
 from greybox.data.record import Record, share_samples
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.argument_checks import require_whole
-from greybox.files.arrays import Array, NamedStrings
+from greybox.files.arrays import Array
 from greybox.files.named_values import array_of
 from greybox.files.wording import counted
 from greybox.formulation.restated_parameter import restated
@@ -90,7 +90,9 @@ def propagated(slope: Array, covariance: Array) -> Array:
     return np.where(lost | lost[:, None], np.nan, result)
 
 
-def _own_names(fit: Any, model: Model, part: FittedRecord, outside: NamedStrings) -> Iterator[str]:
+def _own_names(
+    fit: Any, model: Model, part: FittedRecord, outside: Mapping[str, str]
+) -> Iterator[str]:
     """Yield the free values that belong to one record alone, by their names in the model.
 
     These are biases, unless records share them under one name, and parameters that have another

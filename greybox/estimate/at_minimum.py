@@ -20,7 +20,6 @@ from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
-from greybox.files.named_values import by_name
 from greybox.files.version import __version__
 from greybox.formulation.prior_part import stated_priors
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -42,7 +41,7 @@ def estimate_at_minimum(search: Search) -> Evidence:
         accuracy = accuracy_at(nlp, best, trajectories)
 
     values = nlp.all_values(accuracy.x)
-    estimate = by_name(nlp.names, values.tolist())
+    estimate = dict(zip(nlp.names, values.tolist(), strict=True))
     lines, covariance, slopes = quantities(accuracy)
     # Values, not the compiled parts: a fit must be small, and readable without its model.
     parts = tuple(

@@ -20,20 +20,15 @@ from greybox.estimate.identifiability import (
 )
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     IntArray,
-    Labels,
-    Strings,
     all_finite,
-    column_lengths,
-    nans,
     positive_or_one,
     real_root,
     sum_of_squares,
     unit_length,
 )
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, by_name
+from greybox.files.named_values import Values
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 from greybox.statistics.column_space import open_directions, triangle_of
@@ -104,8 +99,8 @@ class Accuracy:
     bias: Array
     shares: tuple[tuple[Array, float], ...] = ()
     combinations: tuple[Combination, ...] = ()
-    at_bound: Strings = ()
-    active: Strings = ()
+    at_bound: tuple[str, ...] = ()
+    active: tuple[str, ...] = ()
     white: Array | None = None
     independent: tuple[Array, float] | None = None
     informations: tuple[Information, ...] = ()
@@ -117,9 +112,9 @@ class Accuracy:
         k = len(nlp.names)
         return cls(
             nlp,
-            nans(len(nlp.free)),
+            np.full(len(nlp.free), np.nan),
             [None] * len(nlp.parts),
-            covariance=nans((k, k)),
+            covariance=np.full((k, k), np.nan),
             blind=np.zeros((k, 0)),
             size=np.ones(k),
             dof=0.0,
@@ -211,8 +206,8 @@ def accuracy_at(
 
     # A column may be mere rounding, relative to the parameter or after the initial states have
     # compensated for it. It must not count as information.
-    length = column_lengths(jacobian)
-    reach = column_lengths([share.limit * share.reach for share in shares])
+    length = np.linalg.norm(jacobian, axis=0)
+    reach = np.linalg.norm([share.limit * share.reach for share in shares], axis=0)
     rounding = ROUNDING * np.abs(nlp.scaling.slope(x))
     reach[reach < rounding] = 0
     jacobian = jacobian * ((length >= rounding) & (length >= DEAD * reach))
@@ -356,13 +351,13 @@ def prior_shares(accuracy: Accuracy) -> Values:
 
     information = np.array(
         [
-            column_lengths(_share(part, p).root[:, :p] @ accuracy.white) ** 2
+            np.linalg.norm(_share(part, p).root[:, :p] @ accuracy.white, axis=0) ** 2
             for part in accuracy.informations
         ]
     )
     share = information[is_prior].sum(0) / np.maximum(information.sum(0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
-    return by_name(nlp.free, share.tolist())
+    return dict(zip(nlp.free, share.tolist(), strict=True))
 
 
 def known_directions(accuracy: Accuracy, values: Array, slopes: Array) -> KnownDirections | None:
@@ -386,7 +381,7 @@ def known_directions(accuracy: Accuracy, values: Array, slopes: Array) -> KnownD
 def directions_beside(
     nlp: CompiledProblem,
     x: Array,
-    at_bound: Labels,
+    at_bound: Sequence[str],
     trajectories_at: Callable[[Array], Sequence[Trajectory]],
 ) -> KnownDirections | None:
     """Return the directions of the free parameters at a point near the estimate `x` (p,).
@@ -552,7 +547,7 @@ def _by_process_noise(
         yield np.pad(share * added @ added.T, (0, len(nlp.constants))), numbers * share**2
 
 
-def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> ArrayPair:
+def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> tuple[Array, Array]:
     """Split the space of the unknowns (p,) into seen and unseen directions.
 
     Directions closed by a bound or an active constraint are in neither.
@@ -576,8 +571,8 @@ def _held(unit: Array, active: Array, bounded: IntArray, releasable: IntArray) -
 
     def errors(held: IntArray) -> Array:
         seen, invisible = determined_directions(unit, active, held)
-        errors = column_lengths(_root_of_inverse(unit, seen).T)
-        errors[column_lengths(invisible.T) > BLIND] = np.inf
+        errors = np.linalg.norm(_root_of_inverse(unit, seen).T, axis=0)
+        errors[np.linalg.norm(invisible.T, axis=0) > BLIND] = np.inf
         return errors[inside]
 
     # Twice the error is that of a parameter with a correlation of 0.87 with the one at its bound.
@@ -615,7 +610,7 @@ def _at_bound(
     x: Array,
     shares: Sequence[_Share],
     trajectories: Sequence[Trajectory],
-) -> Strings:
+) -> tuple[str, ...]:
     """Name the parameters that a bound holds."""
     # How close a solver comes to a bound depends on its tolerances, not on the data. A parameter is
     # held if it is closer than the data can resolve (by the standard error that it would have with
@@ -650,7 +645,7 @@ def _at_bound(
 
 
 @one_thread_at_a_time
-def active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, Strings]:
+def active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the gradients (a, p) and the names of the constraints that hold with equality."""
     # Without a constraint, derivatives are not worth their compilation.
     if not nlp.limits:

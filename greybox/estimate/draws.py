@@ -4,7 +4,7 @@ Begin with `draws`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from string import Template
 
@@ -14,9 +14,8 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit, require_fit
 from greybox.files.argument_checks import require_whole
-from greybox.files.arrays import Array, Labels, Strings, positive_or_one, real_root
+from greybox.files.arrays import Array, positive_or_one, real_root
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import by_name
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import Printed
 from greybox.files.safe_files import write_text
@@ -49,7 +48,7 @@ class Draws(Printed):
     """
 
     name: str
-    names: Strings
+    names: tuple[str, ...]
     columns: dict[str, Array]
 
     def __len__(self) -> int:
@@ -148,7 +147,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
             "have no end: fix parameters, or estimate the combination that is determined."
         )
 
-    columns = by_name(fit.names, drawn_values(fit, count, fit.names, seed).T)
+    columns = dict(zip(fit.names, drawn_values(fit, count, fit.names, seed).T, strict=True))
     for k, part in enumerate(fit.parts if fit.derived else ()):
         model = fit.model_of(k)
         local = Names({name: columns[part.outside(name)] for name in model.parameters})
@@ -157,7 +156,7 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
     return Draws(fit.name, fit.names, columns)
 
 
-def drawn_values(fit: Fit, count: int, names: Labels, seed: int = 0) -> Array:
+def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> Array:
     """Return draws (count, k) from the distribution of the parameters, in the order of `Fit.names`.
 
     Their tails are those of the fewest degrees of freedom among `names`.

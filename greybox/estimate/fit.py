@@ -10,6 +10,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import field, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from greybox.estimate.at_minimum import estimate_at_minimum
 from greybox.estimate.checks.included import CHECKS, Check, require_checks
 from greybox.estimate.result import Fit
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Named
 from greybox.files.frozen_values import frozen
 from greybox.files.wording import counted
 from greybox.formulation.starts import AnyStarts
@@ -50,7 +50,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     *,
     method: Transcription | None = None,
     search: str = BATCHED,
-    solver_options: Named = MappingProxyType({}),
+    solver_options: Mapping[str, Any] = MappingProxyType({}),
     executor: Executor | None = None,
     seconds: float | None = None,
     checks: Sequence[Check] = CHECKS,
@@ -166,7 +166,7 @@ class SolverChoice:
 
     method: Transcription | None = None
     search: str = BATCHED
-    options: Named = field(default_factory=lambda: MappingProxyType({}))
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         """Check all of them."""

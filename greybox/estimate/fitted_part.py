@@ -16,12 +16,6 @@ from greybox.files.arrays import (
     AnyArray,
     Array,
     ComplexArray,
-    Fields,
-    Named,
-    NamedArrays,
-    NamedStrings,
-    StringPair,
-    Strings,
 )
 from greybox.files.named_values import Values
 from greybox.files.printed import one_line
@@ -66,22 +60,22 @@ class FittedPart(ABC):
     name: str
     criterion: str
     criterion_class: str
-    settings: Named
+    settings: Mapping[str, Any]
     is_likelihood: bool
     rule: str
     condition: str
     delay: str
     data: Any  # FrequencyResponse, Record or TransientSpectrum
     weight: float
-    rename: NamedStrings
-    tied: NamedStrings
-    constraints: Strings
-    model: Named
+    rename: Mapping[str, str]
+    tied: Mapping[str, str]
+    constraints: tuple[str, ...]
+    model: Mapping[str, Any]
     label: str
     equation: str
     nuisances: int = 0
     at: Values = field(default_factory=dict, metadata=NOT_STORED)
-    outputs: Strings = field(default=(), metadata=NOT_STORED)
+    outputs: tuple[str, ...] = field(default=(), metadata=NOT_STORED)
     # What the data consist of, singular and plural, and what they are.
     nouns: ClassVar[Any]
 
@@ -98,7 +92,7 @@ class FittedPart(ABC):
         return self.rename.get(name, name)
 
     @property
-    def added(self) -> Strings:
+    def added(self) -> tuple[str, ...]:
         """Names of the parameters that the criterion added to those of the model."""
         return ()
 
@@ -148,7 +142,7 @@ class FittedPart(ABC):
         return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)
 
 
-def require_shapes(value: Any, axes_of: NamedStrings, sizes: Mapping[str, int]) -> None:
+def require_shapes(value: Any, axes_of: Mapping[str, str], sizes: Mapping[str, int]) -> None:
     """Require the shapes of arrays: a letter of `sizes` for each axis, "*" for any length."""
     for name, axes in axes_of.items():
         array = getattr(value, name)
@@ -158,7 +152,7 @@ def require_shapes(value: Any, axes_of: NamedStrings, sizes: Mapping[str, int]) 
             require(is_right, f"{name} has another shape")
 
 
-def _require_outputs(part: FittedPart, *signals: Named) -> None:
+def _require_outputs(part: FittedPart, *signals: Mapping[str, Any]) -> None:
     """Require that the data and the fitted values have every output."""
     require(all({*part.outputs} <= {*names} for names in signals), "an output is not in the data")
 
@@ -203,7 +197,7 @@ class FittedResponse(FittedPart):
     pade_error: float | None
 
     @property
-    def signals(self) -> Fields:
+    def signals(self) -> dict[str, Any]:
         """Input, output, operating point and delay, as keywords for evaluating the model."""
         data = self.data
         return {"input": data.input, "output": data.output, "at": self.at, "delay": self.delay}
@@ -283,14 +277,14 @@ class FittedRecord(FittedPart):
 
     data: Record
     simulated: Record
-    outputs: Strings = ()
+    outputs: tuple[str, ...] = ()
     noise: Array
-    initial: NamedArrays
+    initial: Mapping[str, Array]
     method: str
     inputs: Inputs = "record"
-    biases: Strings = ()
-    gains: tuple[StringPair, ...] = ()
-    driven: Strings = ()
+    biases: tuple[str, ...] = ()
+    gains: tuple[tuple[str, str], ...] = ()
+    driven: tuple[str, ...] = ()
     gain: Array | None = None
     gain_slope: Array | None = None
     is_static: bool = False
@@ -301,7 +295,7 @@ class FittedRecord(FittedPart):
         return int(np.isfinite(self.residuals).any(axis=0).sum())
 
     @property
-    def added(self) -> Strings:
+    def added(self) -> tuple[str, ...]:
         """Names of the parameters that the criterion added to those of the model."""
         # With process noise the gains follow from the variances, which are estimated instead.
         noise = [f"K_{state}_{output}" for state, output in self.gains]
@@ -314,12 +308,12 @@ class FittedRecord(FittedPart):
         return len(self.driven) or sum(of == output for _, of in self.gains)
 
     @property
-    def input_names(self) -> Strings:
+    def input_names(self) -> tuple[str, ...]:
         """Names of the inputs: the signals that are not outputs."""
         return tuple(name for name in self.data.signals if name not in self.outputs)
 
     @property
-    def between(self) -> NamedStrings:
+    def between(self) -> Mapping[str, str]:
         """How every input varied between its samples, in words; empty for a static model."""
         if self.is_static:
             return {}
@@ -406,7 +400,7 @@ class FittedSpectrum(FittedPart):
     nouns = "line", "lines", "manoeuvre"
     data: TransientSpectrum
     fitted: Mapping[str, ComplexArray]
-    outputs: Strings = ()
+    outputs: tuple[str, ...] = ()
     noise: Array
     ends: Values
     at: Values = field(default_factory=dict)

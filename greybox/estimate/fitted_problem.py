@@ -1,9 +1,11 @@
 """The problem of a fit, from the values of the fit, and compiled again."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Fields, Named
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -11,7 +13,7 @@ from greybox.solve.robust_fit import with_pseudo_values
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
 ALL = (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)
-KINDS: Fields = {criterion.class_path: type(criterion) for criterion in ALL}
+KINDS: dict[str, Any] = {criterion.class_path: type(criterion) for criterion in ALL}
 
 
 def compiled_again(
@@ -60,7 +62,7 @@ def problem_of(fit: Fit) -> AnyProblem:
     problems = []
 
     for k, part in enumerate(fit.parts):
-        initial: Named = part.settings.get("initial", {})
+        initial: Mapping[str, Any] = part.settings.get("initial", {})
         obstacles = {
             "priors": part.is_prior,
             "ties": part.tied,

@@ -1,9 +1,10 @@
 """The values that a fit keeps of each part, from the compiled part and its best trajectory."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +16,8 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.pade_error import pade_error
 from greybox.estimate.response_band import response_and_slope
-from greybox.files.arrays import Array, Fields, NamedArrays, all_finite, nans
-from greybox.files.named_values import Values, by_name, selected
+from greybox.files.arrays import Array, all_finite
+from greybox.files.named_values import Values, selected
 from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, equation
@@ -134,9 +135,9 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         findings=(),
     )
     count = len(part.outputs)
-    noise = nans((count, count))
+    noise = np.full((count, count), np.nan)
     gain = gain_slope = None
-    nodes = nans((part.data.segments, part.states))
+    nodes = np.full((part.data.segments, part.states), np.nan)
 
     if trajectory is not None:
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
@@ -164,7 +165,7 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         ),
         outputs=part.outputs,
         noise=noise,
-        initial=by_name(part.system.states, nodes[part.data.begins_stretch].T),
+        initial=dict(zip(part.system.states, nodes[part.data.begins_stretch].T, strict=True)),
         method=(
             "no integration, since the model is static"
             if part.is_static
@@ -182,10 +183,10 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
     )
 
 
-def _simulated(part: RecordPart, trajectory: Trajectory | None) -> NamedArrays:
+def _simulated(part: RecordPart, trajectory: Trajectory | None) -> Mapping[str, Array]:
     """Return the outputs at the times of the record; NaN where none was compared."""
     record = part.model.record
-    signals = {name: nans(len(record)) for name in part.outputs}
+    signals = {name: np.full(len(record), np.nan) for name in part.outputs}
     if trajectory is None:
         return signals
     outputs = part.data.unpadded(part.simulated_outputs(trajectory))
@@ -200,9 +201,9 @@ def _simulated(part: RecordPart, trajectory: Trajectory | None) -> NamedArrays:
 
 def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> FittedSpectrum:
     count = len(part.outputs)
-    noise = nans((count, count))
+    noise = np.full((count, count), np.nan)
     fitted = np.full((count, len(part.data)), np.nan, complex)
-    ends = nans(len(part.states))
+    ends = np.full(len(part.states), np.nan)
     nuisances = len(part.states)
 
     if trajectory is not None:
@@ -215,15 +216,15 @@ def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> Fitt
     return FittedSpectrum(
         **_of_problem(part.problem),
         data=part.data,
-        fitted=by_name(part.outputs, fitted),
+        fitted=dict(zip(part.outputs, fitted, strict=True)),
         outputs=part.outputs,
         noise=noise,
-        ends=by_name(part.states, ends.tolist()),
+        ends=dict(zip(part.states, ends.tolist(), strict=True)),
         nuisances=nuisances,
     )
 
 
-def _of_problem(part: Problem) -> Fields:
+def _of_problem(part: Problem) -> dict[str, Any]:
     """Return the fields of a fitted part that all kinds of data share."""
     return {
         "name": part.name,

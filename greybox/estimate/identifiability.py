@@ -4,7 +4,7 @@ Combinations of parameters that the data do not determine, or determine poorly.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -13,17 +13,12 @@ import numpy as np
 from greybox.files.arrays import (
     Array,
     BoolArray,
-    Labels,
-    NamedArrays,
-    Strings,
-    nans,
     real_root,
     sum_of_squares,
     unit_length,
 )
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
-from greybox.files.named_values import by_name
 from greybox.files.numbers_in_text import number, with_error
 from greybox.files.printed import Printed, one_line
 from greybox.files.text_table import text_table
@@ -127,7 +122,7 @@ class DeterminedCombination:
     """
 
     formula: str
-    names: Strings
+    names: tuple[str, ...]
     powers: tuple[int, ...]
     value: float
     standard_error: float
@@ -168,16 +163,16 @@ class Identifiability(Printed):
     chapter 12.
     """
 
-    names: Strings
+    names: tuple[str, ...]
     error: Array
     insensitivity: Array
-    at_bound: Strings
+    at_bound: tuple[str, ...]
     correlated: tuple[tuple[str, str, float], ...]
     condition: float
     combinations: tuple[DeterminedCombination, ...]
 
     @property
-    def beyond(self) -> Strings:
+    def beyond(self) -> tuple[str, ...]:
         """The parameters beyond a guideline, which the data do not determine well."""
         well = (self.error <= ERROR_GUIDELINE) & (self.insensitivity <= INSENSITIVITY_GUIDELINE)
         return tuple(
@@ -196,10 +191,10 @@ class Identifiability(Printed):
 
 
 def identifiability(
-    names: Labels,
-    units: Labels,
+    names: Sequence[str],
+    units: Sequence[str],
     directions: KnownDirections,
-    at_bound: Labels,
+    at_bound: Sequence[str],
 ) -> Identifiability:
     """Judge every free parameter at the estimate, and find the combinations that are determined."""
     # A parameter that its bound holds must not appear as an unseen direction.
@@ -212,8 +207,8 @@ def identifiability(
     diagonal = np.diag(matrix)
     is_seen = diagonal > BLIND**2 * diagonal.max(initial=0.0)
 
-    error = nans(len(names))
-    insensitivity = nans(len(names))
+    error = np.full(len(names), np.nan)
+    insensitivity = np.full(len(names), np.nan)
     with np.errstate(all="ignore"):
         alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
         error[places] = errors / np.abs(inside.at)
@@ -252,8 +247,8 @@ def _condition(matrix: Array) -> float:
 
 
 def _combinations(
-    names: Labels,
-    units: Labels,
+    names: Sequence[str],
+    units: Sequence[str],
     directions: KnownDirections,
     errors: Array,
 ) -> Iterator[DeterminedCombination]:
@@ -306,10 +301,10 @@ def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
         for chosen in product(powers, repeat=count):
             if chosen[0] > 0 and math.gcd(*chosen) == 1:
                 for group in combinations(members, count):
-                    yield by_name(group, chosen)
+                    yield dict(zip(group, chosen, strict=True))
 
 
-def _sums(members: Sequence[int], units: Labels) -> Iterator[dict[int, int]]:
+def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, int]]:
     """Yield sums and differences of two members of one unit, as signs by place."""
     # A sum of a length and a time has no meaning, whatever the data determine.
     for i, j in combinations(members, 2):
@@ -319,7 +314,7 @@ def _sums(members: Sequence[int], units: Labels) -> Iterator[dict[int, int]]:
 
 
 def _named(
-    names: Labels, value: Array, row: Array, error: float, is_product: bool
+    names: Sequence[str], value: Array, row: Array, error: float, is_product: bool
 ) -> DeterminedCombination:
     """Write a combination as people do: few divisors, and the larger value over the smaller one."""
     if is_product:
@@ -401,19 +396,19 @@ class Combination:
         States whose unknown initial values take part.
     """
 
-    names: Strings
+    names: tuple[str, ...]
     index: float
     directions: int = 1
-    states: Strings = ()
+    states: tuple[str, ...] = ()
 
     @property
-    def members(self) -> Strings:
+    def members(self) -> tuple[str, ...]:
         """The parameters and the initial states, in words."""
         return (*self.names, *(f"the initial state of {name}" for name in self.states))
 
 
 def invisible_groups(
-    invisible: Array, size: Array, names: Strings, initial: Sequence[NamedArrays]
+    invisible: Array, size: Array, names: tuple[str, ...], initial: Sequence[Mapping[str, Array]]
 ) -> tuple[Combination, ...]:
     """Return the groups of parameters that move without effect in `invisible` directions (p, b).
 
@@ -454,8 +449,8 @@ def invisible_groups(
 def collinear_groups(
     jacobian: Array,
     active: Array,
-    names: Strings,
-    at_bound: Labels,
+    names: tuple[str, ...],
+    at_bound: Sequence[str],
     invisible: Array,
 ) -> tuple[Combination, ...]:
     """Return combinations whose effects nearly cancel, apart from `invisible` ones (p, b).

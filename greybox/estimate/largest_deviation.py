@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, ComplexArray, nans, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import column_basis
 
@@ -105,7 +105,7 @@ def deletion_ratios(
     total = float(z @ z)
 
     if dof < 2 or not total > 0:
-        return nans(n), math.nan
+        return np.full(n, np.nan), math.nan
 
     rows = np.stack([basis[:n], basis[n:]], axis=1)
     M = np.eye(2) - rows @ rows.mT

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from greybox.files.arrays import Strings
 from greybox.files.numbers_in_text import number, percent, with_error
 from greybox.files.printed import Printed
 from greybox.files.text_table import text_table
@@ -54,7 +53,7 @@ class Cause:
     share: float
     p_value: float
     p_correlated: float
-    alike: Strings = ()
+    alike: tuple[str, ...] = ()
     added: tuple[str, Formula] | None = field(
         default=None, compare=False, metadata={"stored": False}
     )

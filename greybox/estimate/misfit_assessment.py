@@ -31,7 +31,7 @@ from greybox.estimate.misfit_regression import (
 )
 from greybox.estimate.missing_terms import KNOTS, Term, constants_of_record, terms_of_record
 from greybox.estimate.repeated_inputs import period, repeated_residuals
-from greybox.files.arrays import Array, Arrays, Labels, Strings, sum_of_squares, unit_length
+from greybox.files.arrays import Array, sum_of_squares, unit_length
 from greybox.files.frozen_values import frozen
 from greybox.modeling.added_terms import Formula
 from greybox.solve.local_solver import LocalSolver
@@ -84,7 +84,7 @@ class Group:
     residuals: Array
     fitted: Array
     outputs: Outputs
-    filters: Arrays
+    filters: Sequence[Array]
 
     def columns(self, terms: Iterable[Sequence[Term | None]]) -> Array:
         """Return the columns (N, c) of c terms, as each part has them."""
@@ -152,7 +152,7 @@ def assessed_misfit(
     nlp: CompiledProblem,
     x: Array,
     trajectories: Sequence[Trajectory],
-    at_bound: Labels,
+    at_bound: Sequence[str],
     candidates: Mapping[str, Formula],
     solver: LocalSolver | None = None,
     is_quick: bool = True,
@@ -492,7 +492,7 @@ def _shape(group: Group, tests: Iterable[tuple[Tested, Cause]]) -> Shape | None:
 
 
 def _on_knots(
-    group: Group, key: Key, signals: Arrays, knots: int = KNOTS
+    group: Group, key: Key, signals: Sequence[Array], knots: int = KNOTS
 ) -> tuple[Array, list[list[Term | None]]]:
     """Return the knots (c,) of signals of all parts, and for each part c functions of its own."""
     whole, shares = np.hstack(signals), np.linspace(0, 1, knots)
@@ -502,7 +502,7 @@ def _on_knots(
     return at, [part.on_knots(key, signal, at) for part, signal in pairs]
 
 
-def _alike(effects: Array, texts: Sequence[Strings]) -> list[Strings]:
+def _alike(effects: Array, texts: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """Return for every term the texts of those whose effects (M, c) are nearly the same."""
     unit = unit_length(effects, 0)
     is_alike = np.abs(unit.T @ unit) > 0.95

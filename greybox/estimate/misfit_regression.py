@@ -25,13 +25,9 @@ from greybox.estimate.missing_terms import (
 )
 from greybox.files.arrays import (
     Array,
-    Arrays,
     BoolArray,
     ComplexArray,
-    ComplexPair,
     IntArray,
-    Labels,
-    NamedArrays,
     real_and_imaginary,
     sum_of_squares,
 )
@@ -76,7 +72,7 @@ class Regression:
     lost: int = 0
     pieces: int = 2
     level: float = FALSE_ALARMS
-    signals: Callable[[], NamedArrays] = dict
+    signals: Callable[[], Mapping[str, Array]] = dict
 
     def columns(self, terms: Sequence[Term | None]) -> Array:
         """Return the columns (N, c) of terms, zero in the place of those that are missing."""
@@ -117,7 +113,7 @@ def regression_of_record(
     is_tested = is_new * (counts >= FEWEST * len(data.stretches))
     present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
-    def by_stretch(values: Array) -> Arrays:
+    def by_stretch(values: Array) -> Sequence[Array]:
         return [
             np.where(measured.T[..., None], weight @ piece.transpose(2, 0, 1), 0.0).reshape(
                 measured.size, -1
@@ -139,7 +135,7 @@ def regression_of_record(
         for each in zip(starts, known, map(_lines, present), strict=True)
     ]
 
-    def rows(values: Array, taken: Arrays = drifts) -> Array:
+    def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
         # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(outside, by_stretch(values), taken)])
 
@@ -290,7 +286,7 @@ def is_held(free: Array) -> BoolArray:
 
 
 def regression_of_response(
-    part: ResponsePart, values: Array, names: Labels, free: Array
+    part: ResponsePart, values: Array, names: Sequence[str], free: Array
 ) -> Regression:
     """Return the regression of a response at all `values`; the fit moves along `free` (p, d)."""
     response, criterion, data = part.response(values), part.error_model, part.data
@@ -350,7 +346,7 @@ def regression_of_manoeuvre(
     part: TransientPart,
     trajectory: Trajectory,
     values: Array,
-    names: Labels,
+    names: Sequence[str],
     free: Array,
 ) -> Regression:
     """Return the regression of a manoeuvre at all `values`; the fit moves along `free` (p, d).
@@ -367,7 +363,7 @@ def regression_of_manoeuvre(
         weighted = np.einsum("ka,lab,blc->klc", fitted.weight, fitted.transform, columns)
         return real_and_imaginary(weighted * turned, 1).reshape(2 * turned.size, -1)
 
-    def curve(x: Array) -> ComplexPair:
+    def curve(x: Array) -> tuple[ComplexArray, ComplexArray]:
         parameters, slopes = located(x)
         at = part.along(parameters.full().ravel())
         if at is None:
@@ -397,11 +393,11 @@ def regression_of_manoeuvre(
 
 
 def _of_curve(
-    curve: Callable[[Array], ComplexPair],
+    curve: Callable[[Array], tuple[ComplexArray, ComplexArray]],
     measured: ComplexArray,
     rows: Callable[[ComplexArray], Array],
     values: Array,
-    names: Labels,
+    names: Sequence[str],
     free: Array,
     *,
     terms: Iterable[Term],
@@ -415,7 +411,7 @@ def _of_curve(
     """
     places, p = np.flatnonzero(~is_held(free)), len(free)
 
-    def modeled(x: Array) -> ComplexPair:
+    def modeled(x: Array) -> tuple[ComplexArray, ComplexArray]:
         # Where a response is zero, the effects of its parameters are not.
         model, slopes = curve(x)
         # In place of a modeled response of zero, since the square of its effects is zero.

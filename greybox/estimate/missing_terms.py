@@ -22,13 +22,10 @@ from greybox.files.arrays import (
     Array,
     ComplexArray,
     IntArray,
-    Labels,
-    NamedArrays,
-    StringPair,
     positive_or_one,
 )
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, by_name
+from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
@@ -343,7 +340,7 @@ class Term:
         """The key that terms with one cause have in common."""
         return self.kind, self.a, self.b
 
-    def described(self, factor: float, error: float) -> StringPair:
+    def described(self, factor: float, error: float) -> tuple[str, str]:
         """Return the term in words for a factor with its error, and the code that adds it."""
         kind = "gain" if abs(factor) * self.scale > self.largest else self.kind
         # A delay that is due to a hold is half a step, to first order: it is 3 to 9 % larger with
@@ -378,7 +375,7 @@ class Constants(NamedTuple):
 def terms_of_record(
     record: DisturbedRecord,
     constants: Constants,
-    held: Labels,
+    held: Sequence[str],
     candidates: Mapping[str, Formula],
 ) -> Iterator[Term]:
     """Yield the terms that the model of a record may lack; `candidates` are the user's.
@@ -429,10 +426,10 @@ def _constants(record: DisturbedRecord) -> Iterator[Term]:
         yield Term("input offset", ones, partial(record.by_input, 0), b=part.system.inputs[0])
 
 
-def signals_of_record(record: DisturbedRecord) -> NamedArrays:
+def signals_of_record(record: DisturbedRecord) -> Mapping[str, Array]:
     """Return the states, inputs with their rates, and the time of a record, (samples,)."""
     part = record.part
-    signals = by_name(part.system.states, record.states)
+    signals = dict(zip(part.system.states, record.states, strict=True))
     for u, a in zip(record.inputs, part.system.inputs, strict=True):
         signals |= {a: u, f"rate of {a}": record.by_stretch(_backward, u)}
     return signals | {"time, s": _time(record)}
@@ -483,7 +480,7 @@ def _along(samples: int) -> list[Array]:
     return [slope, *(1.0 * (slope > share) for share in JUMPS)]
 
 
-def _of_parameters(record: DisturbedRecord, held: Labels) -> Iterator[Term]:
+def _of_parameters(record: DisturbedRecord, held: Sequence[str]) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
     ones = np.ones(part.samples)
     # Among several records, one may need different values.
@@ -615,9 +612,9 @@ def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
 
 def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
     system = record.part.system
-    x = by_name(system.states, record.states)
-    u = by_name(system.inputs, record.inputs)
-    p = by_name(record.part.model.parameters, record.parameters)
+    x = dict(zip(system.states, record.states, strict=True))
+    u = dict(zip(system.inputs, record.inputs, strict=True))
+    p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     signals = (Names(x), Names(u), Names(p))
 
     prefixes = {**dict.fromkeys(x, "x."), **dict.fromkeys(u, "u."), "sign": "gb."}

@@ -5,7 +5,7 @@ The numbers of a fit as plain values, for JSON.
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from textwrap import indent
 from typing import Any
 
@@ -15,12 +15,12 @@ from greybox.data.intersample import described_unstated_hold
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Fields, StringPair, Strings, all_finite
+from greybox.files.arrays import all_finite
 from greybox.files.grouping import unique
 from greybox.files.json_numbers import plain
 from greybox.files.named_values import attributes
 from greybox.files.numbers_in_text import number, percent, with_error
-from greybox.files.text_table import Sentences, text_table, titled
+from greybox.files.text_table import text_table, titled
 from greybox.files.wording import counted, listed, some
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
@@ -65,7 +65,7 @@ def details(fit: Any) -> str:
     return indent(_labeled(facts(fit)), "  ")
 
 
-def _labeled(pairs: Sequence[StringPair]) -> str:
+def _labeled(pairs: Sequence[tuple[str, str]]) -> str:
     return "\n".join(f"{label:<10} {fact}" for label, fact in pairs)
 
 
@@ -75,7 +75,7 @@ def title(fit: Any) -> str:
     return f"{fit.name}: {', '.join(labels)}"
 
 
-def facts(fit: Any) -> list[StringPair]:
+def facts(fit: Any) -> list[tuple[str, str]]:
     """Return starts, cost, delay, correlations and time as pairs of a label and a text."""
     # Screened starts were evaluated but not run: they cannot agree on a minimum.
     tried = Multistart(fit.runs, fit.minima)
@@ -104,7 +104,7 @@ def facts(fit: Any) -> list[StringPair]:
     ]
 
 
-def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[StringPair]:
+def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[tuple[str, str]]:
     """Return the cost of CIFER by pair, the largest first, beside its guidelines."""
     costs = sorted(((part.magnitude_phase_cost, part.name) for part in responses), reverse=True)
     if not costs or not all(math.isfinite(cost) for cost, _ in costs):
@@ -117,7 +117,7 @@ def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[StringPa
     ]
 
 
-def closeness(fit: Any) -> list[StringPair]:
+def closeness(fit: Any) -> list[tuple[str, str]]:
     """Return data, priors, inputs and how closely the model follows, as labels with texts."""
     rows = [part for part in fit.records if not part.data.has_time]
     untested = [part.name for part in (rows if fit.misfit else fit.parts)]
@@ -272,7 +272,7 @@ def _hold_texts(responses: Sequence[FittedResponse]) -> list[str]:
     return [f"of {listed([*names])} {text}" for text, names in alike.items()]
 
 
-def _output_texts(records: Sequence[FittedRecord]) -> Sentences:
+def _output_texts(records: Sequence[FittedRecord]) -> Iterator[str]:
     """Say how well every output of every record is reproduced; of many records the range."""
     # Twenty records with three outputs would take a page.
     if len(records) <= MANY:
@@ -321,7 +321,7 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     return [line for _, line in lines]
 
 
-def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> Sentences:
+def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> Iterator[str]:
     """Say how well every output of every manoeuvre is reproduced, and the noise of one sample."""
     for part in spectra:
         place = f" ({part.name})" if len(spectra) > 1 else ""
@@ -335,7 +335,7 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> Sentences:
             yield f"{output}{place}: {noise}, fit {part.fit_percent(output):.1f} %"
 
 
-def _bounds_and_note(q: Any) -> StringPair:
+def _bounds_and_note(q: Any) -> tuple[str, str]:
     if q.kind != "free":
         return "", q.kind
     return f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "AT BOUND" if q.at_bound else ""
@@ -348,7 +348,7 @@ def _is_of_later_record(name: str, records: int) -> bool:
     return records > MANY and number_of_record is not None and int(number_of_record[1]) > 3
 
 
-def data_names(parts: Iterable[Any], models: Iterable[str]) -> Strings:
+def data_names(parts: Iterable[Any], models: Iterable[str]) -> tuple[str, ...]:
     """Return the names of the data of parts; without one, those of the problems, or checksums.
 
     A problem without a name is named by its model, and two models may be fitted to the same data.
@@ -361,7 +361,7 @@ def data_names(parts: Iterable[Any], models: Iterable[str]) -> Strings:
     )
 
 
-def summary(result: Any, level: float = 0.95) -> Fields:
+def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     """Return the numbers of a `Fit`; None for one that is unknown or not finite."""
     parameters = [q for q in result.quantities if q.kind != "derived"]
     free = [q for q in parameters if q.kind == "free"]

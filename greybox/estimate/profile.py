@@ -26,7 +26,7 @@ from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
 from greybox.files.argument_checks import checked_items
-from greybox.files.arrays import Array, Interval, Labels, Strings, all_finite
+from greybox.files.arrays import Array, Interval, all_finite
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import array_of
 from greybox.files.numbers_in_text import number
@@ -50,7 +50,7 @@ GROWTH = 3.0  # largest change of a step
 
 def profile(
     fit: Fit,
-    names: Labels | str | None = None,
+    names: Sequence[str] | str | None = None,
     *,
     problem: AnyProblem | None = None,
     level: float = 0.95,
@@ -613,7 +613,7 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
     first, last = int(inside[0]), int(inside[-1])
     at_best = search.minima.at_bounds(search.best) | {line.name}
 
-    def end_of(k: int, side: int, root: float, end: End) -> tuple[float, End, Strings]:
+    def end_of(k: int, side: int, root: float, end: End) -> tuple[float, End, tuple[str, ...]]:
         if not 0 <= k + side < len(points):
             return side * math.inf, end, ()
         inner, outer = points[k], points[k + side]

@@ -1,12 +1,12 @@
 """Profiles of a fit as values that print themselves; `profile` computes them."""
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
-from greybox.files.arrays import Array, Fields, Interval, Strings
+from greybox.files.arrays import Array, Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
-from greybox.files.named_values import attributes, by_name
+from greybox.files.named_values import attributes
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import Printed, one_line
 from greybox.files.spelling import alternatives
@@ -57,7 +57,7 @@ class ProfileOf:
     ends: tuple[End, End]
     bounds: Interval
     bias: float = 0.0
-    at_bound: tuple[Strings, Strings] = ((), ())
+    at_bound: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
     connected: bool = True
 
     def __str__(self) -> str:
@@ -113,9 +113,9 @@ class Profiles(Printed):
     name: str
     level: float
     limit: dict[str, float]
-    free: Strings
+    free: tuple[str, ...]
     profiles: tuple[ProfileOf, ...]
-    warnings: Strings = ()
+    warnings: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> ProfileOf:
         for profile in self.profiles:
@@ -138,7 +138,7 @@ class Profiles(Printed):
         title = f"{self.name}: {100 * self.level:g} % intervals by profile likelihood"
         return titled(title, lines)
 
-    def intervals_in_words(self) -> Fields:
+    def intervals_in_words(self) -> dict[str, Any]:
         """Return interval and text of every profile for JSON; None for an open side."""
         return plain(
             {
@@ -147,7 +147,7 @@ class Profiles(Printed):
             }
         )
 
-    def summary(self) -> Fields:
+    def summary(self) -> dict[str, Any]:
         """Return everything as plain values, for JSON; None for an open side."""
         fields = ("estimate", "standard_error", "ends", "at_bound", "connected")
         fields += ("values", "costs", "roots")
@@ -159,7 +159,7 @@ class Profiles(Printed):
                 "profiles": {
                     p.name: attributes(p, *fields)
                     | words[p.name]
-                    | {"others": by_name(self.free, p.others.T)}
+                    | {"others": dict(zip(self.free, p.others.T, strict=True))}
                     for p in self.profiles
                 },
                 "limit": self.limit,

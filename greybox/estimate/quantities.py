@@ -1,6 +1,6 @@
 """The quantities of an answer: parameters, ties and derived quantities, with their errors."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Any, Literal, NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.estimate.covariance import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
-from greybox.files.arrays import Array, Labels
+from greybox.files.arrays import Array
 from greybox.files.named_values import attributes
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -72,7 +72,7 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
 
 
 @one_thread_at_a_time
-def quantity_function(nlp: CompiledProblem, names: Labels) -> ca.Function:
+def quantity_function(nlp: CompiledProblem, names: Sequence[str]) -> ca.Function:
     """Return the named parameters and formulas as a function of all values (k,)."""
     x = ca.SX.sym("x", len(nlp.names))
     named = entries_by_name(nlp.names, x)

@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord
 from greybox.estimate.missing_terms import Term
-from greybox.files.arrays import Array, Strings
+from greybox.files.arrays import Array
 from greybox.statistics.autoregressive_likelihood import ORDER
 from greybox.statistics.metrics import is_resolved
 
@@ -29,7 +29,7 @@ def repeated_residuals(
     This test is the previous period, or an earlier stretch of this or of another record. The second
     value (outputs, samples) is zero where the residuals merely repeat those of this test.
     """
-    earlier: list[tuple[Strings, Array, Array]] = []
+    earlier: list[tuple[tuple[str, ...], Array, Array]] = []
     for record in records:
         data = record.part.data
         outputs = record.part.outputs

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, real_and_imaginary, real_root
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary, real_root
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.files.printed import one_line
@@ -75,14 +75,14 @@ class ResponseBand:
         return t_quantile(self.level, self.dof) * self.relative_error
 
     @property
-    def magnitude(self) -> ArrayPair:
+    def magnitude(self) -> tuple[Array, Array]:
         """Lower and upper limit (n,) of the magnitude, symmetric in its logarithm."""
         size = np.abs(self._center)
         factor = np.exp(self.half_width[0])
         return size / factor, size * factor
 
     @property
-    def phase(self) -> ArrayPair:
+    def phase(self) -> tuple[Array, Array]:
         """Lower and upper limit (n,) of the phase, rad."""
         phase = np.angle(self._center)
         return phase - self.half_width[1], phase + self.half_width[1]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from inspect import Parameter, Signature
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,16 +36,11 @@ from greybox.files.argument_checks import require_kind
 from greybox.files.arrays import (
     AnyArray,
     Array,
-    Fields,
-    FloatPair,
     Interval,
-    Labels,
-    NamedStrings,
-    Strings,
 )
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
-from greybox.files.named_values import Values, attributes, by_name, places_of
+from greybox.files.named_values import Values, attributes, places_of
 from greybox.files.numbers_in_text import with_error
 from greybox.files.printed import Printed, one_line
 from greybox.files.wording import counted
@@ -186,36 +181,36 @@ class Fit(Printed):
     runs: Runs
     minima: tuple[Minimum, ...]
     agreeing: int
-    warnings: Strings
+    warnings: tuple[str, ...]
     seed: int | None
     starts: str
     seconds: float
-    versions: NamedStrings
+    versions: Mapping[str, str]
     models: tuple[Model, ...] | None = field(default=None, metadata=NOT_STORED)
     given: tuple[AnyModel, ...] = field(default=(), metadata=NOT_STORED)
     white: Array | None = None
     independent: tuple[Array, float] | None = None
-    notes: Strings = ()
+    notes: tuple[str, ...] = ()
     directions: KnownDirections | None = None
     profiles: Profiles | None = None
-    priors: Mapping[str, FloatPair] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = None
-    command: Strings = ()
-    left_out: Strings = ()
+    command: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @cached_property
-    def free(self) -> Strings:
+    def free(self) -> tuple[str, ...]:
         """Names of the free parameters."""
         return tuple(q.name for q in self.quantities if q.kind == "free")
 
     @cached_property
-    def at_bound(self) -> Strings:
+    def at_bound(self) -> tuple[str, ...]:
         """Names of the parameters that ended at a bound."""
         return tuple(q.name for q in self.quantities if q.at_bound)
 
     @cached_property
-    def names(self) -> Strings:
+    def names(self) -> tuple[str, ...]:
         """Names of the free, fixed and tied parameters, in this order."""
         return tuple(q.name for q in self.quantities if q.kind != "derived")
 
@@ -321,7 +316,7 @@ class Fit(Printed):
         if run is None:
             return None
 
-        ended = by_name(self.free, run.estimate.tolist())
+        ended = dict(zip(self.free, run.estimate.tolist(), strict=True))
         return {
             q.name: ended.get(q.name, q.value)
             for q in self.quantities
@@ -359,7 +354,7 @@ class Fit(Printed):
         """Correlation matrix (p, p) of the free parameters; NaN without a standard error."""
         return self.known_directions(self.free).correlation
 
-    def known_directions(self, names: Labels) -> KnownDirections:
+    def known_directions(self, names: Sequence[str]) -> KnownDirections:
         """Return the covariance of these parameters in the directions that the data determine.
 
         Raises
@@ -405,7 +400,7 @@ class Fit(Printed):
             intervals[q.name] = (center - half, center + half)
         return intervals
 
-    def covariance_of(self, names: Labels) -> Array:
+    def covariance_of(self, names: Sequence[str]) -> Array:
         """Return the covariance matrix of the named parameters."""
         require_known(names, self.names, "parameter", f"the fit {self.name!r}")
         rows = places_of(names, self.names)
@@ -477,7 +472,7 @@ class Fit(Printed):
         response, model, values = self._response_part(part)
         return frequency_response(model, values, omega, **response.signals)
 
-    def to_dict(self, level: float = 0.95) -> Fields:
+    def to_dict(self, level: float = 0.95) -> dict[str, Any]:
         """Return the numbers as plain values, as ``greybox fit --json`` does; None where unknown.
 
         Estimates, standard errors, intervals of this `level`, bounds, units and fixed values are
@@ -502,7 +497,9 @@ class Fit(Printed):
             Without pandas, ``pip install 'greybox-id[pandas]'``.
         """
         names = ("value", "standard_error", "unit", "kind", "at_bound", "about")
-        columns: Fields = {name: [getattr(q, name) for q in self.quantities] for name in names}
+        columns: dict[str, Any] = {
+            name: [getattr(q, name) for q in self.quantities] for name in names
+        }
         # A constant has no interval, but a column of a frame needs a number in every row.
         intervals = self.interval(level)
         unknown = (math.nan, math.nan)
@@ -587,7 +584,7 @@ class Fit(Printed):
         bias = np.array([self.by_name[name].bias for name in names])
         return band_of(response, slope, directions, level, self.fewest_degrees(names), bias)
 
-    def fewest_degrees(self, names: Labels) -> float:
+    def fewest_degrees(self, names: Sequence[str]) -> float:
         """Return the fewest degrees of freedom of these parameters, by default those of the fit."""
         # By Welch and Satterthwaite a combination has at least the fewest degrees of its members.
         lines = [self.by_name[name] for name in names]

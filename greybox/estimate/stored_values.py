@@ -14,7 +14,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Fields, complex_array
+from greybox.files.arrays import complex_array
 from greybox.files.control_characters import printable
 
 ITEMS = {np.bool_: bool, np.integer: int, np.floating: float}
@@ -29,7 +29,7 @@ def require(condition: bool, message: str) -> None:
 
 
 @cache
-def fields_of(kind: type) -> Fields:
+def fields_of(kind: type) -> dict[str, Any]:
     """Return the annotations of the stored fields of a dataclass by name."""
     hints = get_type_hints(kind)
     stored = [field for field in dataclasses.fields(kind) if field.metadata.get("stored", True)]

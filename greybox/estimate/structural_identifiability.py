@@ -1,6 +1,6 @@
 """Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,16 +22,11 @@ from greybox.files.argument_checks import as_names, require_kind
 from greybox.files.arrays import (
     Array,
     BoolArray,
-    Labels,
-    Named,
-    NamedArrays,
-    Strings,
     all_finite,
-    column_lengths,
     positive_or_one,
 )
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, array_of, by_name
+from greybox.files.named_values import Values, array_of
 from greybox.files.printed import Printed
 from greybox.files.wording import counted, listed
 from greybox.formulation.frequency_criteria import SquaredRelativeError
@@ -73,13 +68,13 @@ class StructuralIdentifiability(Printed):
     """
 
     model: str
-    names: Strings
+    names: tuple[str, ...]
     groups: tuple[Combination, ...]
-    combinations: Strings
+    combinations: tuple[str, ...]
     data: str
 
     @property
-    def identifiable(self) -> Strings:
+    def identifiable(self) -> tuple[str, ...]:
         """The parameters that the structure determines."""
         lost = {name for group in self.groups for name in group.names}
         return tuple(name for name in self.names if name not in lost)
@@ -114,13 +109,13 @@ class StructuralIdentifiability(Printed):
 
 def structural_identifiability(
     model: Model,
-    outputs: Labels | None = None,
+    outputs: Sequence[str] | None = None,
     *,
     at: Values | None = None,
     fixed: Values | None = None,
-    free: Labels = (),
+    free: Sequence[str] = (),
     tied: Mapping[str, ParameterFormula] | None = None,
-    initial: Named | None = None,
+    initial: Mapping[str, Any] | None = None,
 ) -> StructuralIdentifiability:
     """Return which parameters inputs and outputs could determine, before there are any data.
 
@@ -216,7 +211,7 @@ class _Sensitivity:
 
     nlp: CompiledProblem
     seen: KnownDirections
-    initial: NamedArrays
+    initial: Mapping[str, Array]
 
 
 def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
@@ -236,10 +231,10 @@ def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
 
 def _of_responses(
     model: Model,
-    outputs: Labels,
+    outputs: Sequence[str],
     values: Values,
     at: Values,
-    options: Named,
+    options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> _Sensitivity | None:
     """Return the sensitivity of the responses of all pairs; None if not finite."""
@@ -260,16 +255,16 @@ def _of_responses(
     if not (all_finite(seen) and np.any(seen)):
         return None
     jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]
-    return _Sensitivity(nlp, _directions(x, jacobian, column_lengths(jacobian)), {})
+    return _Sensitivity(nlp, _directions(x, jacobian, np.linalg.norm(jacobian, axis=0)), {})
 
 
 @np.errstate(all="ignore")  # a structure may be far from where its formulas are finite
 def _of_record(
     model: Model,
-    outputs: Labels,
+    outputs: Sequence[str],
     values: Values,
-    initial: Named,
-    options: Named,
+    initial: Mapping[str, Any],
+    options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> _Sensitivity | None:
     """Return the sensitivity of a record with random inputs; None if not finite."""
@@ -281,8 +276,8 @@ def _of_record(
     criterion = OutputError(noise=dict.fromkeys(outputs, 1.0), initial=initial, inputs="held")
 
     for size, share in TRIALS:
-        signals = by_name(model.input_names, size * shape)
-        signals |= by_name(outputs, measured)
+        signals = dict(zip(model.input_names, size * shape, strict=True))
+        signals |= dict(zip(outputs, measured, strict=True))
         signals = {name: np.where(gaps, np.nan, values) for name, values in signals.items()}
         record = Record(share * time, signals, name="random inputs", has_time=not model.is_static)
         nlp = compile_problem(Problem(model, record, criterion, **options))

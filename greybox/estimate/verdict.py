@@ -6,8 +6,7 @@ from typing import Any, Literal
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.wrapped_outputs import wrapped
-from greybox.files.arrays import Strings
-from greybox.files.named_values import by_name, without
+from greybox.files.named_values import without
 from greybox.files.numbers_in_text import percent
 from greybox.files.wording import counted, some
 from greybox.solve.runs import SCREENED
@@ -39,7 +38,7 @@ class Verdict:
     """
 
     grade: Grade
-    sentences: Strings
+    sentences: tuple[str, ...]
 
     @property
     def level(self) -> str:
@@ -97,7 +96,7 @@ def _determined(fit: Any) -> tuple[bool, str]:
 
     # Biases and sizes of noise, which the criterion adds, are no less known for being near zero.
     added = {part.outside(name) for part in fit.parts for name in part.added}
-    errors = without(by_name(judged.names, judged.error), added)
+    errors = without(dict(zip(judged.names, judged.error, strict=True)), added)
     beyond = [name for name in judged.beyond if name in errors]
     texts = []
     if fit.at_bound:

@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 
 from greybox.data.wrapped_angles import wrapped_turn
-from greybox.files.arrays import Strings
 
 
-def wrapped(fit: Any) -> Strings:
+def wrapped(fit: Any) -> tuple[str, ...]:
     """Return a sentence on outputs that jump by a full turn where the fitted ones do not."""
     texts = {}
     for part in fit.records:

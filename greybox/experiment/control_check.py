@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, updated
-from greybox.files.named_values import by_name
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import entries_by_name
 
@@ -98,7 +97,7 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     late = {}
     # A logged setpoint may precede the control that it belongs to by up to three samples.
     for samples in itertools.product(range(4), repeat=len(delayed)):
-        trial = by_name(delayed, samples)
+        trial = dict(zip(delayed, samples, strict=True))
         shifted = [np.roll(row, trial.get(n, 0)) for n, row in signals.items()]
         _, control = simulate(controller.initial, np.array(shifted))
         computed = np.interp(time, grid, np.asarray(control)[0])

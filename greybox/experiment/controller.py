@@ -1,16 +1,15 @@
 """Sampled controllers, declared like models: named signals, parameters with units, equations."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
 import casadi as ca
 
 from greybox.files.argument_checks import checked_items, is_finite_number
-from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings
 from greybox.files.grouping import unique
-from greybox.files.named_values import Values, by_name
+from greybox.files.named_values import Values
 from greybox.modeling.model import (
     Names,
     declared_parameters,
@@ -68,11 +67,11 @@ class Controller(ABC):
         For names that the declaration does not have, or numbers that are not finite.
     """
 
-    states: Labels = ()
-    inputs: Labels = ()
-    setpoints: Labels = ("reference",)
-    outputs: Labels = ("u",)
-    units: ClassVar[NamedStrings] = MappingProxyType({})
+    states: Sequence[str] = ()
+    inputs: Sequence[str] = ()
+    setpoints: Sequence[str] = ("reference",)
+    outputs: Sequence[str] = ("u",)
+    units: ClassVar[Mapping[str, str]] = MappingProxyType({})
     parameters: ClassVar[Parameters] = MappingProxyType({})
     rate: float = 400.0
 
@@ -94,7 +93,7 @@ class Controller(ABC):
         values: Values | None = None,
         *,
         rate: float | None = None,
-        signals: NamedStrings | None = None,
+        signals: Mapping[str, str] | None = None,
         initial: Values | None = None,
     ) -> None:
         label = type(self).__name__
@@ -132,14 +131,14 @@ class Controller(ABC):
         return self.signals.get(name, name)
 
     @property
-    def truth(self) -> Fields:
+    def truth(self) -> dict[str, Any]:
         """Everything that a flight with it depends on, for the metadata of its record."""
         return {
             "controller": type(self).__name__,
             "rate": self.rate,
             "values": dict(self.values),
             "signals": dict(self.signals),
-            "initial": by_name(self.states, self.initial),
+            "initial": dict(zip(self.states, self.initial, strict=True)),
         }
 
     def __repr__(self) -> str:
@@ -153,7 +152,7 @@ class Controller(ABC):
 Controllers = Controller | Sequence[Controller]  # in the order in which they run
 
 
-def updated(controller: Controller, x: ca.SX, u: Named) -> tuple[ca.SX, ca.SX]:
+def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.SX, ca.SX]:
     """Evaluate `update` on expressions: the next states (n,) and the outputs (m,).
 
     `u` maps the controller's own inputs and setpoints to expressions.
@@ -242,9 +241,9 @@ def connected(
 def run_controllers(
     controllers: Sequence[Controller],
     memory: Sequence[ca.SX],
-    measured: Named,
-    signals: Fields,
-    added: Named,
+    measured: Mapping[str, Any],
+    signals: dict[str, Any],
+    added: Mapping[str, Any],
 ) -> list[ca.SX]:
     """Run controllers in their order, and return their next states.
 
@@ -262,7 +261,7 @@ def run_controllers(
     return following
 
 
-def sensors_of(controllers: Sequence[Controller]) -> Strings:
+def sensors_of(controllers: Sequence[Controller]) -> tuple[str, ...]:
     """Return what controllers read from the plant: inputs that no controller provides."""
     provided = outside_names(controllers, "outputs")
     names = outside_names(controllers, "inputs")

@@ -8,7 +8,7 @@ Orthogonal multisines with low peak factors, for several inputs at once.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.record import NOT_STORED, Record
-from greybox.files.arrays import Array, IntArray, Labels, Named
+from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 
@@ -55,7 +55,7 @@ class Excitation(Record):
     """
 
     schedule: tuple[Maneuver, ...] = field(default=(), metadata=NOT_STORED)
-    settings: Named = field(default_factory=dict, metadata=NOT_STORED)
+    settings: Mapping[str, Any] = field(default_factory=dict, metadata=NOT_STORED)
 
     @property
     def peak_factors(self) -> dict[str, float]:
@@ -262,7 +262,7 @@ def multisine(
     rate: float,
     *,
     amplitude: float = 1.0,
-    signals: Labels = ("u",),
+    signals: Sequence[str] = ("u",),
     unit: str = "",
     periods: int = 4,
 ) -> Excitation:

@@ -1,13 +1,15 @@
 """The standard errors that a test would give, before it is flown."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import accuracy_at, propagate
-from greybox.files.arrays import Array, NamedStrings, Strings
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
-from greybox.files.named_values import Values, by_name
+from greybox.files.named_values import Values
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -36,8 +38,8 @@ class ExpectedErrors:
     values: Values
     standard_error: Values
     information: Array
-    undetermined: Strings
-    units: NamedStrings
+    undetermined: tuple[str, ...]
+    units: Mapping[str, str]
 
     def __str__(self) -> str:
         rows = [
@@ -91,4 +93,6 @@ def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     errors = propagate(accuracy, np.eye(count, len(nlp.names)))
     undetermined = unique(name for c in accuracy.combinations for name in c.names)
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
-    return ExpectedErrors(at, by_name(nlp.free, errors.tolist()), information, undetermined, units)
+    return ExpectedErrors(
+        at, dict(zip(nlp.free, errors.tolist(), strict=True)), information, undetermined, units
+    )

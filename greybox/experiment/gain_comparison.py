@@ -4,7 +4,7 @@ Begin with `TodaysLoop`.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +13,7 @@ import numpy as np
 from greybox.experiment.controller import Controller, outside_names, sensors_of
 from greybox.experiment.loop_numbers import REST, loop_frequencies, samples_to_settle
 from greybox.experiment.sampled_loop import DOT, LinearController, SampledLoop
-from greybox.files.arrays import Array, NamedArrays, Strings
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number
@@ -98,7 +98,7 @@ class GainComparison(Printed):
         return all(math.isfinite(change.today) for change in self.changes)
 
     @property
-    def worse(self) -> Strings:
+    def worse(self) -> tuple[str, ...]:
         """What is worse than today, or may be."""
         return tuple(change.name for change in self.changes if not change.is_not_worse)
 
@@ -112,7 +112,7 @@ class GainComparison(Printed):
         return text_table(header, rows, left=(0, 4))
 
 
-def _printed(change: GainChange) -> Strings:
+def _printed(change: GainChange) -> tuple[str, ...]:
     """Return a row: the peak of the sensitivity in dB, other numbers relative to today's."""
     is_sensitivity = change.name == SENSITIVITY
     shown = [change.ratio, change.low, change.high]
@@ -160,12 +160,12 @@ class TodaysLoop:
     loops: SampledLoop
     draws: int
     broken_at: str
-    responses: Strings
-    inputs: Strings
-    measured: Strings
+    responses: tuple[str, ...]
+    inputs: tuple[str, ...]
+    measured: tuple[str, ...]
 
     @cached_property
-    def numbers(self) -> NamedArrays:
+    def numbers(self) -> Mapping[str, Array]:
         """The numbers (plants,) that should be small, with today's gains."""
         return self._numbers(self.loops)
 
@@ -194,7 +194,7 @@ class TodaysLoop:
             answer.append(GainChange(name, *pair, float(ratio[0]), low, high))
         return tuple(answer)
 
-    def _numbers(self, loops: SampledLoop) -> NamedArrays:
+    def _numbers(self, loops: SampledLoop) -> Mapping[str, Array]:
         """Return the numbers (plants,) of loops by name; infinite for an unstable one."""
         answer = {SENSITIVITY: _peak_sensitivity(loops, self.broken_at)}
         for name in self.inputs:

@@ -14,12 +14,9 @@ from greybox.experiment.sampled_loop import SampledLoop
 from greybox.files.arrays import (
     AnyArray,
     Array,
-    ArrayPair,
     BoolArray,
     ComplexArray,
-    FloatPair,
     IntArray,
-    nans,
 )
 from greybox.files.frozen_values import frozen
 
@@ -38,7 +35,7 @@ class Located(NamedTuple):
     omega: Array
 
     @property
-    def first(self) -> FloatPair:
+    def first(self) -> tuple[float, float]:
         """The value and the frequency of the first plant."""
         return float(self.value[0]), float(self.omega[0])
 
@@ -80,7 +77,7 @@ class Crossings:
 
     def smallest(self, values: Array) -> Located:
         """Return the smallest of the values (k,) of each plant; infinity for none."""
-        answer = Located(np.full(self.plants, math.inf), nans(self.plants))
+        answer = Located(np.full(self.plants, math.inf), np.full(self.plants, np.nan))
         # If several values are assigned to one plant, the last one remains.
         falling = np.argsort(values, kind="stable")[::-1]
         falling = falling[np.isfinite(values[falling])]
@@ -338,7 +335,7 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
         "rise time": rise,
         "settling time": settling,
     }
-    nowhere = nans(len(steps))
+    nowhere = np.full(len(steps), np.nan)
     return {n: Located(np.where(loop.is_stable, v, math.inf), nowhere) for n, v in numbers.items()}
 
 
@@ -350,7 +347,7 @@ def samples_to_settle(loop: SampledLoop, remaining: float = 1e-4) -> int:
     return max(int(math.log(remaining) / math.log(slowest)), 100)
 
 
-def step_responses(loop: SampledLoop, setpoint: str, response: str) -> ArrayPair:
+def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Array, Array]:
     """Return times (n,) and responses (plants, n) to a step of a setpoint, over their final values.
 
     They end when the slowest pole of the first plant has decayed.

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from greybox.experiment.loop_numbers import (
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Array, ComplexArray, Fields, FloatPair, StringPair, Strings, nans
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
 from greybox.files.named_values import Values, attributes
@@ -133,7 +134,7 @@ class Margins(Printed):
     instability: float
     level: float
     loop: SampledLoop | None
-    notes: Strings = ()
+    notes: tuple[str, ...] = ()
     points: tuple[FrequencyResponse, ...] = ()
 
     def __getitem__(self, name: str) -> Margin:
@@ -182,10 +183,10 @@ class Margins(Printed):
         """
         gain = self.require_loop().broken_at(self.signal, omega)
         if len(gain) == 1:
-            return nans(len(omega))
+            return np.full(len(omega), np.nan)
         return np.quantile(np.abs(gain[DRAWN] / gain[0] - 1), self.level, axis=0)
 
-    def to_dict(self) -> Fields:
+    def to_dict(self) -> dict[str, Any]:
         """Return the numbers as plain values; None where unknown or infinite."""
         return plain(
             attributes(self, "verdict", "plant", "setpoint", "response", "level", "notes")
@@ -219,11 +220,11 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     values: Values | None = None,
     *,
     broken_at: str = "",
-    tracking: StringPair | None = None,
+    tracking: tuple[str, str] | None = None,
     at: Values | None = None,
     part: int = 0,
     level: float = 0.95,
-    boundary: Sequence[FloatPair] = (),
+    boundary: Sequence[tuple[float, float]] = (),
 ) -> Margins:
     """Return margins and closed-loop numbers of a plant with sampled controllers, with intervals.
 

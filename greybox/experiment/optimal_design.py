@@ -1,8 +1,10 @@
 """Optimal designs: the shares of the flight time that make an estimate most precise."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, Labels
+from greybox.files.arrays import Array, BoolArray
 
 
 def time_needed(information: Array, matters: BoolArray) -> float:
@@ -17,7 +19,7 @@ def time_needed(information: Array, matters: BoolArray) -> float:
     return float(np.max(np.diag(np.linalg.inv(information))[matters]))
 
 
-def require_determined(information: Array, names: Labels) -> None:
+def require_determined(information: Array, names: Sequence[str]) -> None:
     """Raise a ValueError if no sine determines a parameter, or separates it from others."""
     size = np.sqrt(np.diag(information))
     for name, s in zip(names, size, strict=True):
@@ -56,7 +58,7 @@ def shares(informations: Array, matters: BoolArray) -> Array:
     # its variance finite.
     floor = 1e-9 * np.diag(np.diag(informations.mean(axis=0)))
 
-    def with_slope(w: Array) -> ArrayPair:
+    def with_slope(w: Array) -> tuple[Array, Array]:
         inverse = np.linalg.inv(np.tensordot(w, informations, 1) + floor)
         slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
         variance = np.diag(inverse)[matters]

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -31,12 +32,7 @@ from greybox.files.argument_checks import checked_items
 from greybox.files.arrays import (
     Array,
     BoolArray,
-    Fields,
     Interval,
-    Labels,
-    NamedArrays,
-    Strings,
-    nans,
 )
 from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
@@ -99,7 +95,7 @@ class SafeGains(Printed):
     notes : tuple of str
     """
 
-    values: NamedArrays
+    values: Mapping[str, Array]
     confidence: Array
     bandwidth: Array
     today: Values
@@ -108,7 +104,7 @@ class SafeGains(Printed):
     comparison: GainComparison | None
     requirements: Values
     cure: str
-    notes: Strings
+    notes: tuple[str, ...]
 
     @property
     def allowed(self) -> BoolArray:
@@ -184,7 +180,7 @@ class SafeGains(Printed):
             f"{100 * wanted['level']:g} % confidence."
         )
 
-    def to_dict(self) -> Fields:
+    def to_dict(self) -> dict[str, Any]:
         """Return the numbers as plain values; without a proposal, `best` is None."""
         fields = plain(self)
         if self.comparison:
@@ -229,7 +225,7 @@ class SafeGains(Printed):
 def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     fits: Fit | Fits,
     controller: Controllers,
-    gains: Mapping[str, Interval | None] | Labels,
+    gains: Mapping[str, Interval | None] | Sequence[str],
     *,
     phase_margin: float = 45.0,
     gain_margin: float = 6.0,
@@ -436,7 +432,7 @@ def _judged(
         places = [first[name].first[1] for name in ("phase margin", "crossover")]
         return meets, first["disturbance rejection bandwidth"].first[0], places
 
-    confidence, bandwidth = np.zeros(len(laws)), nans(len(laws))
+    confidence, bandwidth = np.zeros(len(laws)), np.full(len(laws), np.nan)
     poor: list[float] = []
     for k, law in enumerate(laws):
         control = linear_controller(law, loops.sensors, loops.inputs)

@@ -28,9 +28,6 @@ from greybox.files.arrays import (
     BoolArray,
     ComplexArray,
     IntArray,
-    Labels,
-    Strings,
-    as_arrays,
 )
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
@@ -51,7 +48,7 @@ class LinearController(NamedTuple):
     `y` is what they measure, `e` what is added to each command: a setpoint, or a control.
     """
 
-    commands: Strings
+    commands: tuple[str, ...]
     F: Array
     G: Array
     H: Array
@@ -82,8 +79,8 @@ class SampledLoop:
     period : float, s
     """
 
-    inputs: Strings
-    sensors: Strings
+    inputs: tuple[str, ...]
+    sensors: tuple[str, ...]
     A: Array
     early: Array
     late: Array
@@ -104,7 +101,7 @@ class SampledLoop:
         return replace(self, **{name: getattr(self, name)[plants] for name in arrays})
 
     @property
-    def signals(self) -> Strings:
+    def signals(self) -> tuple[str, ...]:
         """What is measured and what is commanded."""
         return (*self.sensors, *self.controller.commands)
 
@@ -121,7 +118,7 @@ class SampledLoop:
     def gains(
         self,
         added_to: str,
-        signals: Labels,
+        signals: Sequence[str],
         omega: ArrayLike,
         plant: ComplexArray | None = None,
     ) -> ComplexArray:
@@ -242,7 +239,7 @@ def sampled_loop(
     controller: Controllers | None,
     *,
     at: Values | None = None,
-    measured: Labels = (),
+    measured: Sequence[str] = (),
     rate: float | None = None,
     has_hold: bool = False,
 ) -> SampledLoop:
@@ -294,7 +291,7 @@ def sampled_loop(
     )
 
 
-def in_periods(delay: Array, period: float, inputs: Strings) -> tuple[IntArray, Array]:
+def in_periods(delay: Array, period: float, inputs: tuple[str, ...]) -> tuple[IntArray, Array]:
     """Return whole periods in delays (..., inputs), s, and the remaining fractions of a period.
 
     Raises
@@ -314,7 +311,7 @@ def in_periods(delay: Array, period: float, inputs: Strings) -> tuple[IntArray, 
 
 @one_thread_at_a_time
 def _plants(
-    model: Model, system: Dynamics, sensors: Strings, values: Array, at: Values
+    model: Model, system: Dynamics, sensors: tuple[str, ...], values: Array, at: Values
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return A, B, and C, D of the sensors, and the delays (plants, inputs)."""
     x, u, p = system.symbols
@@ -362,7 +359,7 @@ def measured_signal(
 
 @one_thread_at_a_time
 def linear_controller(
-    controllers: Sequence[Controller], sensors: Strings, inputs: Strings
+    controllers: Sequence[Controller], sensors: tuple[str, ...], inputs: tuple[str, ...]
 ) -> LinearController:
     """Linearize the chain of controllers about their initial states and signals of zero."""
     outside = outside_names(controllers, "setpoints", "outputs")
@@ -380,4 +377,4 @@ def linear_controller(
     blocks = [ca.jacobian(f, z) for f in (ca.SX(ca.vertcat(*following)), total) for z in (x, v)]
     initial = [value for c in controllers for value in c.initial]
     numbers = ca.Function("controller", [x, v], blocks)(initial, np.zeros(v.numel()))
-    return LinearController(commands, *as_arrays(numbers))
+    return LinearController(commands, *[matrix.full() for matrix in numbers])

@@ -1,11 +1,11 @@
 """Files that bring a test signal to a vehicle: CSV, a Lua script and parameters for ArduPilot."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.data.record import Record
 from greybox.experiment.excitation import DWELL, Excitation
-from greybox.files.arrays import Labels
 from greybox.files.delimited_text import write_delimited
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.logs.named_columns import BETWEEN
@@ -13,7 +13,7 @@ from greybox.modeling.model import require_known
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
 # Those that inject into an attitude loop or the mixer.
-FLOWN_AXES: Labels = SYSTEMID_AXES[:13]
+FLOWN_AXES: Sequence[str] = SYSTEMID_AXES[:13]
 
 
 def write_excitation(excitation: Record, path: str | Path) -> None:

@@ -22,12 +22,10 @@ from greybox.files.arrays import (
     BoolArray,
     IntArray,
     Interval,
-    StringPair,
-    Strings,
     positive_or_one,
 )
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, array_of, by_name
+from greybox.files.named_values import Values, array_of
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
@@ -67,7 +65,7 @@ class SinePlan:
     omega: Array
     amplitude: Array
     duration: Array
-    limited_by: Strings
+    limited_by: tuple[str, ...]
     standard_error: Values
     wanted: Values
     flight_time: float
@@ -201,7 +199,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
             f"the loop of {model.label} is unstable: give gains that stabilize the plant."
         )
     # From the excitation, with the sampling of the controller.
-    gains = by_name(signals, loop.gains(excitation, signals, omega)[0].T)
+    gains = dict(zip(signals, loop.gains(excitation, signals, omega)[0].T, strict=True))
     bounds = [limit / np.abs(gains[name]) for name, limit in limits.items()]
     amplitudes = np.array([np.full_like(omega, amplitude), *bounds])
     size, limit = amplitudes.min(axis=0), amplitudes.argmin(axis=0)
@@ -245,7 +243,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         amplitude=size[chosen],
         duration=duration,
         limited_by=tuple((excitation, *limits)[k] for k in limit[chosen]),
-        standard_error=by_name(nlp.free, errors.tolist()),
+        standard_error=dict(zip(nlp.free, errors.tolist(), strict=True)),
         wanted=dict(wanted),
         flight_time=flown(omega[chosen], duration)[1],
         signal=excitation,
@@ -260,7 +258,7 @@ def noise_density(
     model: Model,
     values: Values,
     omega: Array,
-    signals: StringPair,
+    signals: tuple[str, str],
     rate: float,
 ) -> Array:
     """Return the one-sided spectral density (n,) of the output noise, its unit squared per Hz."""
@@ -331,7 +329,7 @@ def with_spare_sines(
     omega: Array, chosen: IntArray, duration: Array, count: int, periods: int
 ) -> tuple[IntArray, Array]:
     """Return at least `count` sines: short ones are added in the widest gaps of the band."""
-    seconds = by_name(chosen.tolist(), duration.tolist())
+    seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
     while len(seconds) < min(count, len(omega)):
         edges = [-1, *sorted(seconds), len(omega)]
         k = np.argmax(np.diff(edges))

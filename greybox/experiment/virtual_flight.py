@@ -4,7 +4,7 @@ Begin with `virtual_flight`.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
@@ -27,7 +27,7 @@ from greybox.experiment.controller import (
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import in_periods, measured_signal
 from greybox.files.argument_checks import is_finite_number, require_whole
-from greybox.files.arrays import Array, Labels, Strings
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values
@@ -194,9 +194,9 @@ class _Loop:
     p: Array
     controllers: tuple[Controller, ...]
     clock: float
-    excited: Strings
-    measured: Strings
-    forced: Strings
+    excited: tuple[str, ...]
+    measured: tuple[str, ...]
+    forced: tuple[str, ...]
     initial: Values
 
     @cached_property
@@ -216,7 +216,7 @@ class _Loop:
         return np.concatenate([plant, *(c.initial for c in self.controllers), *past])
 
 
-def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], Strings]:
+def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Return every signal of the log by name, at the controller's rate, and findings."""
     n = len(loop.system.states)
     substeps = 1
@@ -344,7 +344,7 @@ def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | No
     return test
 
 
-def _checked(what: str, given: Values, places: Labels, low: float = -math.inf) -> Values:
+def _checked(what: str, given: Values, places: Sequence[str], low: float = -math.inf) -> Values:
     """Return numbers by name once names and sizes are right."""
     require_known(given, places, "place for", what)
     for n, value in given.items():
@@ -356,7 +356,7 @@ def _checked(what: str, given: Values, places: Labels, low: float = -math.inf) -
     return {n: float(v) for n, v in given.items()}
 
 
-def _draws(seed: int, stream: int, names: Labels, deviation: Values, count: int) -> Array:
+def _draws(seed: int, stream: int, names: Sequence[str], deviation: Values, count: int) -> Array:
     """Return white noise of these standard deviations, (k, count)."""
     require_whole("seed", seed, 0)
     drawn = np.random.default_rng([int(seed), stream]).standard_normal((len(names), count))

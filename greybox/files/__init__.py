@@ -1,17 +1,26 @@
 """Text tables, safe and sealed files, JSON numbers and progress bars for all other folders.
 
-Begin with `text_table`.
+Begin with `arrays` and `argument_checks`, which nearly all other files use.
 
 | file | contents |
 | --- | --- |
 | `arrays` | types of numpy arrays for annotations; whether they are finite, parts, lengths |
-| `text_table` | tables and numbers as people read them, also in notebooks |
+| `named_values` | values by name: some of them, and their places in arrays |
+| `frozen_values` | frozen dataclasses that hold arrays |
+| `grouping` | items in groups that are alike, and every item once |
+| `argument_checks` | checks of arguments, with what to give instead |
+| `spelling` | the known name that a misspelled one resembles |
+| `numbers_in_text` | rounded numbers as people read them, with errors, in percent |
+| `wording` | names and counts as words of a sentence |
+| `greek_letters` | Greek letters for the names of parameters and signals |
+| `text_table` | tables in a terminal |
+| `printed` | values that print themselves, also in notebooks |
+| `control_characters` | control characters in names and texts, written out |
+| `escapes` | texts of strangers in terminals, tables, LaTeX, pages and messages |
 | `delimited_text` | tables of numbers in files: separator, decimal mark, units, comments, facts |
-| `grouping` | items in groups that are alike |
 | `json_numbers` | values in JSON, without NaN and infinity, and bounded when they are read |
 | `packed` | compressed bytes |
 | `progress` | progress bars |
-| `escapes` | texts of strangers in terminals, tables, LaTeX, pages and messages |
 | `error_place` | an error as a sentence, with its place in a file of the user |
 | `optional_package` | imports of optional packages |
 | `rebuilt` | values that are pickled as the arguments of their construction |

@@ -5,10 +5,8 @@ from collections.abc import Iterable
 from numbers import Integral, Real
 from typing import Any
 
-from greybox.files.arrays import Strings
 
-
-def as_names(names: str | Iterable[str]) -> Strings:
+def as_names(names: str | Iterable[str]) -> tuple[str, ...]:
     """Return one name or several as a tuple."""
     return (names,) if isinstance(names, str) else tuple(names)
 

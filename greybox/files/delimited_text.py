@@ -20,11 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.files.arrays import Labels, NamedArrays, NamedStrings, Strings
+from greybox.files.arrays import Array
 from greybox.files.control_characters import printable
 from greybox.files.escapes import csv_cell
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import by_name
 from greybox.files.numbers_in_text import is_number
 from greybox.files.safe_files import write_text
 from greybox.files.wording import counted
@@ -63,10 +62,10 @@ class DelimitedText:
 
     path: Path
     separator: str
-    header: Strings
-    lines: Labels
+    header: tuple[str, ...]
+    lines: Sequence[str]
     line_numbers: Sequence[int]
-    facts: NamedStrings
+    facts: Mapping[str, str]
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield the number of each line and its stripped cells; a line may have too few of them.
@@ -97,7 +96,7 @@ class DelimitedText:
                 f"{self.path} is not a table of numbers ({problem}): save it as plain CSV."
             ) from None
 
-    def numbers(self, places: Mapping[str, int], texts: NamedStrings) -> NamedArrays:
+    def numbers(self, places: Mapping[str, int], texts: Mapping[str, str]) -> Mapping[str, Array]:
         """Return columns of numbers, (n,) arrays, by name from their places, from 0.
 
         Rows in which only the first of these columns has a value are left out, and rows without
@@ -133,7 +132,7 @@ class DelimitedText:
                         "not a number."
                     )
 
-        return by_name(places, np.reshape(values, (-1, len(places))).T)
+        return dict(zip(places, np.reshape(values, (-1, len(places))).T, strict=True))
 
 
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:
@@ -219,7 +218,7 @@ def numbered(text: DelimitedText) -> DelimitedText:
 
 
 def write_delimited(
-    path: Path, facts: NamedStrings, columns: Mapping[str, Iterable[object]]
+    path: Path, facts: Mapping[str, str], columns: Mapping[str, Iterable[object]]
 ) -> None:
     """Write facts as comments ``# key: value``, then columns of numbers, for `read_delimited`."""
     text = io.StringIO()

@@ -5,17 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import AnyArray, Fields, IntArray, Strings
+from greybox.files.arrays import AnyArray, IntArray
 
 Values = Mapping[str, float]  # of parameters or signals
 
 
-def by_name(names: Iterable[Any], values: Iterable[Any]) -> dict[Any, Any]:
-    """Return values by their names, one for each."""
-    return dict(zip(names, values, strict=True))
-
-
-def attributes(value: Any, *names: str) -> Fields:
+def attributes(value: Any, *names: str) -> dict[str, Any]:
     """Return some attributes by name."""
     return {name: getattr(value, name) for name in names}
 
@@ -35,7 +30,7 @@ def array_of(values: Any, names: Iterable[Any]) -> AnyArray:
     return np.array([values[name] for name in names])
 
 
-def places_of(names: Iterable[str], among: Strings) -> IntArray:
+def places_of(names: Iterable[str], among: tuple[str, ...]) -> IntArray:
     """Return the places of some names among others."""
     return np.array([among.index(name) for name in names], dtype=int)
 

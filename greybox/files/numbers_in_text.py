@@ -2,8 +2,6 @@
 
 import math
 
-from greybox.files.arrays import StringPair
-
 
 def number(value: float | None, digits: int = 5) -> str:
     """Format `value` with `digits` significant digits; NaN and None are a dash.
@@ -31,7 +29,7 @@ def p_text(p: float) -> str:
     return f"p {text}" if text.startswith("<") else f"p = {text}"
 
 
-def with_error(value: float, error: float) -> StringPair:
+def with_error(value: float, error: float) -> tuple[str, str]:
     """Format a standard error with two significant digits, and the value to its last digit.
 
     A value that this rounding would change by more than 5 % has two significant digits.

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Fields
 from greybox.files.control_characters import printable
 from greybox.files.subprocess_main import REFUSED
 
@@ -27,7 +26,7 @@ SCRIPT = Path(__file__).with_name("subprocess_main.py")
 TOO_LONG = -getattr(signal, "SIGPROF", 0)
 
 
-def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Fields:
+def read_in_subprocess(kind: str, path: Path, *wanted: str) -> dict[str, Any]:
     """Return the report of `subprocess_main` on a file; its items have their `values`, an array.
 
     Raises
@@ -77,7 +76,7 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> Fields:
     return answer
 
 
-def _answer(pipe: Any) -> Fields | None:
+def _answer(pipe: Any) -> dict[str, Any] | None:
     """Return the answer, or None from a process that ended early."""
     try:
         # One line of facts, then the numbers, in the order of the items.

@@ -1,22 +1,21 @@
 """Tables of text as a person reads them in a terminal."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from textwrap import indent
 
-from greybox.files.arrays import Labels
 from greybox.files.control_characters import printable
 from greybox.files.escapes import terminal_text
 
-Sentences = Iterator[str]
 
-
-def text_table(header: Labels, rows: Sequence[Labels], left: Sequence[int] = (0,)) -> str:
+def text_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
+) -> str:
     """Align `rows` of text under `header`; columns in `left` are flush left, others right."""
     # Control characters are written out first: they have no width.
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
 
-    def line(row: Labels) -> str:
+    def line(row: Sequence[str]) -> str:
         parts = (
             c.ljust(w) if k in left else c.rjust(w)
             for k, (c, w) in enumerate(zip(row, widths, strict=True))

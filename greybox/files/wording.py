@@ -1,6 +1,6 @@
 """Names and counts as words of a sentence."""
 
-from greybox.files.arrays import Labels
+from collections.abc import Sequence
 
 
 def counted(count: float, singular: str, plural: str = "") -> str:
@@ -9,12 +9,12 @@ def counted(count: float, singular: str, plural: str = "") -> str:
     return f"{amount} {singular if count == 1 else plural or singular + 's'}"
 
 
-def listed(names: Labels) -> str:
+def listed(names: Sequence[str]) -> str:
     """Return "a", "a and b" or "a, b and c"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def numbered_where_alike(names: Labels) -> list[str]:
+def numbered_where_alike(names: Sequence[str]) -> list[str]:
     """Return the names, with numbers in those that several have: y/u 1, y/u 2."""
     return [
         f"{name} {names[:k].count(name)}" if names.count(name) > 1 else name
@@ -22,7 +22,7 @@ def numbered_where_alike(names: Labels) -> list[str]:
     ]
 
 
-def some(names: Labels, most: int = 4) -> str:
+def some(names: Sequence[str], most: int = 4) -> str:
     """Return names as `listed` does; of many names, the first ones and the number of the others."""
     return (
         listed(names)

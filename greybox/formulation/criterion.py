@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.files.arrays import Fields
 from greybox.modeling.model_reference import source_text
 
 
@@ -80,7 +79,7 @@ class AnyCriterion(ABC):
         return f"{'greybox' if module.startswith('greybox.') else module}:{type(self).__qualname__}"
 
     @property
-    def settings(self) -> Fields:
+    def settings(self) -> dict[str, Any]:
         """The fields by name, as values that JSON can represent.
 
         A function is represented by its source text and the values that it captures: functions with

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ArrayPair, ComplexArray, Strings, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.frozen_values import frozen
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.relative_score import ROUNDING, relative_score
@@ -41,7 +41,7 @@ class Criterion(AnyCriterion):
     """
 
     condition = "errors isotropic in the complex plane and of one relative size"
-    uses: ClassVar[Strings | None] = None
+    uses: ClassVar[tuple[str, ...] | None] = None
     weighs_alike: ClassVar[bool] = False
     locator: "ClassVar[Criterion | None]" = None
 
@@ -367,7 +367,7 @@ class MagnitudePhase(Criterion):
             return np.ones(len(data))
         return (1 - data.coherence) / data.coherence
 
-    def _weights(self, data: FrequencyResponse) -> ArrayPair:
+    def _weights(self, data: FrequencyResponse) -> tuple[Array, Array]:
         """Return the roots of the weights of log magnitude and phase, units and 20/n included."""
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
         common = math.sqrt(20 / len(data)) * 1.58 * (1 - exp(-coherence))

@@ -1,8 +1,9 @@
 """An earlier fit whose values a problem uses as constants; its covariance widens the errors."""
 
+from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
-from greybox.files.arrays import Array, Labels, NamedStrings
+from greybox.files.arrays import Array
 from greybox.files.named_values import Values
 
 
@@ -20,13 +21,13 @@ class HeldEstimate(Protocol):
         """Degrees of freedom of the covariance."""
         ...
 
-    def covariance_of(self, names: Labels) -> Array:
+    def covariance_of(self, names: Sequence[str]) -> Array:
         """Return the covariance matrix of the named parameters."""
         ...
 
 
 def shared_parameters(
-    held: HeldEstimate, outside: NamedStrings, what: str
+    held: HeldEstimate, outside: Mapping[str, str], what: str
 ) -> dict[str, HeldEstimate]:
     """Return the estimate by the name of every parameter that it has under its outside name.
 

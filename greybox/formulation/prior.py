@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Array, FloatPair, NamedStrings, Strings
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import array_of, by_name
+from greybox.files.named_values import array_of
 from greybox.files.wording import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters, normal_prior
 
-Knowledge = FloatPair | HeldEstimate
+Knowledge = tuple[float, float] | HeldEstimate
 """Mean and standard deviation of a parameter, or an earlier fit with estimate and covariance."""
 
 
@@ -45,21 +45,23 @@ class NormalPrior:
     mean, covariance : (k,) and (k, k) arrays
     """
 
-    names: Strings
+    names: tuple[str, ...]
     mean: Array
     covariance: Array
 
     @property
-    def stated(self) -> dict[str, FloatPair]:
+    def stated(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation by name."""
         sigma = np.sqrt(np.diag(self.covariance))
-        return by_name(self.names, zip(self.mean.tolist(), sigma.tolist(), strict=True))
+        return dict(
+            zip(self.names, zip(self.mean.tolist(), sigma.tolist(), strict=True), strict=True)
+        )
 
 
 def normal_priors(
     declared: Parameters,
     prior: Any,
-    outside: NamedStrings,
+    outside: Mapping[str, str],
 ) -> list[NormalPrior]:
     """Return the priors of free parameters: those of `prior`, else those of the model.
 
@@ -97,7 +99,7 @@ def normal_priors(
     return densities + [_of_estimate(source, tuple(names)) for source, names in sources.values()]
 
 
-def _of_estimate(source: HeldEstimate, names: Strings) -> NormalPrior:
+def _of_estimate(source: HeldEstimate, names: tuple[str, ...]) -> NormalPrior:
     covariance = np.asarray(source.covariance_of(names), dtype=float)
     unknown = [
         name

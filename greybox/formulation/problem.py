@@ -19,7 +19,7 @@ from greybox.data.intersample import MULTIPLIED
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import as_names, is_finite_number, require_kind
-from greybox.files.arrays import Fields, Interval, Labels, Named, NamedStrings
+from greybox.files.arrays import Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values, attributes, selected
 from greybox.files.printed import one_line
@@ -176,12 +176,12 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     data: FrequencyResponse | Record | TransientSpectrum
     criterion: Criterion | TimeCriterion = None  # type: ignore[assignment]
     fixed: Mapping[str, float | HeldEstimate] | HeldEstimate = field(default_factory=dict)
-    free: Labels = ()
+    free: Sequence[str] = ()
     tied: Mapping[str, ParameterFormula] = field(default_factory=dict)
     constraints: Sequence[ParameterFormula] = ()
     delay: str = "exact"
     at: Values = field(default_factory=dict)
-    rename: NamedStrings = field(default_factory=dict)
+    rename: Mapping[str, str] = field(default_factory=dict)
     weight: float = 1.0
     name: str = ""
     bounds: Mapping[str, Interval] = field(default_factory=dict)
@@ -412,7 +412,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         return self.data
 
     @property
-    def signals(self) -> Fields:
+    def signals(self) -> dict[str, Any]:
         """The input and output of the response, the operating point and the order of the delay."""
         data = self.response
         return {
@@ -453,7 +453,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """Return the name of a parameter in the answer."""
         return self.rename.get(name, name)
 
-    def local_values(self, values: Named) -> Names:
+    def local_values(self, values: Mapping[str, Any]) -> Names:
         """Return the parameters by inside name, ties evaluated, from values by outside name."""
         local = {name: values[self.outside(name)] for name in self._stated}
         for name, tie in self.tied.items():

@@ -8,7 +8,6 @@ from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import are_of_one_kind, known_unit, misspelled, to_si
 from greybox.files.grouping import unique
-from greybox.files.named_values import by_name
 from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (
@@ -99,7 +98,13 @@ def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResp
     """
     if len(model.input_names) != 1 or len(model.output_names) != 1:
         return response
-    names = by_name((response.input, response.output), (*model.input_names, *model.output_names))
+    names = dict(
+        zip(
+            (response.input, response.output),
+            (*model.input_names, *model.output_names),
+            strict=True,
+        )
+    )
     units = {names[name]: unit for name, unit in response.units.items() if name in names}
     named = replace(response, input=model.input_names[0], output=model.output_names[0], units=units)
     check_response_units(model, named)

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Strings
 from greybox.files.frozen_values import frozen
 from greybox.formulation.time_criteria import OutputError, TimeCriterion, modeled_outputs
 from greybox.modeling.colored_disturbance import gust_time
@@ -56,7 +55,7 @@ class EquationError(TimeCriterion):
         ends = spectrum.step, spectrum.duration
         return {"T_gust": gust_time(ends, "equation")} if self.gusts else {}
 
-    def compared(self, model: Model, record: Record) -> Strings:
+    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Refuse a record."""
         raise ValueError(
             "EquationError is for the Fourier integrals of a manoeuvre and the data are a record: "
@@ -66,7 +65,7 @@ class EquationError(TimeCriterion):
 
 def outputs_in_spectrum(
     criterion: TimeCriterion, model: Model, spectrum: TransientSpectrum
-) -> Strings:
+) -> tuple[str, ...]:
     """Return the outputs of the model that are in the spectrum.
 
     Raises

@@ -12,7 +12,6 @@ from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
-from greybox.files.named_values import by_name
 from greybox.files.printed import one_line, preformatted
 from greybox.files.wording import counted, numbered_where_alike
 from greybox.formulation.frequency_criteria import RelativeLikelihood
@@ -101,7 +100,10 @@ class Sum(Addable, Generic[Part]):
         for part in self.parts:
             for name in part.tied:
                 outside = part.outside(name)
-                values = [part.local_values(by_name(merged, point))[name] for point in points]
+                values = [
+                    part.local_values(dict(zip(merged, point, strict=True)))[name]
+                    for point in points
+                ]
                 alike = np.allclose(seen.setdefault(outside, values), values, equal_nan=True)
                 if outside in merged or not alike:
                     raise ValueError(

@@ -7,7 +7,7 @@ assumption, which every result reports with the size of its effect.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, get_args
@@ -18,7 +18,6 @@ from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import as_names, is_finite_number
-from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number
@@ -43,7 +42,7 @@ def require_inputs(inputs: Any) -> None:
 
 def between_samples(
     inputs: Inputs,
-    names: Labels,
+    names: Sequence[str],
     record: Record,
     assumed: Values = MappingProxyType({}),
 ) -> tuple[Intersample, ...]:
@@ -61,7 +60,7 @@ def between_samples(
     return tuple(intersample(hold, record.step) for hold in holds)
 
 
-def described_inputs(inputs: Inputs, names: Labels, record: Record) -> NamedStrings:
+def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> Mapping[str, str]:
     """Return how every input varies between its samples, in words, and who states it."""
     if not record.has_time:
         return {}
@@ -123,7 +122,7 @@ class TimeCriterion(AnyCriterion):
 
     noise: Literal["diagonal", "full"] | Values = "diagonal"
     inputs: Inputs = "record"
-    biases: Labels = ()
+    biases: Sequence[str] = ()
     initial: Mapping[str, float | ParameterFormula] = field(default_factory=dict)
 
     condition = "stationary output errors with the autocorrelation of the residuals"
@@ -180,7 +179,7 @@ class TimeCriterion(AnyCriterion):
         """Return the model with the states of the disturbances that the criterion assumes."""
         return undisturbed(model)
 
-    def compared(self, model: Model, record: Record) -> Strings:
+    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Return the outputs of the model that are in the record.
 
         Raises
@@ -202,7 +201,7 @@ class TimeCriterion(AnyCriterion):
         self.check_noise(model, outputs)
         return outputs
 
-    def check_noise(self, model: Model, outputs: Labels) -> None:
+    def check_noise(self, model: Model, outputs: Sequence[str]) -> None:
         """Raise ValueError if a compared output has no known standard deviation."""
         if not isinstance(self.noise, Mapping):
             return
@@ -230,11 +229,11 @@ class TimeCriterion(AnyCriterion):
 
         return result
 
-    def gains(self, model: Model, outputs: Labels) -> tuple[StringPair, ...]:
+    def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return the pairs of state and output with a gain, ``K_<state>_<output>``."""
         return ()
 
-    def driven(self) -> Strings:
+    def driven(self) -> tuple[str, ...]:
         """Return the states whose process noise is estimated, from which the gains then follow."""
         return ()
 
@@ -331,9 +330,9 @@ class PredictionError(TimeCriterion):
     True
     """
 
-    corrected: Labels = ()
-    process_noise: Labels = ()
-    disturbance: NamedStrings = field(default_factory=dict)
+    corrected: Sequence[str] = ()
+    process_noise: Sequence[str] = ()
+    disturbance: Mapping[str, str] = field(default_factory=dict)
     rule = "prediction error, one sample ahead"
     condition = "stationary innovations that no past input or output predicts"
     corrects_states = True
@@ -390,11 +389,11 @@ class PredictionError(TimeCriterion):
             )
         return result
 
-    def driven(self) -> Strings:
+    def driven(self) -> tuple[str, ...]:
         """Return the states with process noise."""
         return (*self.process_noise, *map(gust_on, self.disturbance))
 
-    def gains(self, model: Model, outputs: Labels) -> tuple[StringPair, ...]:
+    def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return every pair of a corrected state (with process noise: any) and an output."""
         states, kind = model.state_names, type(self).__name__
         if not states:
@@ -409,7 +408,7 @@ class PredictionError(TimeCriterion):
 
 def modeled_outputs(
     model: Model, inputs: Iterable[str], outputs: Iterable[str], noun: str
-) -> Strings:
+) -> tuple[str, ...]:
     """Return the outputs of the model that are among those of the data.
 
     Raises

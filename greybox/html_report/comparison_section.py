@@ -1,11 +1,11 @@
 """Several results side by side: tables, comparison, and figures that overlay them."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.result import Fits
-from greybox.files.arrays import Named
 from greybox.files.grouping import grouped, unique
 from greybox.html_report.elements import COLUMNS, Cell, figure_grid, number_cell, table, tag
 from greybox.html_report.fit_section import Entry
@@ -80,7 +80,7 @@ def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
         yield table(["result", *columns], rows)
 
 
-def _estimate_cells(answer: Named, names: Iterable[str]) -> Iterator[Cell]:
+def _estimate_cells(answer: Mapping[str, Any], names: Iterable[str]) -> Iterator[Cell]:
     values = {**answer["derived"], **answer["estimate"]}
     for name in names:
         if values.get(name) is None:

@@ -23,10 +23,8 @@ import numpy as np
 from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Labels
 from greybox.files.escapes import html_text
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import by_name
 from greybox.files.numbers_in_text import is_number, number, percent, with_error
 from greybox.plotting.figure import Figure, Series
 
@@ -159,7 +157,7 @@ class Cell:
     mark: str = ""
 
 
-def table(header: Labels, rows: Sequence[Sequence[Cell]]) -> Element:
+def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
     """Return a table; columns of numbers are flush right."""
     # One number makes a column of numbers: dashes stand for those that are not known.
     is_number = [any(row[k].value is not None for row in rows) for k in range(len(header))]
@@ -192,7 +190,9 @@ def parameter_table(fit: Fit) -> Element:
         shares = {}
         with suppress(ValueError):  # the fit has no standard errors
             judged = fit.identifiability
-            shares = by_name(judged.names, np.array([judged.error, judged.insensitivity]).T)
+            shares = dict(
+                zip(judged.names, np.array([judged.error, judged.insensitivity]).T, strict=True)
+            )
         for row, (name, *_) in zip(cells, rows, strict=True):
             low, high = intervals.get(name, (math.nan, math.nan))
             error, insensitivity = shares.get(name, (math.nan, math.nan))

@@ -20,7 +20,6 @@ from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.profile_result import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
-from greybox.files.arrays import Named
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import grouped, unique
 from greybox.files.numbers_in_text import number
@@ -146,7 +145,7 @@ class Entry:
 
     label: str
     fit: Fit | None
-    answer: Named = field(default_factory=dict)
+    answer: Mapping[str, Any] = field(default_factory=dict)
     error: str = ""
 
     @property

@@ -17,7 +17,6 @@ import numpy as np
 from greybox.estimate.result import Fit
 from greybox.experiment.margins import Margins
 from greybox.files.argument_checks import checked_items, require_kind
-from greybox.files.arrays import Strings
 from greybox.files.grouping import grouped
 from greybox.files.numbers_in_text import number
 from greybox.files.safe_files import write_text
@@ -111,7 +110,7 @@ def report(
 def members_of(study: Study) -> list[Entry]:
     """Return the members of a study, those with the same answer as one; the first with fits."""
 
-    def seen(member: StudyMember) -> Strings:
+    def seen(member: StudyMember) -> tuple[str, ...]:
         # Neither a seed nor an approximation of the delay need change an answer.
         factors = [
             f"{n} {value}" for n, value in member.factors.items() if n not in ("seed", "delay")

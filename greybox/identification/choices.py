@@ -3,6 +3,7 @@
 Begin with `choose`.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,6 @@ import numpy as np
 
 from greybox.data.excited_segment import Segment, Segments
 from greybox.data.record import Recording
-from greybox.files.arrays import Fields, Labels, NamedStrings, StringPair
 from greybox.files.grouping import unique
 from greybox.files.wording import some
 from greybox.identification.measurement import Settings, found_tests
@@ -57,7 +57,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     # A table has names of its own, and with a period or the whole log there are no tests to choose.
     if stated.get("period") or stated.get("whole") or not has_axis:
         return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
-    settings: Fields = stated | {"input": "u", "output": "y"}
+    settings: dict[str, Any] = stated | {"input": "u", "output": "y"}
     tests = found_tests(recording, Settings(**settings))
     usable = [test for test in tests if test.usable]
     if not usable:
@@ -96,7 +96,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     return _as_stated(recording, stated), tuple(choices)
 
 
-def _as_stated(recording: Recording, stated: Fields) -> Settings:
+def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
     for name in ("input", "output"):
         if not stated.get(name):
             signals = next(iter(recording.values())).signals if len(recording) == 1 else {}
@@ -107,7 +107,7 @@ def _as_stated(recording: Recording, stated: Fields) -> Settings:
     return Settings(**stated)
 
 
-def _first(recording: Recording, signals: Labels) -> str:
+def _first(recording: Recording, signals: Sequence[str]) -> str:
     """Return the first of the signals that the log has; empty without one."""
     return next(iter(present(recording, signals)), "")
 
@@ -143,7 +143,7 @@ def motion(recording: Recording, signal: str, tests: Segments) -> float:
     return max(spreads, default=0.0)
 
 
-def _chosen_axis(usable: Segments, axes: NamedStrings, wanted: str) -> str:
+def _chosen_axis(usable: Segments, axes: Mapping[str, str], wanted: str) -> str:
     """Return the axis as its tests name it: the wanted one, or that of the longest tests."""
     if wanted:
         for raw, axis in axes.items():
@@ -162,7 +162,7 @@ def _why_axis(test: Segment) -> str:
     return f"{test.axis} moves" if axis_of(test.axis) else "its setpoint moves most"
 
 
-def _output(recording: Recording, axis: str, used: Segments) -> StringPair:
+def _output(recording: Recording, axis: str, used: Segments) -> tuple[str, str]:
     """Return the best-sampled angle of the axis, or else its rate, with a name, and the reason."""
     own = AXES.get(axis)
     kinds = ("angle", "rate")

@@ -16,7 +16,7 @@ from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
 from greybox.files.argument_checks import checked_items
-from greybox.files.arrays import Interval, Labels, Named, Strings
+from greybox.files.arrays import Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values, attributes, non_empty
 from greybox.files.printed import one_line
@@ -56,7 +56,7 @@ class Identification:
     choices: tuple[Choice, ...]
     measurements: tuple[Measurement, ...]
     selection: Selection | None = None
-    through: Strings = ()
+    through: tuple[str, ...] = ()
 
     @property
     def measurement(self) -> Measurement:
@@ -64,7 +64,7 @@ class Identification:
         return self.measurements[0]
 
     @property
-    def refusals(self) -> Strings:
+    def refusals(self) -> tuple[str, ...]:
         """Why responses are not a basis for a model."""
         return tuple(chain.from_iterable(m.quality.refusals for m in self.measurements))
 
@@ -94,9 +94,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     log: str | Path | Recording | Sequence[str | Path | Recording],
     *,
     structures: Sequence[Model | Structure] = (),
-    through: Labels | None = None,
+    through: Sequence[str] | None = None,
     fixed: Values | None = None,
-    free: Labels = (),
+    free: Sequence[str] = (),
     bounds: Mapping[str, Interval] | None = None,
     start: Values | None = None,
     all_points: bool = False,
@@ -205,7 +205,7 @@ def _judged(measurement: Measurement) -> Measurement:
     return replace(measurement, quality=measurement.quality.with_findings(*refusals))
 
 
-def _filters(measurement: Measurement, names: Labels | None) -> KnownFilters:
+def _filters(measurement: Measurement, names: Sequence[str] | None) -> KnownFilters:
     """Return the filters of these names, or those that the output has passed before its log."""
     assert measurement.response is not None
     if names is None:
@@ -221,7 +221,7 @@ def _candidate(
     structure: Structure,
     responses: Sequence[FrequencyResponse],
     series: Sequence[TransferFunction],
-    stated: Named,
+    stated: Mapping[str, Any],
     starts: int,
     seed: int,
 ) -> Candidate:

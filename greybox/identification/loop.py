@@ -8,10 +8,10 @@ Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd 
 Ljung (1999), System Identification, 2nd ed., section 13.4.
 """
 
+from collections.abc import Sequence
 from itertools import chain
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Labels
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.segment_detection import SETPOINTS, present
 
@@ -31,7 +31,7 @@ def loop_text(controller: str) -> str:
     return "open loop (the log shows no controller)"
 
 
-def controller_in(recording: Recording, controls: Labels, measured: Labels) -> str:
+def controller_in(recording: Recording, controls: Sequence[str], measured: Sequence[str]) -> str:
     """Return the signal or message that shows a controller of the axis; empty without one.
 
     A signal that is `measured` as an output is not a setpoint: a column r may be a setpoint or a

@@ -1,12 +1,13 @@
 """From multisines on several inputs at once to the matrix of responses, with what was chosen."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Interval, Labels, Strings
+from greybox.files.arrays import Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import one_line
@@ -36,7 +37,7 @@ class MatrixMeasurement:
 
     record: Record
     responses: tuple[FrequencyResponse, ...]
-    choices: Strings
+    choices: tuple[str, ...]
 
     def __repr__(self) -> str:
         return one_line(self, counted(len(self.responses), "response"))
@@ -50,11 +51,11 @@ class MatrixMeasurement:
 
 def measure_matrix(
     recording: Recording,
-    inputs: Labels,
-    outputs: Labels,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
     period: float,
     *,
-    excitations: Labels = (),
+    excitations: Sequence[str] = (),
     rate: float | None = None,
     band: Interval | None = None,
     settle: float = SETTLED,
@@ -111,7 +112,7 @@ def measure_matrix(
     return MatrixMeasurement(record, responses, tuple(choices))
 
 
-def _moving(record: Record, names: Labels) -> Interval:
+def _moving(record: Record, names: Sequence[str]) -> Interval:
     """Return from when to when a signal moves."""
     steps = np.array([np.diff(record[name]) for name in names])
     # Above rounding: a logged zero may be a small number.
@@ -124,7 +125,7 @@ def _moving(record: Record, names: Labels) -> Interval:
     return float(record.time[moves[0]]), float(record.time[moves[-1] + 1])
 
 
-def _row(response: FrequencyResponse) -> Strings:
+def _row(response: FrequencyResponse) -> tuple[str, ...]:
     error = float(np.median(response.relative_error))
     ends = (number(float(response.omega[0]), 4), number(float(response.omega[-1]), 4))
     return (response.output, response.input, str(len(response)), *ends, number(100 * error, 2))

@@ -18,13 +18,12 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, described_unstated_hold
 from greybox.data.record import Record, Recording
 from greybox.data.units import known_unit
-from greybox.files.arrays import Interval, Labels, NamedStrings, StringPair, Strings
+from greybox.files.arrays import Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.named_values import non_empty
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import one_line
-from greybox.files.text_table import Sentences
 from greybox.files.wording import counted
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -100,7 +99,7 @@ class Settings:
     output: str
     instrument: str = ""
     announced: str = ""
-    fields: NamedStrings = field(default_factory=dict)
+    fields: Mapping[str, str] = field(default_factory=dict)
     setpoint: str = ""
     axis: str = ""
     tests: str = ""
@@ -111,7 +110,7 @@ class Settings:
     whole: bool = False
     open_loop: bool = False
     points: int = 40
-    conditioned: Labels = ()
+    conditioned: Sequence[str] = ()
     drop_warned: bool = False
     refined: bool = False
 
@@ -141,7 +140,7 @@ class Settings:
         _require_consistent(self)
 
     @property
-    def names(self) -> tuple[StringPair, StringPair]:
+    def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
         """Name and signal of input and output; the name is that of the field by default."""
         return named_signal(self.input), named_signal(self.output)
 
@@ -173,13 +172,13 @@ def _require_consistent(settings: Settings) -> None:
             )
 
 
-def named_signal(text: str) -> StringPair:
+def named_signal(text: str) -> tuple[str, str]:
     """Return name and signal of ``"u=RATE.POut"``; the name is that of the field by default."""
     name, equals, signal = text.partition("=")
     return (name, signal) if equals else (text.rpartition(".")[2], text)
 
 
-def named_signals(texts: Labels) -> NamedStrings:
+def named_signals(texts: Sequence[str]) -> Mapping[str, str]:
     """Return signals by name; raise ValueError if two have the same name."""
     signals = dict(map(named_signal, texts))
     if len(signals) < len(texts):
@@ -217,7 +216,7 @@ class Measurement:
     settings: Settings
     tests: tuple[Segment, ...]
     used: tuple[Segment, ...]
-    signals: NamedStrings
+    signals: Mapping[str, str]
     record: Record
     response: FrequencyResponse | None
     quality: Quality
@@ -227,7 +226,7 @@ class Measurement:
     linear: Mapping[Orders, LinearFit]
 
     @property
-    def choices(self) -> Strings:
+    def choices(self) -> tuple[str, ...]:
         """What was chosen and dropped, and why."""
         loop = "open loop, as stated" if self.settings.open_loop else loop_text(self.controller)
         if self.used and self.used[0].kind == "sine":
@@ -572,11 +571,11 @@ def _about(
     recording: Recording,
     record: Record,
     response: FrequencyResponse,
-    signals: NamedStrings,
+    signals: Mapping[str, str],
     filters: KnownFilters,
     used: Segments,
     settings: Settings,
-) -> NamedStrings:
+) -> Mapping[str, str]:
     """Return the origin of a response, for its file."""
     return non_empty(
         {
@@ -601,7 +600,7 @@ def _about(
     )
 
 
-def _kind(signals: NamedStrings, used: Segments, settings: Settings) -> str:
+def _kind(signals: Mapping[str, str], used: Segments, settings: Settings) -> str:
     if used and used[0].kind == "sine":
         return "single sines"
     way = "periodic" if settings.period else "spectral"
@@ -625,7 +624,7 @@ def _excitation(used: Segments) -> str:
     return f"{counted(len(used), used[0].kind)}{axis}{size}, {band}, {times}"
 
 
-def _conversions(recording: Recording, signals: NamedStrings) -> Sentences:
+def _conversions(recording: Recording, signals: Mapping[str, str]) -> Iterator[str]:
     """Yield which signals were converted to SI, and from which unit."""
     for name, signal in signals.items():
         log, field_name = recording.locate(signal)

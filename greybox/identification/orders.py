@@ -14,7 +14,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray, Named, Strings, sum_of_squares
+from greybox.files.arrays import Array, ComplexArray, sum_of_squares
 from greybox.files.named_values import Values, selected
 from greybox.files.wording import counted
 from greybox.formulation.starts import Sobol
@@ -300,7 +300,7 @@ def _candidate(
     orders: Orders,
     start: Values,
     through: Sequence[TransferFunction],
-    stated: Named,
+    stated: Mapping[str, Any],
 ) -> Candidate:
     """Fit a structure by maximum likelihood."""
     polynomial: Any = included_model("greybox.models.polynomial", "Polynomial")
@@ -353,7 +353,7 @@ def _stable_start(orders: Orders, values: Values) -> Values:
     return {**mirrored, "T_delay": delay} if delay > 0 else {}
 
 
-def _described(orders: Orders, fit: Fit) -> tuple[str, Strings]:
+def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
     """Return the factored transfer function, and remarks on its poles and zeros."""
     if not fit.converged:
         return "", ()

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Strings
 from greybox.files.frozen_values import frozen
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import one_line
@@ -51,7 +50,7 @@ class Candidate:
     label: str
     fit: Fit
     about: str = ""
-    remarks: Strings = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def noise(self) -> float:
@@ -190,7 +189,7 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     return Selection(tuple(candidates), fitted[k], tuple(bic), reason, note)
 
 
-def held_by_bounds(fit: Fit) -> Strings:
+def held_by_bounds(fit: Fit) -> tuple[str, ...]:
     """Return the remark that parameters ended at a bound."""
     names = fit.at_bound
     return (f"{listed(names)} at {'its' if len(names) == 1 else 'their'} bound",) if names else ()

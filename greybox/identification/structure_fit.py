@@ -7,7 +7,7 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Fields, Interval, Labels, Named
+from greybox.files.arrays import Interval
 from greybox.files.named_values import Values
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
@@ -31,7 +31,7 @@ class Structure:
 
     model: Model
     name: str
-    free: Labels = ()
+    free: Sequence[str] = ()
 
 
 def problem_of_structure(
@@ -50,12 +50,12 @@ def problem_of_structure(
     return parts[0] if len(parts) == 1 else Sum(parts)
 
 
-def stated_for(model: Model, stated: Named) -> Fields:
+def stated_for(model: Model, stated: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options, limited to the parameters that a model has."""
     unknown = [name for name in stated if name not in STATED]
     if unknown:
         raise TypeError(f"there is no option {unknown[0]!r}; there are {', '.join(STATED)}.")
-    options: Fields = {}
+    options: dict[str, Any] = {}
     for what, values in stated.items():
         names = [name for name in values if name in model.parameters]
         options[what] = names if what == "free" else {name: values[name] for name in names}
@@ -68,7 +68,7 @@ def fit_within_far_bounds(
     point: Values,
     *,
     bounds: Mapping[str, Interval],
-    stated: Named,
+    stated: Mapping[str, Any],
 ) -> Fit:
     """Fit a structure, and widen a bound that holds a parameter, unless it is zero or `stated`.
 

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.data.excited_segment import Segments
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, ComplexArray, Interval, column_lengths, real_root
+from greybox.files.arrays import Array, ComplexArray, Interval, real_root
 from greybox.files.frozen_values import frozen
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
@@ -143,7 +143,7 @@ def _thinned(
             Finding("logging", "warning", thinned.logged, text),
         )
     common = thinning_error(thinned, recording, axis, response)
-    relative = column_lengths(common)
+    relative = np.linalg.norm(common, axis=0)
     text = (
         f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all "
         f"frequencies and a fitted gain have in common; to log every pass, {thinned.cure}."

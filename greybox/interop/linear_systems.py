@@ -7,9 +7,9 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, as_arrays
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, by_name
+from greybox.files.named_values import Values
 from greybox.modeling.linearization import linearize
 from greybox.modeling.model import Model, require_operating_point
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -64,13 +64,15 @@ class GivenModel:
             # At rest the delayed input equals the input. Other states of the delay would make this
             # another operating point, with other Jacobians.
             rest = system.delay_rest([point[name] for name in system.inputs]).full().ravel()
-            point |= by_name(system.states[-rest.size :], rest.tolist())
+            point |= dict(zip(system.states[-rest.size :], rest.tolist(), strict=True))
 
         x, u, _ = system.symbols
         formulas = (system.derivative(x, u, p), system.output(x, u, p))
         jacobians = [ca.jacobian(formula, z) for formula in formulas for z in (x, u)]
         at_point = [[point[name] for name in names] for names in (system.states, system.inputs)]
-        return system, as_arrays(ca.Function("linear", [x, u], jacobians)(*at_point))
+        return system, [
+            matrix.full() for matrix in ca.Function("linear", [x, u], jacobians)(*at_point)
+        ]
 
     def _warn_of_motion(self, system: Dynamics, p: Array, point: Values) -> None:
         """Warn that the matrices are about a motion if the point is no equilibrium."""
@@ -94,7 +96,7 @@ class GivenModel:
         p = np.array([*self.values.values()], dtype=float)
         delays = system.delay(p).full().ravel().tolist()
         if pade is None:
-            self._require_no_delay(by_name(system.inputs, delays))
+            self._require_no_delay(dict(zip(system.inputs, delays, strict=True)))
         return system, p
 
     def _require_no_delay(self, delays: Values) -> None:

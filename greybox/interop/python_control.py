@@ -1,6 +1,7 @@
 """To and from python-control, ``pip install 'greybox-id[control]'``."""
 
 import re
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -9,7 +10,6 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
 from greybox.files.argument_checks import as_names
-from greybox.files.arrays import Labels, NamedStrings, Strings
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values
 from greybox.files.optional_package import required
@@ -114,8 +114,8 @@ def to_control(
 def from_control(
     system: Any,
     *,
-    inputs: Labels = (),
-    outputs: Labels = (),
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
 ) -> Any:
     """Return a system of python-control as a frequency response or as a model.
 
@@ -174,14 +174,14 @@ def from_control(
     return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y)
 
 
-def _named(name: str) -> NamedStrings:
+def _named(name: str) -> Mapping[str, str]:
     """Return the name of a system as python-control accepts it."""
     # It refuses dots, and brackets mark the names that it generates.
     plain = re.sub(r"\W+", "_", name).strip("_")
     return {"name": plain} if plain else {}
 
 
-def _signal_names(given: Labels, labels: Labels) -> Strings:
+def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
     """Return the given names, else the labels with ``u[0]`` as ``u`` or ``u1``."""
     # Names of signals become attributes in formulas, x.u1, which cannot contain brackets.
     if given:

@@ -1,6 +1,5 @@
 """The signals of one axis of a vehicle, as a flight controller logs them."""
 
-from greybox.files.arrays import Strings
 from greybox.files.frozen_values import frozen
 
 
@@ -8,12 +7,12 @@ from greybox.files.frozen_values import frozen
 class AxisSignals:
     """The signals of one axis, the best first; `terms` are terms of its controllers."""
 
-    controls: Strings
-    angles: Strings
-    rates: Strings
-    setpoints: Strings
-    terms: Strings
-    sticks: Strings = ()
+    controls: tuple[str, ...]
+    angles: tuple[str, ...]
+    rates: tuple[str, ...]
+    setpoints: tuple[str, ...]
+    terms: tuple[str, ...]
+    sticks: tuple[str, ...] = ()
 
 
 # Names of angle and rate in models.

@@ -25,7 +25,7 @@ import numpy as np
 from greybox.data.clock import median_step
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, ComplexArray, FloatPair
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.logs.ardupilot.filters import CONTROLLERS
@@ -132,7 +132,7 @@ def thinning_error(
     )
 
 
-def _differences(per_pass: float, stride: int) -> FloatPair:
+def _differences(per_pass: float, stride: int) -> tuple[float, float]:
     """Return how far logged passes differ from all passes, in gyro samples and in their age."""
     # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass

@@ -5,6 +5,7 @@ level is one manoeuvre. A lasting change of the level is a step.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from greybox.data.clock import median_step
 from greybox.data.excited_segment import Segment
 from greybox.data.record import Record, Recording
 from greybox.files.argument_checks import as_names
-from greybox.files.arrays import Array, Interval, Labels
+from greybox.files.arrays import Array, Interval
 from greybox.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.logs.sine_detection import sines_and_sweeps
 
@@ -42,7 +43,9 @@ class _Rest(NamedTuple):
     ends: float
 
 
-def find_manoeuvres(data: Recording | Record, signal: str | Labels = ()) -> tuple[Segment, ...]:
+def find_manoeuvres(
+    data: Recording | Record, signal: str | Sequence[str] = ()
+) -> tuple[Segment, ...]:
     """Return the manoeuvres in the inputs of a flight, in order of time.
 
     Their kind is "step" or "manoeuvre". Sines and sweeps are not manoeuvres, see `find_segments`.

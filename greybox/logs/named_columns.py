@@ -1,6 +1,6 @@
 """Columns of a table under the user's names, and signals in SI."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from greybox.data.intersample import CONTINUOUS, HELD
@@ -8,13 +8,13 @@ from greybox.data.record import Record
 from greybox.data.response_columns import find_column
 from greybox.data.time_column import unit_in_name
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, NamedArrays, NamedStrings, StringPair
+from greybox.files.arrays import Array
 
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}  # ends a unit, see `table_columns.table`
 
 
 def renamed(
-    columns: NamedArrays, units: NamedStrings, stated: NamedStrings, source: str
+    columns: Mapping[str, Array], units: Mapping[str, str], stated: Mapping[str, str], source: str
 ) -> tuple[dict[str, Array], dict[str, str]]:
     """Return the columns of a table in its order, the stated ones under their new names, and units.
 
@@ -66,7 +66,7 @@ def _agreed(stated: str, written: str) -> str:
     return f"{wanted or unit} {wanted_hold or hold}".strip()
 
 
-def unit_and_hold(text: str) -> StringPair:
+def unit_and_hold(text: str) -> tuple[str, str]:
     """Split ``deg sampled``, a unit and a word on the hold; either may be empty."""
     unit, _, hold = text.strip().rpartition(" ")
     hold = hold.lower()

@@ -20,7 +20,7 @@ from greybox.data.intersample import HELD, intersample
 from greybox.data.record import Record, Recording, require_time
 from greybox.data.units import to_si
 from greybox.files.argument_checks import as_names, is_finite_number, require_kind
-from greybox.files.arrays import Array, ArrayPair, IntArray, Labels, Strings, nans
+from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.wording import counted
@@ -38,7 +38,7 @@ STOP = 0.5
 class Derived:
     """A signal computed from others on the common time base: ``compute(*inputs) -> (n,)``."""
 
-    inputs: Strings
+    inputs: tuple[str, ...]
     compute: Callable[..., Array]
     unit: str
 
@@ -73,7 +73,7 @@ def prepare(
     *,
     start: float = -math.inf,
     end: float = math.inf,
-    held: Labels = (),
+    held: Sequence[str] = (),
     gaps: Gaps | None = None,
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
@@ -203,7 +203,7 @@ class _Source:
     time: Array
     values: Array
     unit: str
-    findings: Strings
+    findings: tuple[str, ...]
     hold: float | None
     step: float  # s, median of the requested stretch: the rate may differ elsewhere
     gaps: Gaps
@@ -319,7 +319,7 @@ def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
     """Return the signal on `grid`, NaN in its gaps and outside."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
 
-    result = nans(grid.size)
+    result = np.full(grid.size, np.nan)
     for run in source.runs:
         time, values = source.time[run], source.values[run]
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
@@ -350,7 +350,7 @@ def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
     return holds.pop() if len(holds) == 1 else None
 
 
-def _low_passed(time: Array, values: Array, step: float, rate: float) -> ArrayPair:
+def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:
     """Filter with zero phase at the rate of the source; point reflection extends the ends."""
     from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (0.33 s to import)
 
@@ -370,7 +370,7 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> ArrayPa
     return uniform, oaconvolve(padded, kernel, mode="valid")
 
 
-def _known_filters(recording: Recording, names: Labels) -> tuple[Any, ...]:
+def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
     """Return the filters stated by the record, or else those of the flight controller."""
     for name in names:
         record, field = recording.locate(name)

@@ -1,10 +1,11 @@
 """Finds the tests in a flight: those of System Identification mode, and sines and sweeps."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +16,7 @@ from greybox.data.units import known_unit
 from greybox.files.argument_checks import as_names
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
-    Fields,
     IntArray,
-    Labels,
-    NamedArrays,
-    NamedStrings,
-    Strings,
 )
 from greybox.files.named_values import Values
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
@@ -52,8 +47,8 @@ STICK_TRAVEL = {"manual_control_setpoint": 2.0}  # of PX4; that of others is 100
 def find_segments(
     data: Recording | Record,
     message: str = "",
-    fields: NamedStrings | None = None,
-    setpoint: str | Labels = (),
+    fields: Mapping[str, str] | None = None,
+    setpoint: str | Sequence[str] = (),
 ) -> tuple[Segment, ...]:
     """Return the excited segments of a flight, in order of time.
 
@@ -159,7 +154,7 @@ def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, st
 
 
 def _announced(
-    data: Recording | Record, message: str, fields: NamedStrings | None
+    data: Recording | Record, message: str, fields: Mapping[str, str] | None
 ) -> Iterator[Segment]:
     record = data[message] if isinstance(data, Recording) else data
     chosen = dict(fields) if fields else {k: v for k, v in ANNOUNCED.items() if v in record.signals}
@@ -174,7 +169,7 @@ def _announced(
     if "frequency" in columns:
         columns["omega"] = math.tau * columns.pop("frequency")
     for rows in _tests(record.time, columns):
-        value: Fields = {key: float(x[rows[0]]) for key, x in columns.items()}
+        value: dict[str, Any] = {key: float(x[rows[0]]) for key, x in columns.items()}
         start, end = record.time[rows[[0, -1]]].tolist()
         axis = f"{value.pop('axis'):g}" if "axis" in value else ""
         value.pop("segment", None)
@@ -182,7 +177,7 @@ def _announced(
         yield Segment(start, end, axis=axis, unit=unit, source=message or "record", **value)
 
 
-def _tests(time: Array, columns: NamedArrays) -> list[IntArray]:
+def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
     """Return the rows of each test, which ends if a field changes or the message pauses."""
     change = np.diff(time) > max(PAUSE, 5 * median_step(time))
     for values in columns.values():
@@ -266,7 +261,7 @@ def present(data: Recording | Record, names: Iterable[str]) -> list[str]:
 
 def stretches(
     data: Recording | Record, name: str, longest_gap: float = 0.0
-) -> tuple[str, list[ArrayPair]]:
+) -> tuple[str, list[tuple[Array, Array]]]:
     """Return the unit of a signal, and time and values of every stretch between its gaps.
 
     Missing samples are left out, angles are unwrapped, and gaps up to `longest_gap`, s, are
@@ -290,7 +285,7 @@ def stretches(
     ]
 
 
-def announcing(recording: Recording) -> Strings:
+def announcing(recording: Recording) -> tuple[str, ...]:
     """Return the messages that look like announcements of tests, with the fields of `ANNOUNCED`."""
     fields = {ANNOUNCED[key] for key in ("segment", "omega", "amplitude")}
     return tuple(

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.clock import median_step
 from greybox.data.excited_segment import Segment
-from greybox.files.arrays import Array, ArrayPair, FloatPair, IntArray
+from greybox.files.arrays import Array, IntArray
 
 # `benchmarks/signal_constants.py` shows what these constants decide. Below, "of 20" means pairs of
 # noisy sines; "of 15", schedules that are clean, offset, quantized or held; "of 24", sweeps; and
@@ -145,7 +145,7 @@ def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray
     return np.array([corners[0], *turns, extreme], dtype=np.intp)
 
 
-def _crossings(time: Array, values: Array, corners: IntArray) -> ArrayPair:
+def _crossings(time: Array, values: Array, corners: IntArray) -> tuple[Array, Array]:
     """Return when the signal crosses the middle between turning points, s, and their distances."""
     times = []
     for a, b in pairwise(corners):
@@ -303,7 +303,7 @@ def _sweep(
     return replace(piece, start=start, end=stop, band=(min(slow), max(fast)))
 
 
-def _end_frequency(crossings: Array) -> FloatPair:
+def _end_frequency(crossings: Array) -> tuple[float, float]:
     """Return the frequency half a wave beyond the first of these crossings, and at it, rad/s."""
     frequency = math.pi / np.abs(np.diff(crossings))
     beyond = float(BEYOND @ frequency)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, Fields, Labels, Named, sum_of_squares
+from greybox.files.arrays import Array, sum_of_squares
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
@@ -25,7 +25,7 @@ class ExtendedModel(StateSpace):
     accelerations.
     """
 
-    def __init__(self, model: StateSpace, states: Labels, parameters: Parameters) -> None:
+    def __init__(self, model: StateSpace, states: Sequence[str], parameters: Parameters) -> None:
         self.model, self.derived = model, model.derived  # type: ignore[misc]
         self.states = (*model.states, *states)
         self.inputs, self.outputs = tuple(model.inputs), tuple(model.outputs)
@@ -33,7 +33,7 @@ class ExtendedModel(StateSpace):
         self.units = model.units
         self.parameters = {**model.parameters, **parameters}
 
-    def additions(self, x: Any, u: Any, p: Any) -> Named:
+    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
         """Return what adds to derivatives of the model, by state."""
         return {}
 
@@ -117,9 +117,9 @@ class AddedTerms(ExtendedModel):
         """The model and what is added."""
         return f"{self.model.label} with {', '.join(self.terms)}"
 
-    def additions(self, x: Any, u: Any, p: Any) -> Named:
+    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
         """Return the terms of every derivative."""
-        sums: Fields = {}
+        sums: dict[str, Any] = {}
         for name, (state, formula, _) in self.terms.items():
             sums[state] = sums.get(state, 0.0) + p[name] * formula(x, u, p)
         return sums

@@ -1,10 +1,10 @@
 """An ODE with disturbances of first-order color on its derivatives, such as gusts."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.files.arrays import Interval, Named
+from greybox.files.arrays import Interval
 from greybox.modeling.added_terms import ExtendedModel
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
@@ -48,7 +48,7 @@ class ColoredDisturbance(ExtendedModel):
         """The model and which states are disturbed."""
         return f"{self.model.label}, disturbed {', '.join(self.disturbed)}"
 
-    def additions(self, x: Any, u: Any, p: Any) -> Named:
+    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
         """Return the disturbance of every derivative."""
         return {state: x[gust] for state, gust in zip(self.disturbed, self.gusts, strict=True)}
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import AnyArray, Array, Indices
+from greybox.files.arrays import AnyArray, Array
 
 
 def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> list[list[Any]]:
@@ -38,7 +38,7 @@ def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) ->
     return [[rows[j].get(k, 0.0) for k in range(n, len(system[0]))] for j in corner]
 
 
-def elimination_order(A: Array, omega: Array) -> Indices:
+def elimination_order(A: Array, omega: Array) -> tuple[int, ...]:
     """Return an order of the states in which no pivot vanishes: the natural one, or its reverse.
 
     Parameters

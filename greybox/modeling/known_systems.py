@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Labels, Strings, all_finite
+from greybox.files.arrays import all_finite
 from greybox.modeling.function_of_s import polynomial_value
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -91,9 +91,9 @@ class KnownStateSpace(StateSpace):
         C: ArrayLike,
         D: ArrayLike,
         *,
-        states: Labels = (),
-        inputs: Labels = (),
-        outputs: Labels = (),
+        states: Sequence[str] = (),
+        inputs: Sequence[str] = (),
+        outputs: Sequence[str] = (),
     ) -> None:
         matrices = [np.atleast_2d(np.array(value, dtype=float)) for value in (A, B, C, D)]
         k, m = matrices[3].shape
@@ -139,7 +139,9 @@ def _coefficients(values: Sequence[float], what: str) -> list[float]:
     return np.trim_zeros(numbers, "f").tolist() or [0.0]
 
 
-def _signal_names(names: Labels, letter: str, count: int, *, numbered: bool = False) -> Strings:
+def _signal_names(
+    names: Sequence[str], letter: str, count: int, *, numbered: bool = False
+) -> tuple[str, ...]:
     if not names:
         is_alone = count == 1 and not numbered
         return (letter,) if is_alone else tuple(f"{letter}{k + 1}" for k in range(count))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, Indices, StringPair, all_finite, as_arrays
+from greybox.files.arrays import Array, all_finite
 from greybox.files.named_values import Values
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
@@ -93,7 +93,7 @@ def frequency_response(
 def response_formulas(
     model: Model,
     omega: Array,
-    pairs: Sequence[StringPair],
+    pairs: Sequence[tuple[str, str]],
     symbol: ca.SX | None = None,
     *,
     at: Values | None = None,
@@ -172,14 +172,14 @@ def _beside(undelayed: Callable[[Any], Any], s: Complex, hold: float, delay: Any
     return ramp * rate + (step * at_once if ca.SX(delay).is_zero() else 0)
 
 
-def _elimination_order(model: StateSpace, matrix: Trimmed, omega: Array) -> Indices:
+def _elimination_order(model: StateSpace, matrix: Trimmed, omega: Array) -> tuple[int, ...]:
     """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters does so at any few values.
     random = np.random.default_rng(0)
     points = [start_values(model.parameters)]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
     closed: Any = matrix.closed()
-    samples = as_arrays(map(closed, points))
+    samples = [matrix.full() for matrix in map(closed, points)]
     # A draw may have no operating point.
     regular = [A for A in samples if all_finite(A)]
     return elimination_order(np.reshape(regular, (len(regular), *samples[0].shape)), omega)

@@ -3,9 +3,9 @@
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Strings, all_finite, as_arrays
+from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, by_name
+from greybox.files.named_values import Values
 from greybox.files.printed import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace, input_delays
@@ -33,9 +33,9 @@ class LinearSystem:
     B: Array
     C: Array
     D: Array
-    states: Strings
-    inputs: Strings
-    outputs: Strings
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
     delays: Array
     point: Values
 
@@ -91,10 +91,10 @@ def linearize(
         )
 
     return LinearSystem(
-        *as_arrays(jacobians(model)(vector, x, u)),
+        *[matrix.full() for matrix in jacobians(model)(vector, x, u)],
         states=model.state_names,
         inputs=model.input_names,
         outputs=model.output_names,
         delays=np.array([*input_delays(model, p).values()], dtype=float),
-        point=by_name(model.resting_signals, point.tolist()),
+        point=dict(zip(model.resting_signals, point.tolist(), strict=True)),
     )

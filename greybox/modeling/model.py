@@ -4,13 +4,13 @@ import inspect
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import CodeType, MappingProxyType
 from typing import Any, ClassVar, Self, SupportsIndex
 
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Fields, Interval, Labels, Named, NamedStrings, StringPair, Strings
+from greybox.files.arrays import Interval
 from greybox.files.named_values import Values
 from greybox.files.spelling import alternatives, nearest
 from greybox.files.wording import listed
@@ -19,10 +19,10 @@ from greybox.modeling.parameter import Parameter, Parameters
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
 
 
-class Names(Named):
+class Names(Mapping[str, Any]):
     """Values by name, ``p.a1`` or ``p["a1"]``: the arguments of a formula."""
 
-    def __init__(self, values: Named, what: str = "it") -> None:
+    def __init__(self, values: Mapping[str, Any], what: str = "it") -> None:
         self.__dict__.update(values)
         self.__dict__["_what"] = what
 
@@ -198,10 +198,10 @@ class Model(ABC):
     """
 
     parameters: Parameters = MappingProxyType({})
-    trim: Callable[[Any, Any], Named] | None = None
-    units: NamedStrings = MappingProxyType({})
+    trim: Callable[[Any, Any], Mapping[str, Any]] | None = None
+    units: Mapping[str, str] = MappingProxyType({})
     derived: ClassVar[Mapping[str, ParameterFormula]] = MappingProxyType({})
-    arguments: tuple[tuple[Any, ...], Fields]
+    arguments: tuple[tuple[Any, ...], dict[str, Any]]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Collect the parameters of the class body and of the classes above it."""
@@ -231,21 +231,21 @@ class Model(ABC):
 
     @property
     @abstractmethod
-    def input_names(self) -> Strings:
+    def input_names(self) -> tuple[str, ...]:
         """Names of the input signals."""
 
     @property
     @abstractmethod
-    def output_names(self) -> Strings:
+    def output_names(self) -> tuple[str, ...]:
         """Names of the output signals."""
 
     @property
-    def state_names(self) -> Strings:
+    def state_names(self) -> tuple[str, ...]:
         """Names of the states; a transfer function declares none."""
         return ()
 
     @property
-    def resting_signals(self) -> Strings:
+    def resting_signals(self) -> tuple[str, ...]:
         """States and inputs at an operating point; a transfer function has none."""
         return ()
 
@@ -344,7 +344,7 @@ def require_operating_point(model: Model, at: Values | None) -> None:
     require_known(at or {}, model.resting_signals, "state or input", model.label)
 
 
-def pick_signals(model: Model, input: str = "", output: str = "") -> StringPair:
+def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, str]:
     """Return the names of input and output; an empty name means the only signal."""
     return (
         _pick(input, model.input_names, "input", model.label),
@@ -352,7 +352,7 @@ def pick_signals(model: Model, input: str = "", output: str = "") -> StringPair:
     )
 
 
-def _pick(name: str, known: Labels, what: str, owner: str) -> str:
+def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
     if name:
         require_known([name], known, what, owner)
         return name

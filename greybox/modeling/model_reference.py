@@ -5,12 +5,11 @@ import inspect
 import pkgutil
 import warnings
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Fields, Named
 from greybox.files.control_characters import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
@@ -29,7 +28,7 @@ from greybox.modeling.transfer_function import (
 POINTS = 3  # at which formulas are compared: at one of them, a branch may be inactive by chance
 
 
-def reference(model: Model) -> Fields:
+def reference(model: Model) -> dict[str, Any]:
     """Return ``{"class": "module:Class", "arguments": [...], "keywords": {...}}`` and names."""
     positional, named = model.arguments
     return {
@@ -85,7 +84,7 @@ def _values_at(model: Model, point: int) -> Any:
     return np.array([*np.asarray(rates).ravel(), *outputs, *delays])
 
 
-def resolve(stored: Named, given: Sequence[AnyModel] = ()) -> Model:
+def resolve(stored: Mapping[str, Any], given: Sequence[AnyModel] = ()) -> Model:
     """Return the model that a reference names: one of those `given`, or one of greybox's own.
 
     A reference comes from a file, and a file must not choose what is imported: only `given` models

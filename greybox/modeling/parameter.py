@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.checked_array import number_pair
 from greybox.files.argument_checks import is_finite_number, require_kind
-from greybox.files.arrays import Array, FloatPair, Interval
+from greybox.files.arrays import Array, Interval
 from greybox.files.numbers_in_text import number
 from greybox.files.text_table import text_table
 
@@ -62,7 +62,7 @@ class Parameter:
     fixed: bool = False
     starts: Interval | None = None
     scale: str = "linear"
-    prior: FloatPair | None = None
+    prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the types, and the numbers against one another."""
@@ -161,7 +161,7 @@ def parameter_table(parameters: Parameters) -> str:
     return text_table(header, rows, (0, 3, 4, 5))
 
 
-def normal_prior(value: object, what: str) -> FloatPair:
+def normal_prior(value: object, what: str) -> tuple[float, float]:
     """Return mean and standard deviation; ValueError for anything else."""
     mean, sigma = number_pair(value, what)
     if not (math.isfinite(mean) and math.isfinite(sigma) and sigma > 0):

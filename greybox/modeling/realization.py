@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, Fields, Strings, all_finite
+from greybox.files.arrays import Array, all_finite
 from greybox.files.frozen_values import frozen
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -53,10 +53,10 @@ class Dynamics:
         (inputs) -> the states of delays of inputs that have always been constant.
     """
 
-    states: Strings
-    inputs: Strings
-    outputs: Strings
-    parameters: Strings
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
     derivative: ca.Function
     output: ca.Function
     delay: ca.Function
@@ -91,7 +91,7 @@ class Dynamics:
         result[tuple(slopes.sparsity().get_triplet())] = values
         return result
 
-    def observed(self, outputs: Strings) -> "Dynamics":
+    def observed(self, outputs: tuple[str, ...]) -> "Dynamics":
         """Return the same dynamics with these of its outputs."""
         rows = [self.outputs.index(name) for name in outputs]
         values = self.output(*self.symbols)[rows]
@@ -196,7 +196,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
 
 def _functions(
     x: ca.SX, u: ca.SX, p: ca.SX, derivative: ca.SX, output: ca.SX, delay: ca.SX
-) -> Fields:
+) -> dict[str, Any]:
     """Return the functions of `Dynamics` with these values at x, u and p."""
     return {
         "derivative": ca.Function("derivative", [x, u, p], [derivative]),

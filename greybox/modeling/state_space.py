@@ -6,7 +6,6 @@ from types import MappingProxyType
 from typing import Any
 
 from greybox.files.argument_checks import is_finite_number
-from greybox.files.arrays import Fields, Labels, Named, NamedStrings, Strings
 from greybox.modeling.model import (
     Model,
     ParameterFormula,
@@ -53,10 +52,10 @@ class StateSpace(Model):
     array([1.])
     """
 
-    states: Labels = ()
-    inputs: Labels = ("u",)
-    outputs: Labels = ("y",)
-    delays: NamedStrings = MappingProxyType({})
+    states: Sequence[str] = ()
+    inputs: Sequence[str] = ("u",)
+    outputs: Sequence[str] = ("y",)
+    delays: Mapping[str, str] = MappingProxyType({})
     state_starts: Mapping[str, float | ParameterFormula] = MappingProxyType({})
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -104,12 +103,12 @@ class StateSpace(Model):
         """Return every output, in the order of `outputs`."""
 
     @property
-    def state_names(self) -> Strings:
+    def state_names(self) -> tuple[str, ...]:
         """Names of the states."""
         return tuple(self.states)
 
     @property
-    def resting_signals(self) -> Strings:
+    def resting_signals(self) -> tuple[str, ...]:
         """States, then inputs."""
         return (*self.states, *self.inputs)
 
@@ -119,16 +118,16 @@ class StateSpace(Model):
         return not self.states and not self.delays
 
     @property
-    def input_names(self) -> Strings:
+    def input_names(self) -> tuple[str, ...]:
         """Names of the inputs."""
         return tuple(self.inputs)
 
     @property
-    def output_names(self) -> Strings:
+    def output_names(self) -> tuple[str, ...]:
         """Names of the outputs."""
         return tuple(self.outputs)
 
 
-def input_delays(model: StateSpace, p: Named) -> Fields:
+def input_delays(model: StateSpace, p: Mapping[str, Any]) -> dict[str, Any]:
     """Return the delay of every input, s, at parameters by name; zero where it has none."""
     return {i: p[model.delays[i]] if i in model.delays else 0.0 for i in model.inputs}

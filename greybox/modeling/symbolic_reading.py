@@ -10,8 +10,6 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Fields
-from greybox.files.named_values import by_name
 from greybox.files.wording import counted
 from greybox.modeling.formula_structure import with_finite_slopes
 from greybox.modeling.model import Model, Names, ParameterFormula
@@ -35,9 +33,9 @@ def parameter_names(model: Model, p: Any) -> Names:
     return Names(entries_by_name(model.parameters, p), model.label)
 
 
-def entries_by_name(names: Iterable[str], column: Any) -> Fields:
+def entries_by_name(names: Iterable[str], column: Any) -> dict[str, Any]:
     """Return the entries (n,) of a column of CasADi by these names."""
-    return by_name(names, ca.vertsplit(column))
+    return dict(zip(names, ca.vertsplit(column), strict=True))
 
 
 def as_column(entries: Iterable[Any]) -> ca.SX:

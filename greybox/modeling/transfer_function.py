@@ -2,10 +2,9 @@
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.files.arrays import Labels, StringPair, Strings
 from greybox.modeling.model import Model, Names, ParameterFormula, merged_parameters, require_known
 
 
@@ -41,19 +40,19 @@ class TransferFunction(Model):
         """
 
     @property
-    def input_names(self) -> Strings:
+    def input_names(self) -> tuple[str, ...]:
         """The one input."""
         return (self.input,)
 
     @property
-    def output_names(self) -> Strings:
+    def output_names(self) -> tuple[str, ...]:
         """The one output."""
         return (self.output,)
 
     def __mul__(self, other: Any) -> "TransferFunction":
         return self.series(other) if isinstance(other, TransferFunction) else NotImplemented
 
-    def series(self, other: "TransferFunction", shared: Labels = ()) -> "TransferFunction":
+    def series(self, other: "TransferFunction", shared: Sequence[str] = ()) -> "TransferFunction":
         """Return the series connection ``self * other``, in which `shared` parameters are one.
 
         Raises
@@ -89,7 +88,7 @@ class TransferFunction(Model):
 class RenamedParameters(TransferFunction):
     """A transfer function with other names of parameters, see `TransferFunction.renamed`."""
 
-    def __init__(self, model: TransferFunction, *pairs: StringPair) -> None:
+    def __init__(self, model: TransferFunction, *pairs: tuple[str, str]) -> None:
         _require_transfer_functions(model)
         names = dict(pairs)
         require_known(names, model.parameters, "parameter", model.label)
@@ -150,7 +149,7 @@ class SeriesConnection(Connection):
         first: TransferFunction,
         second: TransferFunction,
         output: str = "",
-        shared: Labels = (),
+        shared: Sequence[str] = (),
     ) -> None:
         _require_transfer_functions(first, second)
         # If shared silently, the delay of a rotor would act once more as the delay of the airframe.

@@ -3,13 +3,13 @@
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ArrayPair, Fields, Labels, StringPair
-from greybox.files.text_table import Sentences
+from greybox.files.arrays import Array
 from greybox.plotting.figure import ANGLES, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import (
@@ -29,7 +29,7 @@ MOST_PAIRS = 6
 
 def bode(
     *fits: Fit | FrequencyResponse,
-    labels: Labels = (),
+    labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
     level: float | None = 0.95,
     hz: bool = False,
@@ -85,7 +85,7 @@ def bode(
 
 def bode_figures(
     fits: Sequence[Fit | FrequencyResponse],
-    labels: Labels = (),
+    labels: Sequence[str] = (),
     level: float | None = 0.95,
     most: int = MOST_PAIRS,
 ) -> list[Figure]:
@@ -175,7 +175,7 @@ def _error_panels(
 
 def _caption(
     responses: Sequence[DrawnResponse], panels: Sequence[Panel], level: float | None
-) -> Sentences:
+) -> Iterator[str]:
     if level is not None and any(drawn.band is not None for drawn in responses):
         yield f"Shaded: {100 * level:g} % confidence band of the fitted response."
     if any(drawn.response.variance is not None for drawn in responses):
@@ -201,7 +201,7 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     return band(drawn.label, omega, middle - half_width, middle + half_width, drawn.color)
 
 
-def error_bars(data: FrequencyResponse, values: Array) -> list[Fields]:
+def error_bars(data: FrequencyResponse, values: Array) -> list[dict[str, Any]]:
     """Return the ends of bars around magnitudes in dB and phases in degrees, `values` (2, n)."""
     if data.variance is None:
         return [{}, {}]
@@ -225,8 +225,8 @@ def phases(responses: Sequence[DrawnResponse]) -> Iterator[Array]:
     """
     # Measured points are not unwrapped along frequency, because one noisy point would shift all
     # that follow: each is shown within half a turn of its curve.
-    first: dict[StringPair, ArrayPair] = {}
-    curves: dict[str | StringPair, ArrayPair] = {}
+    first: dict[tuple[str, str], tuple[Array, Array]] = {}
+    curves: dict[str | tuple[str, str], tuple[Array, Array]] = {}
     for drawn in responses:
         alone = _unwrapped(drawn.response)
         phase = _moved(alone, first.setdefault(drawn.pair, alone))
@@ -241,14 +241,14 @@ def phases(responses: Sequence[DrawnResponse]) -> Iterator[Array]:
         yield own + 360 * np.round(distance / 360)
 
 
-def _unwrapped(response: FrequencyResponse) -> ArrayPair:
+def _unwrapped(response: FrequencyResponse) -> tuple[Array, Array]:
     """Return the sorted omega (n,) and the phase (n,), unwrapped from within (-180°, 180°]."""
     response = response.by_frequency
     turn = 360 if response.degrees[0] <= -180 else 0
     return response.omega, response.degrees + turn
 
 
-def _moved(phase: ArrayPair, guide: ArrayPair) -> ArrayPair:
+def _moved(phase: tuple[Array, Array], guide: tuple[Array, Array]) -> tuple[Array, Array]:
     """Move a phase by multiples of 360° next to a guide, at their lowest common frequency."""
     low = max(phase[0][0], guide[0][0])
     distance = interpolated(low, *guide) - interpolated(low, *phase)

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, Interval, Labels
+from greybox.files.arrays import Array, ComplexArray, Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.numbers_in_text import number
 
@@ -54,8 +54,8 @@ class Series:
     style: int = 0
     low: Array | None = None
     high: Array | None = None
-    notes: Labels = ()
-    labels: Labels = ()
+    notes: Sequence[str] = ()
+    labels: Sequence[str] = ()
     is_hollow: bool = False
     is_across: bool = False
 
@@ -107,7 +107,7 @@ class Panel:
     limits: Interval | None = None
     steps: Sequence[float] = ()
     title: str = ""
-    ticks: Labels = ()
+    ticks: Sequence[str] = ()
 
 
 @frozen
@@ -157,7 +157,7 @@ class Figure:
     is_whole: bool = False
     is_wide: bool = False
     limits: Interval | None = None
-    ticks: Labels = ()
+    ticks: Sequence[str] = ()
     unit: str = "rad/s"
 
 

@@ -1,13 +1,14 @@
 """Signals of a flight log over time: a whole log with its tests, and the traces of one test."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from greybox.data.clock import median_step
 from greybox.data.excited_segment import Segment, Segments, checked_segments
 from greybox.data.record import Record, Recording, runs_between_gaps
-from greybox.files.arrays import Array, Labels
+from greybox.files.arrays import Array
 from greybox.files.grouping import grouped
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
 from greybox.plotting.long_lines import drawn_line
@@ -130,7 +131,7 @@ def signal_line(name: str, time: Array, values: Array, color: int) -> Series:
     return Series(name, "line", x, y, color)
 
 
-def _panel(recording: Recording, signals: Labels, color: int) -> Panel:
+def _panel(recording: Recording, signals: Sequence[str], color: int) -> Panel:
     series = []
     unit = ""
     for k, signal in enumerate(signals, color):

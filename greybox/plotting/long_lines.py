@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.record import runs_between_gaps
-from greybox.files.arrays import Array, ArrayPair, IntArray
+from greybox.files.arrays import Array, IntArray
 
 COLUMNS = 2000  # pixels of a figure of 10 inches at 200 dpi; each shows two extremes
 
@@ -15,7 +15,7 @@ def drawn_line(
     values: Array,
     rows: Sequence[IntArray],
     columns: int = COLUMNS,
-) -> ArrayPair:
+) -> tuple[Array, Array]:
     """Return the pieces of a line with NaN between them; long ones keep the extremes of columns."""
     # Every n-th sample would hide spikes; the smallest and the largest of each column show them.
     size = -(-sum(map(len, rows)) // columns)

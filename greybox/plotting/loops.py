@@ -1,6 +1,7 @@
 """Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
-from greybox.files.arrays import Array, Fields, FloatPair
+from greybox.files.arrays import Array
 from greybox.plotting.bode import BARS, error_bars
 from greybox.plotting.figure import (
     ANGLES,
@@ -78,7 +79,7 @@ def loop_figures(margins: Margins) -> list[Figure]:
         # Both phases in the same turn.
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
         sizes, angles = error_bars(data, np.array([size, angle]))
-        looks: list[Fields] = [
+        looks: list[dict[str, Any]] = [
             {"x": data.omega, "y": size, **sizes},
             {"x": data.omega, "y": angle, **angles},
             {"x": angle, "y": size, **sizes},
@@ -124,7 +125,7 @@ def _banded(margins: Margins, x: Array, values: Array) -> list[Series]:
     return [band("", x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)), *curve]
 
 
-def _plane(x: Array, y: Array, critical: FloatPair) -> list[Series]:
+def _plane(x: Array, y: Array, critical: tuple[float, float]) -> list[Series]:
     """Return the curve of the estimate over those of draws, and the critical point."""
     # Draws in the Nichols and Nyquist diagrams, where a band has no direction
     return [

@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, Fields, FloatPair
+from greybox.files.arrays import Array
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, in_hertz, outlined
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
@@ -69,7 +69,7 @@ def draw(
     *,
     legend: bool = True,
     columns: int = 1,
-    size: FloatPair = (6.4, 2.5),
+    size: tuple[float, float] = (6.4, 2.5),
     title: str = "",
     hz: bool = False,
 ) -> AxesArray:
@@ -327,7 +327,7 @@ def _write_labels(ax: Axes, panel: Panel, unit: str) -> None:
             written.append((text, spot))
 
 
-def _look(series: Series) -> Fields:
+def _look(series: Series) -> dict[str, Any]:
     """Return the keywords of matplotlib's `plot`."""
     color = color_of(series.color)
     look = {"color": color, "label": plain(series.name) or "_"}

@@ -1,13 +1,14 @@
 """The Nyquist diagram: points and curves in the complex plane, a panel for signals of each size."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Fields, Interval, Labels
+from greybox.files.arrays import Interval
 from greybox.files.numbers_in_text import number
 from greybox.plotting.figure import Figure, Panel, outlined
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -18,7 +19,7 @@ CIRCLES = "Circles: confidence regions of the measured points."
 
 def nyquist(
     *fits: Fit | FrequencyResponse,
-    labels: Labels = (),
+    labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
     level: float | None = 0.95,
     hz: bool = False,
@@ -64,7 +65,7 @@ def nyquist(
 
 def nyquist_figures(
     fits: Sequence[Fit | FrequencyResponse],
-    labels: Labels = (),
+    labels: Sequence[str] = (),
     level: float | None = 0.95,
 ) -> list[Figure]:
     """Return one figure for each input-output pair."""
@@ -113,7 +114,7 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
     )
 
 
-def in_plane(response: FrequencyResponse, level: float | None) -> Fields:
+def in_plane(response: FrequencyResponse, level: float | None) -> dict[str, Any]:
     """Return places and notes of measured points, in the order of their frequencies.
 
     With a variance and a level, they have circles: the regions of the true response.

@@ -8,7 +8,6 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Labels
 from greybox.plotting.bode import bode_figures
 from greybox.plotting.figure import Figure, require_drawable
 from greybox.plotting.matplotlib_figure import draw_into, height_of, new_figure
@@ -72,7 +71,9 @@ def plot(fit: Fit, *, hz: bool = False) -> MatplotlibFigure:
     return page
 
 
-def response_figures(fits: Sequence[Fit | FrequencyResponse], labels: Labels = ()) -> list[Figure]:
+def response_figures(
+    fits: Sequence[Fit | FrequencyResponse], labels: Sequence[str] = ()
+) -> list[Figure]:
     """Return Bode and Nyquist diagrams; those of one pair next to each other if there are many."""
     sides = zip_longest(bode_figures(fits, labels), nyquist_figures(fits, labels))
     return [figure for pair in sides for figure in pair if figure]

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.files.arrays import NamedArrays
+from greybox.files.arrays import Array
 from greybox.plotting.figure import Figure, Panel, Series, band, require_drawable
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 
-def pairs(columns: NamedArrays, axes: GivenAxes | None = None) -> AxesArray:
+def pairs(columns: Mapping[str, Array], axes: GivenAxes | None = None) -> AxesArray:
     """Draw histograms of parameters, and each pair of them with its correlation.
 
     Parameters
@@ -38,7 +38,7 @@ def pairs(columns: NamedArrays, axes: GivenAxes | None = None) -> AxesArray:
     return draw(figures, axes, columns=len(names), size=(2.4, 2.2))
 
 
-def _figure(columns: NamedArrays, x: str, y: str) -> Figure:
+def _figure(columns: Mapping[str, Array], x: str, y: str) -> Figure:
     if x == y:
         counts, edges = np.histogram(columns[x], "auto")
         steps = counts.repeat(2)

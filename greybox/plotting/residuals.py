@@ -1,12 +1,13 @@
 """The residuals of a fitted record: where they are large, and what they are correlated with."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, NamedArrays
+from greybox.files.arrays import Array
 from greybox.files.greek_letters import in_greek
 from greybox.files.numbers_in_text import p_text
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable, rule
@@ -143,7 +144,7 @@ def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
     )
 
 
-def _coherence(part: FittedRecord, output: str, inputs: NamedArrays) -> Figure:
+def _coherence(part: FittedRecord, output: str, inputs: Mapping[str, Array]) -> Figure:
     from scipy.signal import coherence  # noqa: PLC0415  (takes a tenth of a second to import)
 
     piece = max(part.data.stretches(part.input_names), key=len)

@@ -12,7 +12,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, Labels, StringPair
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.greek_letters import in_greek
 from greybox.files.grouping import unique
@@ -43,7 +43,7 @@ class DrawnResponse:
     label: str
     is_measured: bool
     checksum: str
-    pair: StringPair
+    pair: tuple[str, str]
     fit: Fit | None = None
     part: int = 0
     band: ResponseBand | None = None
@@ -62,7 +62,7 @@ class DrawnResponse:
 
 
 def drawn_responses(
-    items: Sequence[Fit | FrequencyResponse], labels: Labels, level: float | None
+    items: Sequence[Fit | FrequencyResponse], labels: Sequence[str], level: float | None
 ) -> list[DrawnResponse]:
     """Return the curves of all items, then their data; shared data only once.
 

@@ -1,16 +1,15 @@
 """Signals as a person reads them: degrees for radians, and Greek letters."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from greybox.data.record import Record
-from greybox.files.arrays import Labels, NamedStrings
 from greybox.files.greek_letters import in_greek
 from greybox.files.grouping import Item
 from greybox.files.wording import numbered_where_alike
 
 
-def shown_unit(units: NamedStrings, name: str) -> tuple[float, str]:
+def shown_unit(units: Mapping[str, str], name: str) -> tuple[float, str]:
     """Return the factor of a signal to the unit that a person reads, and that unit."""
     # Pilots and logs speak of degrees; models compute in radians.
     unit = units.get(name, "")
@@ -44,7 +43,7 @@ def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
     return items[number]
 
 
-def distinct_labels(defaults: Labels, labels: Labels) -> Labels:
+def distinct_labels(defaults: Sequence[str], labels: Sequence[str]) -> Sequence[str]:
     """Return one label for each item, by default numbered where two are alike.
 
     Raises

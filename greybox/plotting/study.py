@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Array, StringPair, sum_of_squares
+from greybox.files.arrays import Array, sum_of_squares
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number, p_text
@@ -195,7 +195,7 @@ def structures_figure(results: Study | Comparison) -> Figure:
     return Figure(title, "", [panel], limits=limits[1], ticks=names)
 
 
-def _evidence(comparison: Comparison) -> dict[StringPair, float]:
+def _evidence(comparison: Comparison) -> dict[tuple[str, str], float]:
     return {
         (row["measure"], label): value
         for row in comparison.table
@@ -205,9 +205,9 @@ def _evidence(comparison: Comparison) -> dict[StringPair, float]:
     }
 
 
-def _shares(study: Study) -> dict[StringPair, float]:
+def _shares(study: Study) -> dict[tuple[str, str], float]:
     """Return the least share of agreeing starts by data set and structure."""
-    shares: dict[StringPair, float] = {}
+    shares: dict[tuple[str, str], float] = {}
     structure = study.structures
     for member in study.members:
         factors, agreeing = member.factors, member.answer.get("agreeing", 0)

@@ -6,10 +6,9 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, IntArray, Labels, Strings
+from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
-from greybox.files.named_values import by_name
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, require_drawable, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -44,15 +43,15 @@ class History:
     label: str
     data: Record
     modeled: Record
-    outputs: Strings
-    inputs: Strings
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
     pieces: list[IntArray]
 
 
 def time_history(
     *items: Fit | Prediction,
     record: int = 0,
-    labels: Labels = (),
+    labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
 ) -> AxesArray:
     """Draw measured and fitted outputs over time, below each its residuals, and the inputs.
@@ -89,7 +88,7 @@ def time_history(
 def history_figure(
     items: Sequence[Fit | Prediction],
     record: int = 0,
-    labels: Labels = (),
+    labels: Sequence[str] = (),
     columns: int = COLUMNS,
 ) -> Figure:
     """Return the history of one record; long lines keep the extremes of this many columns."""
@@ -108,7 +107,7 @@ def history_figure(
     inputs = unique(name for history in drawn for name in history.inputs)
     panels = []
     for output in outputs:
-        panels += _output_panels(by_name(names, drawn), output, columns)
+        panels += _output_panels(dict(zip(names, drawn, strict=True)), output, columns)
     for name in inputs:
         data = next(history.data for history in drawn if name in history.data.signals)
         values = shown_unit(data.units, name)[0] * data[name]
@@ -183,7 +182,7 @@ def _history(item: Fit | Prediction, record: int) -> History:
     )
 
 
-def _lines(data: Record, inputs: Labels) -> list[IntArray]:
+def _lines(data: Record, inputs: Sequence[str]) -> list[IntArray]:
     """Return the rows between which lines are drawn: those through which a model runs on."""
     return data.stretches(inputs) if data.has_time else data.independent_pieces
 

@@ -7,15 +7,15 @@ Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 a
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from greybox.data.record import Record, require_time, unrounded
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Array, Labels, NamedStrings, Strings, sum_of_squares
+from greybox.files.arrays import Array, sum_of_squares
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, by_name
+from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import Printed
 from greybox.files.text_table import text_table, titled
@@ -45,7 +45,7 @@ class UsedEquation:
     """
 
     left: str
-    parameters: Strings
+    parameters: tuple[str, ...]
     r_squared: float
     rows: int
     band: float
@@ -81,13 +81,13 @@ class EquationErrorEstimate(Printed):
     name: str
     estimate: Values
     equations: tuple[UsedEquation, ...]
-    left_out: Strings
-    missing: NamedStrings
-    at_bound: Strings
-    states: Strings
+    left_out: tuple[str, ...]
+    missing: Mapping[str, str]
+    at_bound: tuple[str, ...]
+    states: tuple[str, ...]
     parameters: Parameters
-    warnings: Strings
-    inputs: NamedStrings
+    warnings: tuple[str, ...]
+    inputs: Mapping[str, str]
 
     def __str__(self) -> str:
         rows = []
@@ -122,7 +122,7 @@ def equation_error(
     record: Record,
     *,
     fixed: Values | None = None,
-    free: Labels = (),
+    free: Sequence[str] = (),
     inputs: Inputs = "record",
 ) -> EquationErrorEstimate:
     """Estimate the parameters of an ODE from measured states, by least squares per equation.
@@ -174,7 +174,7 @@ def equation_error(
     start = start_values(unknown)
     equations = regressions(system, record.signals, constants)
     _require_equations(model, equations, record)
-    between = by_name(system.inputs, between_samples(inputs, system.inputs, record))
+    between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
     rows, bands = regressors(equations, record, start, between)
     low, high = lower_and_upper(unknown[n] for n in equations.linear)
     # The equations are weighted by the sizes of their residuals, known only after a solution: at
@@ -223,7 +223,7 @@ def equation_error(
 class _NoOutputs(OutputError):  # noqa: N818  (no exception)
     """A criterion that compares no outputs: regressions may need only states."""
 
-    def compared(self, model: Model, record: Record) -> Strings:
+    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         modeled_outputs(model, record.signals, model.output_names, "record")  # checks the inputs
         return ()
 
@@ -253,7 +253,9 @@ def explained(target: Array, errors: Array) -> float:
     return 1 - float(errors @ errors) / variance if variance > 0 else math.nan
 
 
-def _why(name: str, equations: Equations, groups: Sequence[Strings], parameter: Parameter) -> str:
+def _why(
+    name: str, equations: Equations, groups: Sequence[tuple[str, ...]], parameter: Parameter
+) -> str:
     partners = next((group for group in groups if name in group), ())
     if len(partners) > 1:
         return f"only a combination of {', '.join(partners)} is determined: fix one of them"
@@ -264,7 +266,7 @@ def _why(name: str, equations: Equations, groups: Sequence[Strings], parameter: 
     return "it is in no equation that can be used"
 
 
-def _warnings(used: Sequence[UsedEquation], at_bound: Labels) -> list[str]:
+def _warnings(used: Sequence[UsedEquation], at_bound: Sequence[str]) -> list[str]:
     bounded = [f"{n} ended at its bound." for n in at_bound]
     unexplained = [
         f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there "

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, Indices, IntArray, column_lengths, positive_or_one
+from greybox.files.arrays import Array, IntArray, positive_or_one
 from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import triangle_of
 
@@ -47,13 +47,13 @@ class Rows:
         return np.sqrt(np.where(total > 0, total / np.maximum(size, 1), 1.0))
 
 
-def undetermined(slopes: Array) -> list[Indices]:
+def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     """Return the columns without effect, and sets of columns with a combination without effect."""
     from scipy.linalg import null_space  # noqa: PLC0415  (imports slowly)
 
     # The triangular factor has the singular values of all rows, which may be many thousands.
     triangle = triangle_of(slopes)
-    sizes = column_lengths(triangle)
+    sizes = np.linalg.norm(triangle, axis=0)
     zero = [(int(k),) for k in np.flatnonzero(sizes == 0)]
     nonzero = np.flatnonzero(sizes)
     if not nonzero.size:
@@ -76,7 +76,7 @@ def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
     triangle = triangle_of(np.column_stack([right, slopes]))
     right, matrix = triangle[:, 0], triangle[:, 1:]
     # The least-norm solution of columns of length one does not depend on units.
-    sizes = positive_or_one(column_lengths(matrix))
+    sizes = positive_or_one(np.linalg.norm(matrix, axis=0))
     bounded = lsq_linear(
         matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000
     )

@@ -16,7 +16,6 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.argument_checks import require_whole
 from greybox.files.arrays import (
     Array,
-    ArrayTriple,
     ComplexArray,
     positive_or_one,
     real_and_imaginary,
@@ -255,7 +254,7 @@ def reweighted(
     orders: tuple[int, int, int],
     weight: Array,
     iterations: int,
-) -> ArrayTriple:
+) -> tuple[Array, Array, Array]:
     """Return numerators (..., m + 1), denominators (..., n + 1) and the last normalized equations.
 
     `response` and `weight` (..., n_ω) are of one problem or of several, which are solved together;
@@ -269,7 +268,7 @@ def reweighted(
     highest = np.ones((*response.shape[:-1], 1))
     zeros = np.zeros((*response.shape[:-1], integrators))
 
-    def solved(weight: Array) -> ArrayTriple:
+    def solved(weight: Array) -> tuple[Array, Array, Array]:
         factor = weight[..., None]
         matrix = real_and_imaginary(factor * equations, -2)
         # Powers of ω differ by decades: without scaling, the rank would depend on the units.

@@ -5,7 +5,6 @@ from typing import Literal
 
 import casadi as ca
 
-from greybox.files.arrays import Strings
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.modeling.formula_structure import has_switches
@@ -43,8 +42,8 @@ class Equation:
 
     target: str
     kind: Kind
-    parameters: Strings
-    signals: Strings
+    parameters: tuple[str, ...]
+    signals: tuple[str, ...]
 
     @property
     def left(self) -> str:
@@ -76,13 +75,13 @@ class Equations:
 
     states: tuple[KnownState, ...]
     equations: tuple[Equation, ...]
-    state_names: Strings
-    input_names: Strings
-    linear: Strings
-    nonlinear: Strings
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    linear: tuple[str, ...]
+    nonlinear: tuple[str, ...]
     rows: ca.Function
     delay: ca.Function
-    left_out: Strings
+    left_out: tuple[str, ...]
 
 
 def regressions(
@@ -215,12 +214,12 @@ class _Analysis:
     def _unknown(self, row: ca.SX) -> set[str]:
         return {*_needed(row, self.state)} - self.states.keys()
 
-    def _parameters(self, row: ca.SX) -> Strings:
+    def _parameters(self, row: ca.SX) -> tuple[str, ...]:
         """Return the free parameters of a row and of its delays."""
         late = [self.delays[self.model.inputs.index(n)] for n in _needed(row, self.input)]
         return tuple(_needed(ca.vertcat(row, *late), self.parameter))
 
-    def _linear(self, rows: ca.SX) -> Strings:
+    def _linear(self, rows: ca.SX) -> tuple[str, ...]:
         """Return the parameters in which all rows are jointly affine."""
         # A parameter of a delay changes the regressors themselves.
         excluded = _needed(self.delays, self.parameter)

@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.clock import median_step
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, as_arrays, nans
+from greybox.files.arrays import Array
 from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -50,7 +50,7 @@ def regressors(
     """
     time = record.time
     step = median_step(time)
-    x = nans((len(equations.state_names), time.size))
+    x = np.full((len(equations.state_names), time.size), np.nan)
     derivatives: dict[str, Array] = {}
     cutoffs: dict[str, float] = {}
     for state in equations.states:
@@ -64,7 +64,7 @@ def regressors(
         x[equations.state_names.index(state.name)] = signal
         derivatives[state.name] = differentiate(time, signal)
 
-    u = nans((len(equations.input_names), time.size))
+    u = np.full((len(equations.input_names), time.size), np.nan)
     lateness = 0.0
     delays = np.asarray(equations.delay(p)).ravel().tolist()
     for row, name, delay in zip(u, equations.input_names, delays, strict=True):
@@ -72,7 +72,7 @@ def regressors(
         row[:] = _delayed(time, without_holes(time, record[name]), delay + course.late, course.held)
         lateness = max(lateness, delay + (step if course.held else course.late))
 
-    base, slopes = as_arrays(equations.rows(x, u, p))
+    base, slopes = [matrix.full() for matrix in equations.rows(x, u, p)]
     slopes = slopes.reshape(len(base), time.size, -1)
     # Share of the lowest cutoff of the signals of an equation. With 1, what smoothing took from the
     # signals biases the tilt model by many standard errors; with 0.7 and 0.5, the intervals cover;
@@ -136,7 +136,7 @@ def _delayed(time: Array, values: Array, late: float, held: bool) -> Array:
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
-    result = nans(time.size)
+    result = np.full(time.size, np.nan)
     for rows in stretches(time, values):
         t, u = time[rows], values[rows]
         if t.size > 3:

@@ -19,7 +19,7 @@ import numpy as np
 
 from greybox.data.clock import ONE_LOST, median_step
 from greybox.data.record import runs_between_gaps
-from greybox.files.arrays import Array, ArrayPair, IntArray, nans, sum_of_squares
+from greybox.files.arrays import Array, IntArray, sum_of_squares
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
@@ -67,7 +67,7 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
     is_line = sum_of_squares(amplitude) <= 1e-24 * float(np.nansum(values**2))
     cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
-    smoothed = nans(values.size)
+    smoothed = np.full(values.size, np.nan)
     for rows in parts:
         smoothed[rows] = low_pass(values[rows], step, cutoff)
     return smoothed, cutoff
@@ -89,7 +89,7 @@ def differentiate(time: Array, values: Array) -> Array:
     """Differentiate a smooth signal (n,), stretch by stretch, by cubic splines of order step⁴."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
-    result = nans(values.size)
+    result = np.full(values.size, np.nan)
     for rows in stretches(time, values):
         if rows.stop - rows.start > 3:
             result[rows] = CubicSpline(time[rows], values[rows])(time[rows], 1)
@@ -128,7 +128,7 @@ def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
     return [rows[run] for run in runs_between_gaps(time[rows], gap * median_step(time))]
 
 
-def _sines(values: Array, step: float) -> ArrayPair:
+def _sines(values: Array, step: float) -> tuple[Array, Array]:
     """Return the sine amplitudes of a stretch minus the line between its ends, and rad/s."""
     from scipy.fft import dst  # noqa: PLC0415  (imports slowly)
 

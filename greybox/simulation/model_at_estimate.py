@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.files.argument_checks import is_finite_number
-from greybox.files.arrays import Array, IntArray, StringPair, Strings
+from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values, places_of, selected
 from greybox.formulation.time_criteria import (
@@ -65,13 +65,13 @@ class ModelAtEstimate:
 
     label: str
     system: Dynamics
-    names: Strings
+    names: tuple[str, ...]
     q: Array
     covariance: Array | None
     criterion: TimeCriterion
     part: Any
     declared: Parameters
-    own: Strings = ()
+    own: tuple[str, ...] = ()
     held: tuple[bool, ...] = ()
 
     @property
@@ -111,7 +111,7 @@ class ModelAtEstimate:
         system = self.system.later([assumption.late for assumption in between])
         return replace(self, system=system, held=tuple(assumption.held for assumption in between))
 
-    def noise(self, outputs: Strings) -> Array | None:
+    def noise(self, outputs: tuple[str, ...]) -> Array | None:
         """Return the covariance (k, k) of the errors of these outputs; None if unknown."""
         if self.part is None or not set(outputs) <= set(self.part.outputs):
             return None
@@ -183,7 +183,9 @@ def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
     )
 
 
-def criterion_of(inputs: Inputs, biases: Strings, gains: tuple[StringPair, ...]) -> TimeCriterion:
+def criterion_of(
+    inputs: Inputs, biases: tuple[str, ...], gains: tuple[tuple[str, str], ...]
+) -> TimeCriterion:
     """Return the criterion under which a model runs, with innovations if there are `gains`."""
     kind = PredictionError if gains else OutputError
     return kind(inputs=inputs, biases=biases)

@@ -10,16 +10,16 @@ Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identificatio
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, FloatPair, IntArray, Labels, Strings
+from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
-from greybox.files.named_values import by_name, places_of, selected, without
+from greybox.files.named_values import places_of, selected, without
 from greybox.files.numbers_in_text import with_error
 from greybox.files.wording import counted, listed
 from greybox.formulation.time_criteria import bias_parameter
@@ -39,8 +39,8 @@ def with_own_values(
     model: ModelAtEstimate,
     windows: Windows,
     integrator: Integrator | None,
-    own: Labels,
-) -> tuple[ModelAtEstimate, dict[str, FloatPair], Strings]:
+    own: Sequence[str],
+) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], tuple[str, ...]]:
     """Return the model with the values `own` estimated from the windows.
 
     Also returned are these values with their standard errors, which include those of the model's
@@ -76,7 +76,7 @@ def with_own_values(
 
     title = record.name or "the record"
     undetermined = [name for name in unique(own) if name not in estimate.names]
-    notes: Strings = ()
+    notes: tuple[str, ...] = ()
     if undetermined:
         notes = (
             f"{listed(undetermined)}: not determined by {title}; the value of the fit is used.",
@@ -86,7 +86,9 @@ def with_own_values(
 
     covariance = _covariance(simulator, estimate)
     errors = np.sqrt(np.diag(covariance)[estimate.places]).tolist()
-    values = by_name(estimate.names, zip(estimate.values.tolist(), errors, strict=True))
+    values = dict(
+        zip(estimate.names, zip(estimate.values.tolist(), errors, strict=True), strict=True)
+    )
     rows = np.unique(estimate.windows.rows)
     numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in windows.outputs)
     texts = []
@@ -119,7 +121,7 @@ class _Estimate:
     numbers: int
 
     @property
-    def names(self) -> Strings:
+    def names(self) -> tuple[str, ...]:
         return tuple(self.model.names[k] for k in self.places)
 
     @property
@@ -183,7 +185,7 @@ def _determined(
         parameters = without(parameters, (lost,))
 
 
-def _with_biases(model: ModelAtEstimate, own: Labels) -> ModelAtEstimate:
+def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
     """Return the model with a bias of zero for every signal in `own` that has none yet."""
     possible = {f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs)}
     new = [name for name in unique(own) if name in possible and name not in model.names]

@@ -18,13 +18,8 @@ from greybox.data.record import Record
 from greybox.files.argument_checks import is_finite_number
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     BoolArray,
-    FloatPair,
     IntArray,
-    Labels,
-    Strings,
-    nans,
 )
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import places_of
@@ -89,9 +84,9 @@ class Prediction(Printed):
 
     label: str
     data: Record
-    inputs: Strings
-    outputs: Strings
-    states: Strings
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    states: tuple[str, ...]
     lead: float
     horizon: float
     rows: IntArray
@@ -100,8 +95,8 @@ class Prediction(Printed):
     noise: Array
     trajectory: Array
     one_step: Array
-    notes: Strings = ()
-    own: Mapping[str, FloatPair] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    own: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     elapsed: Array | None = None
 
     def __len__(self) -> int:
@@ -126,7 +121,7 @@ class Prediction(Printed):
         states = zip(self.states, self.trajectory, strict=True)
         named |= {name: values for name, values in states if name not in named}
 
-        signals = {name: nans(len(self.data)) for name in named}
+        signals = {name: np.full(len(self.data), np.nan) for name in named}
         there = self.rows >= 0
         for name, values in named.items():
             signals[name][self.rows[there]] = values[there]
@@ -163,7 +158,7 @@ class Prediction(Printed):
         """Return measured less predicted, (w, h)."""
         return self.measured(output) - self.predicted[self._place(output)]
 
-    def band(self, output: str, level: float = 0.95, noise: bool = False) -> ArrayPair:
+    def band(self, output: str, level: float = 0.95, noise: bool = False) -> tuple[Array, Array]:
         """Return the limits (w, h) within which an output, or with `noise` its measurement, lies.
 
         They assume the right model structure and normal errors. They do not include process noise
@@ -232,7 +227,7 @@ class Prediction(Printed):
             return share * self.horizon
         return float(self.ahead[samples_ahead(share, self.rows.shape[1]) - 1])
 
-    def _row(self, name: str, shares: Sequence[float]) -> Labels:
+    def _row(self, name: str, shares: Sequence[float]) -> Sequence[str]:
         k = self._place(name)
         grown = [number(self.rms(name, share), 3) for share in shares]
         values = [number(self.fit_percent(name), 4), number(self.rms(name), 3), *grown]
@@ -279,15 +274,15 @@ class Windows:
     """
 
     record: Record
-    inputs: Strings
-    outputs: Strings
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
     rows: IntArray
     lead: int
     horizon: int
     columns: IntArray
     repeated: BoolArray
     filled: BoolArray
-    lengths: FloatPair
+    lengths: tuple[float, float]
     elapsed: Array | None = None
 
     def __len__(self) -> int:
@@ -330,8 +325,8 @@ def seconds(length: float) -> str:
 
 def cut(
     record: Record,
-    inputs: Strings,
-    outputs: Strings,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
     *,
     lead: float,
     horizon: float,
@@ -443,7 +438,9 @@ def _windows_of(stretch: Stretch, record: Record, lead: float, horizon: float) -
     return ends[np.all(np.diff(ends, axis=1) > 0, axis=1)]
 
 
-def sample_data(windows: Windows, inputs: Strings, delays: Array, held: ArrayLike = False) -> Array:
+def sample_data(
+    windows: Windows, inputs: tuple[str, ...], delays: Array, held: ArrayLike = False
+) -> Array:
     """Return the data of all samples in the windows, (width, w, samples), see `SampledData.rows`.
 
     The inputs before a window are those of its stretch. Outputs are left out as long as the delayed
@@ -468,7 +465,7 @@ def sample_data(windows: Windows, inputs: Strings, delays: Array, held: ArrayLik
     return data
 
 
-def require_signals(record: Record, inputs: Labels, label: str = "the model") -> None:
+def require_signals(record: Record, inputs: Sequence[str], label: str = "the model") -> None:
     """Raise ValueError if an input of a model is missing."""
     missing = [name for name in inputs if name not in record.signals]
     if missing:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from greybox.compiled.sampled_data import Stretch, gapless
 from greybox.data.record import Record, share_samples
 from greybox.files.argument_checks import as_names, require_kind
-from greybox.files.arrays import Array, BoolArray, Labels, Strings, all_finite, nans
+from greybox.files.arrays import Array, BoolArray, all_finite
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values, array_of, selected
 from greybox.files.wording import counted, some
@@ -131,7 +131,8 @@ def simulate(
 
     # A state with the name of an output is given once, as the sensor shows it.
     columns = {
-        name: nans(len(record)) for name in unique((*outputs, *errors, *estimated.system.states))
+        name: np.full(len(record), np.nan)
+        for name in unique((*outputs, *errors, *estimated.system.states))
     }
     simulator = Simulator(estimated, outputs, integrator)
     unknown: list[str] = []
@@ -177,7 +178,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     inputs: Inputs | None = None,
     integrator: Integrator | None = None,
     part: int | None = None,
-    own: Labels | None = None,
+    own: Sequence[str] | None = None,
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from the state that its lead-in gives.
 
@@ -258,7 +259,7 @@ def predict_windows(
     model: ModelAtEstimate,
     windows: Windows,
     integrator: Integrator | None = None,
-    own: Labels | None = None,
+    own: Sequence[str] | None = None,
 ) -> tuple[Prediction, BoolArray, str]:
     """Predict the outputs of given windows.
 
@@ -343,7 +344,7 @@ def cure(called: str) -> str:
     return f"give a shorter {called} if the model is unstable, or {DOMAINS}"
 
 
-def _not_known(unknown: Strings, model: ModelAtEstimate) -> str:
+def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
     return (
         f"the standard errors of {model.label} are unknown if they depend on {', '.join(unknown)}, "
         "which the data of the fit do not determine"

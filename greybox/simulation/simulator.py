@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
 from functools import cache, cached_property, partial
@@ -16,19 +16,15 @@ from greybox.compiled.segments import Course, Segments
 from greybox.compiled.vectorized import Remembering
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     BoolArray,
     IntArray,
-    NamedArrays,
-    Strings,
     all_finite,
     evenly_spread,
-    nans,
     positive_or_one,
     real_root,
 )
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import by_name, places_of
+from greybox.files.named_values import places_of
 from greybox.files.wording import counted
 from greybox.modeling.integrators import Integrator, Radau, RungeKutta, repeated
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -135,7 +131,7 @@ class Simulator:
     def __init__(
         self,
         model: ModelAtEstimate,
-        outputs: Strings,
+        outputs: tuple[str, ...],
         integrator: Integrator | None,
     ) -> None:
         if not isinstance(integrator, Integrator | None):
@@ -169,7 +165,7 @@ class Simulator:
 
     def free_run(
         self, stretch: Stretch, initial: Array, fitted_initial: bool
-    ) -> tuple[NamedArrays, NamedArrays, Strings]:
+    ) -> tuple[Mapping[str, Array], Mapping[str, Array], tuple[str, ...]]:
         """Simulate one stretch from the states `initial` (n,), which the fit may have estimated.
 
         Returns outputs and states by name, standard errors by name, and the parameters without a
@@ -178,15 +174,15 @@ class Simulator:
         model = self._model
         count = len(stretch)
         # A free run has no measurements that could correct its states.
-        nothing_measured = nans((len(self._outputs), count))
+        nothing_measured = np.full((len(self._outputs), count), np.nan)
         data = SampledData((replace(stretch, outputs=nothing_measured),)).rows(model.delays)
 
         def run(step: SampleStep) -> _Run:
             return _Run(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
 
         result = self._agreeing(float(stretch.steps.max()), run)
-        signals = by_name(model.system.states, result.along.states)
-        signals |= by_name(self._outputs, result.outputs)
+        signals = dict(zip(model.system.states, result.along.states, strict=True))
+        signals |= dict(zip(self._outputs, result.outputs, strict=True))
         if model.covariance is None:
             return signals, {}, ()
 
@@ -206,7 +202,11 @@ class Simulator:
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
             by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
         error, unknown = _standard_errors(by_value[0], variance[0], model)
-        return signals, by_name([name + ERROR for name in self._outputs], error.T), unknown
+        return (
+            signals,
+            dict(zip([name + ERROR for name in self._outputs], error.T, strict=True)),
+            unknown,
+        )
 
     def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
         """Estimate the state of every window from its lead-in, and simulate the window from there.
@@ -264,7 +264,7 @@ class Simulator:
             data=data,
         )
 
-    def standard_errors(self, simulated: WindowSimulations) -> tuple[Array, Strings]:
+    def standard_errors(self, simulated: WindowSimulations) -> tuple[Array, tuple[str, ...]]:
         """Return standard errors (w, samples, k) of the outputs, and values without such errors."""
         initial = simulated.initial
         informing = np.where(simulated.in_lead[..., None], simulated.slopes, 0.0)
@@ -439,7 +439,7 @@ def relative_moves(states: Array) -> Array:
     return moves.max(axis=0, initial=0.0)
 
 
-def diverged(signals: NamedArrays) -> BoolArray:
+def diverged(signals: Mapping[str, Array]) -> BoolArray:
     """Return at which samples a signal is not finite or larger than any physical one."""
     return ~np.all([np.abs(values) < DIVERGED for values in signals.values()], axis=0)
 
@@ -451,7 +451,7 @@ def _columns(segments: Segments, data: Array) -> Array:
 
 def with_implied_states(
     slopes: Array, informing: Array, noise: Array, precision: Array
-) -> ArrayPair:
+) -> tuple[Array, Array]:
     """Return derivatives (w, samples, k, a) of outputs by values, and variances by first states.
 
     A change of a value also changes the first state (n,) that the measurements imply. The `slopes`
@@ -482,13 +482,13 @@ def with_implied_states(
 
 def _standard_errors(
     by_value: Array, variance: Array, model: ModelAtEstimate
-) -> tuple[Array, Strings]:
+) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (..., k) of outputs with the variance (..., k) of the states.
 
     A sample that depends on a value without a standard error has none either; the names of these
     values are returned, too.
     """
-    unknown: Strings = ()
+    unknown: tuple[str, ...] = ()
     if model.covariance is not None:
         covariance = model.covariance[np.ix_(model.uncertain, model.uncertain)]
         undetermined = np.isnan(np.diag(covariance))

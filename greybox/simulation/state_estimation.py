@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, nans, of_diagonal
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.frozen_values import frozen
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
@@ -76,7 +76,7 @@ def estimate_states(
     x = guess
     e, S, finite = _linearized(x, residual, sensitivities)
     if not finite.any():
-        unknown = nans(n)
+        unknown = np.full(n, np.nan)
         return StateEstimates(x, R, unknown, unknown, ~finite)
     if not finite.all():
         # The other windows begin at the mean of the windows that are finite.
@@ -106,7 +106,7 @@ def estimate_states(
         step = _halved(step, x, e, residual, R, mean, precision)
         x = x + step
         e, S, finite = _linearized(x, residual, sensitivities)
-        deviation = np.sqrt(np.maximum(of_diagonal(posterior), TINY))
+        deviation = np.sqrt(np.maximum(np.linalg.diagonal(posterior), TINY))
         if not adapting and np.all(np.abs(step) <= 1e-3 * deviation):
             break
 
@@ -151,7 +151,7 @@ def one_step_errors(
     variance = np.diag(noise)
     x = offset.copy()
     P = np.broadcast_to(np.diag(1 / precision), (w, len(precision), len(precision))).copy()
-    result = nans(e.shape)
+    result = np.full(e.shape, np.nan)
     for t in range(samples):
         for j in range(k):
             h = sensitivities[:, t, j]
@@ -182,7 +182,7 @@ def _linearized(
     )
 
 
-def information_of(e: Array, S: Array, R: Array) -> ArrayPair:
+def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
     """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n); S must be zero where nothing was measured."""
     weight = whitening(R)
     w, samples, k, n = S.shape
@@ -198,7 +198,7 @@ def whitening(covariance: Array) -> Array:
 
 def shared_prior(
     H: Array, information: Array, mean: Array, measured: Array, R: Array, spread: Array
-) -> ArrayPair:
+) -> tuple[Array, Array]:
     """Return the prior's mean and precision (n,) from H (w, n, n) and H x̂ (w, n) of every window.
 
     Fewer than ten windows do not determine the spread of their states: the prior then stays weak.
@@ -207,7 +207,7 @@ def shared_prior(
     # So weak at first that one standard deviation of a state changes the outputs by their spread.
     counts = np.isfinite(measured).sum(axis=(0, 1)) / w
     signal = max(float(counts @ (spread**2 / np.diag(R))), TINY)
-    seen = np.mean(of_diagonal(H), axis=0)
+    seen = np.mean(np.linalg.diagonal(H), axis=0)
     precision = np.where(seen > 0, seen / signal, 1.0)
     if w < 10:
         return mean, precision
@@ -216,7 +216,7 @@ def shared_prior(
         covariance = np.linalg.inv(H + np.diag(precision))
         x = np.einsum("wij,wj->wi", covariance, information + precision * mean)
         mean = x.mean(axis=0)
-        variance = of_diagonal(covariance).sum(axis=0)
+        variance = np.linalg.diagonal(covariance).sum(axis=0)
         variance = variance + ((x - mean) ** 2).sum(axis=0)
         # States that no output shows need some precision, or they would drift.
         precision = np.maximum((w - 1) / variance, 1e-12 * seen + TINY)

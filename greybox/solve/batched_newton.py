@@ -36,7 +36,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import FEWEST_IN_A_FEW_CALLS, Columns
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.modeling.one_thread import Stored, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 
@@ -155,7 +155,7 @@ class BatchedNewton:
         from_near: bool = False,
         smoothing: float | None = None,
         given: Array | None = None,
-        bounds: ArrayPair | None = None,
+        bounds: tuple[Array, Array] | None = None,
         last: int = LAST,
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.

@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, ArrayPair, BoolArray
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.frozen_values import frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
@@ -65,7 +65,7 @@ class Limits:
         below = -value
         return float(np.where(below > tolerated, below, 0.0).sum())
 
-    def linearized(self, z: Array, held: BoolArray | bool = False) -> ArrayPair:
+    def linearized(self, z: Array, held: BoolArray | bool = False) -> tuple[Array, Array]:
         """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits.
 
         Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads
@@ -82,7 +82,7 @@ class Limits:
         finite = np.isfinite(limits)
         return rows[finite], limits[finite]
 
-    def _at(self, z: Array) -> ArrayPair:
+    def _at(self, z: Array) -> tuple[Array, Array]:
         """Return the values (c,) of the constraints at z (p,), and their derivatives (c, p)."""
         values, slopes = self.constraints(z[:, None])
         return values[:, 0], slopes.reshape(-1, len(z))

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ArrayPair, all_finite, positive_or_one, real_root
+from greybox.files.arrays import Array, all_finite, positive_or_one, real_root
 from greybox.files.frozen_values import frozen
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
@@ -241,7 +241,7 @@ def with_finer_steps(search: Multistart, solver: LocalSolver) -> Multistart | No
     return replace(search, runs=runs, minima=(best, *others), nodes=ends[best.runs[0]].nodes)
 
 
-def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> ArrayPair:
+def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
     """Return Hessian and gradient of the weighted squares with respect to the unknowns."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory)

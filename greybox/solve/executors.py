@@ -44,7 +44,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from greybox.files.argument_checks import require_whole
-from greybox.files.arrays import Array, Fields
+from greybox.files.arrays import Array
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import Stored
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
@@ -390,7 +390,7 @@ class WorkerPool(Executor):
             process.shutdown(wait)
 
     def _call(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: Fields
+        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]
     ) -> Any:
         """Call a function in the process of this thread, or in the next one if that is killed."""
         thread = threading.get_ident()

@@ -1,13 +1,14 @@
 """IPOPT on one program: its options, what ends a run early, and variants with other options."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.response_programs import CostProgram
-from greybox.files.arrays import Array, Named, as_arrays
+from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.interruption import reason_to_end
@@ -38,7 +39,7 @@ class StopCheck(ca.Callback):
         constraints.
     """
 
-    def __init__(self, expressions: Named) -> None:
+    def __init__(self, expressions: Mapping[str, Any]) -> None:
         ca.Callback.__init__(self)
         self._sizes = {name: value.numel() for name, value in expressions.items()}
         self._sizes |= {f"lam_{name}": size for name, size in self._sizes.items()}
@@ -104,7 +105,10 @@ class Ipopt:
     """
 
     def __init__(
-        self, statement: Named, options: Named, derivatives: dict[str, ca.Function]
+        self,
+        statement: Mapping[str, Any],
+        options: Mapping[str, Any],
+        derivatives: dict[str, ca.Function],
     ) -> None:
         self._statement = dict(statement)
         self._options = options
@@ -113,7 +117,7 @@ class Ipopt:
         self._check = StopCheck(statement)  # a reference, since CasADi holds only its address
 
     @classmethod
-    def of(cls, program: CostProgram, options: Named) -> "Ipopt":
+    def of(cls, program: CostProgram, options: Mapping[str, Any]) -> "Ipopt":
         """Return IPOPT on a program; its p are the smoothing and the data."""
         # Problems with the same formulas share it: building it takes as long as a run.
         key = repr(options)
@@ -156,7 +160,7 @@ class Ipopt:
                 self._derivatives[option] = solver.get_function(name)
         return solver
 
-    def solve(self, x: Array, p: Any, bounds: Named) -> tuple[Array, str, int]:
+    def solve(self, x: Array, p: Any, bounds: Mapping[str, Any]) -> tuple[Array, str, int]:
         """Return the end of a run from x, its status and iterations.
 
         The end of a run that was stopped is its lowest point.
@@ -174,7 +178,7 @@ class Ipopt:
 
     def derivatives(self, x: Array, p: Any) -> tuple[float, Array, Array]:
         """Return the cost at x (p,), its gradient (p,) and its Hessian (p, p)."""
-        cost, gradient = as_arrays(self.solver.get_function("nlp_grad_f")(x, p))
+        cost, gradient = [matrix.full() for matrix in self.solver.get_function("nlp_grad_f")(x, p)]
         no_multipliers = np.zeros(self._statement["g"].numel())
         upper = self._hessian(x, p, 1.0, no_multipliers).full()
         return cost.item(), gradient.ravel(), upper + np.triu(upper, 1).T
@@ -192,7 +196,7 @@ class Ipopt:
         upper = ca.triu(scale * ca.hessian(f, x)[0])
         return ca.Function("hessian", [x, p, scale, multipliers], [upper])
 
-    def variant(self, options: Named) -> "Ipopt":
+    def variant(self, options: Mapping[str, Any]) -> "Ipopt":
         """Return IPOPT on the same problem with more `options`, made at the first call."""
         key = tuple(options.items())
         if key not in self._variants:
@@ -201,7 +205,9 @@ class Ipopt:
         return self._variants[key]
 
 
-def _solver(statement: Named, options: Named, settings: Named) -> ca.Function:
+def _solver(
+    statement: Mapping[str, Any], options: Mapping[str, Any], settings: Mapping[str, Any]
+) -> ca.Function:
     """Return a silent solver with these options of IPOPT and `settings` of CasADi."""
     silent = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
     return ca.nlpsol("ipopt", "ipopt", statement, {**silent, "ipopt": dict(options), **settings})

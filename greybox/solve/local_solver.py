@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, Arrays, IntArray
+from greybox.files.arrays import Array, IntArray
 from greybox.files.error_place import error_sentence
 from greybox.files.frozen_values import frozen
 from greybox.files.rebuilt import Rebuilt
@@ -101,7 +101,7 @@ class LocalSolver(Runner):
     promising: ClassVar[Promising] = Promising((4,), agree=3)
 
     @abstractmethod
-    def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
 
     def is_finite_at(self, start: Array) -> bool:
@@ -112,7 +112,7 @@ class LocalSolver(Runner):
         """Compare the starts (r, p) with little work; None if that is not possible."""
         return None
 
-    def near(self, x: Array, nodes: Arrays | None = None) -> Outcome:
+    def near(self, x: Array, nodes: Sequence[Array] | None = None) -> Outcome:
         """Return the run from parameters x (p,) near a minimum, with its nodes if known."""
         return self.run(x)
 

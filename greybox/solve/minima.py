@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, Indices, IntArray
+from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.printed import one_line
 from greybox.files.wording import counted
@@ -43,7 +43,7 @@ class Minimum:
 
     cost: float
     estimate: Array
-    runs: Indices
+    runs: tuple[int, ...]
     variants: int
 
     def __repr__(self) -> str:
@@ -107,7 +107,9 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
     return tried[np.argmin(tried.cost)] if tried else None
 
 
-def agreeing_runs(nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]) -> Indices:
+def agreeing_runs(
+    nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
+) -> tuple[int, ...]:
     """Return the indices of runs whose cost the data cannot distinguish from the lowest.
 
     None agree if the lowest is nearly that of a response of zero: such a model explains nothing,

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array, Named
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import by_name
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -46,7 +45,7 @@ SEARCHES = (BATCHED, "multistart")
 
 @one_thread_at_a_time
 def solver_for(
-    nlp: CompiledProblem, options: Named = NO_OPTIONS, search: str = BATCHED
+    nlp: CompiledProblem, options: Mapping[str, Any] = NO_OPTIONS, search: str = BATCHED
 ) -> LocalSolver:
     """Return the solver of a problem.
 
@@ -170,7 +169,7 @@ def _with_screened(
 
     The runs are those of the starts of these `rows`.
     """
-    by_row = by_name(rows, runs)
+    by_row = dict(zip(rows, runs, strict=True))
     listed = Runs.of(
         replace(by_row[k], index=k)
         if k in by_row
@@ -234,7 +233,7 @@ def _certified(
         minima = find_minima(solver.nlp, runs, [outcome.signature for outcome in outcomes])
         changed = solver.certified(runs, minima)
         if not changed:
-            return by_name(rows, pairs), runs, minima
+            return dict(zip(rows, pairs, strict=True)), runs, minima
         for k, outcome in changed.items():
             outcomes[k] = outcome
 

@@ -10,7 +10,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, all_finite, as_arrays
+from greybox.files.arrays import Array, all_finite
 from greybox.files.wording import some
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import NOT_FINITE, Run, Runs
@@ -95,7 +95,7 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     """Return the first derivative, output or simulated state that is not finite."""
     system, placed, sampled = part.system, trajectory.detail, part.data
     x, data = map(part.segments.in_order, (trajectory.states, placed.data))
-    _, u, _, residual, _ = as_arrays(part.step.measurement(x, placed.q, data))
+    _, u, _, residual, _ = [matrix.full() for matrix in part.step.measurement(x, placed.q, data)]
     slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
     # A state is simulated to the next sample, also at the end of a segment.
     segments = len(trajectory.ends), sampled.segment_length, part.states

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
-from greybox.files.named_values import by_name, places_of
+from greybox.files.named_values import places_of
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.modeling.linear_response import frequency_response
 from greybox.solve.batched_newton import BatchedNewton
@@ -79,7 +79,7 @@ def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
         derivative = part.system.derivative(*symbols)
         is_linear = ca.is_linear(derivative, ca.vertcat(*symbols[:2]))
         if part.system.inputs and len(part.outputs) < part.states and is_linear:
-            values = problem.local_values(by_name(nlp.names, nlp.all_values(x)))
+            values = problem.local_values(dict(zip(nlp.names, nlp.all_values(x), strict=True)))
             # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.
             omega = np.geomspace(1 / problem.record.duration, 3 / problem.record.step, 10)
             data = [

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.shared_response import resolvents
-from greybox.files.arrays import Array, ArrayPair, ArrayTriple, evenly_spread, positive_or_one
+from greybox.files.arrays import Array, evenly_spread, positive_or_one
 
 # Points that are evaluated together. With 19, arrays of sixty responses no longer fit into memory
 # that is used again, and each point takes twice the time.
@@ -65,7 +65,7 @@ class ProcessNoise:
             self._terms.append((system, omega, measured, weight, sizes))
 
     @np.errstate(all="ignore")
-    def __call__(self, z: Array, smoothing: Array, data: Array) -> ArrayTriple:
+    def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
 
         The `data` (1, k) are the ratios of noise to errors.
@@ -83,7 +83,7 @@ class ProcessNoise:
         return cost, gradient, hessian
 
 
-def _derivatives(term: tuple[Any, ...], z: Array, ratio: Array) -> ArrayPair:
+def _derivatives(term: tuple[Any, ...], z: Array, ratio: Array) -> tuple[Array, Array]:
     """Return whitened derivatives (k, rows, numbers) of the errors, and slopes (k, rows - 1, p).
 
     The rows are those of the entries of S, of the delays, and the errors themselves; the slopes are

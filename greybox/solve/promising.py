@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-from greybox.files.arrays import Indices
-
 
 @dataclass(frozen=True)
 class Promising:
@@ -17,5 +15,5 @@ class Promising:
         How many runs must have ended at the best minimum for the next waves to be left out.
     """
 
-    runs: Indices
+    runs: tuple[int, ...]
     agree: int

@@ -7,7 +7,7 @@ except for the large ones that `shared_solver` serves.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from types import MappingProxyType
@@ -19,7 +19,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.response_programs import CostProgram, fits_a_batch, instructions
-from greybox.files.arrays import Array, ArrayPair, Arrays, Named, as_arrays
+from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.constraints import Limits, limits_of
@@ -52,7 +52,7 @@ ITERATIONS = 300
 AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches looser tolerances only
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 FEW = 10  # iterations that suffice for the last digits where no residual is zero
-NO_OPTIONS: Named = MappingProxyType({})
+NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 POLISHED_TO = 1e-13  # the same for the last digits of a minimum
 
@@ -70,7 +70,7 @@ class ResponseSolver(Descent):
     def __init__(
         self,
         nlp: CompiledProblem,
-        options: Named = NO_OPTIONS,
+        options: Mapping[str, Any] = NO_OPTIONS,
         *,
         batched: bool = True,
     ) -> None:
@@ -156,7 +156,9 @@ class ResponseSolver(Descent):
             outcomes.append(outcome if status else self.again(x, outcome))
         return self._with_costs(outcomes)
 
-    def _solved(self, start: Array, smoothing: float, options: Named = NO_OPTIONS) -> Outcome:
+    def _solved(
+        self, start: Array, smoothing: float, options: Mapping[str, Any] = NO_OPTIONS
+    ) -> Outcome:
         """Return the end of IPOPT's run from the parameters `start` (p,)."""
         began = time.perf_counter()
         nlp = self.nlp
@@ -204,7 +206,7 @@ class ResponseSolver(Descent):
     def _limits(self) -> Limits:
         return limits_of(self.nlp)
 
-    def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the point x (p,): there are no hidden unknowns."""
         z = self.nlp.scaling.to_solver(x)
         trajectories = tuple(part.trajectory(z) for part in self.nlp.parts)
@@ -225,7 +227,7 @@ class ResponseSolver(Descent):
             for outcome, x, cost, signature in zip(outcomes, ends, *self._judged(ends), strict=True)
         ]
 
-    def _judged(self, estimates: Array) -> ArrayPair:
+    def _judged(self, estimates: Array) -> tuple[Array, Array]:
         """Return costs (r,) and signatures (r, m) at ends (r, p)."""
         firsts = range(0, max(len(estimates), 1), AT_ONCE)
         batches = (self.nlp.judged(estimates[k : k + AT_ONCE]) for k in firsts)
@@ -273,7 +275,7 @@ class ResponseSolver(Descent):
             return None
         z = self.nlp.scaling.to_solver(starts).T
         first = self.nlp.programs[0].function
-        costs, limits = as_arrays(first(z, SMOOTHING, self.nlp.data))
+        costs, limits = [matrix.full() for matrix in first(z, SMOOTHING, self.nlp.data)]
         # A constraint missed by a thousandth weighs as much as a cost of one.
         values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
         values = np.where(np.isfinite(values), values, np.inf)
@@ -319,7 +321,9 @@ class ResponseSolver(Descent):
         nlp = self.nlp
         return bool(nlp.constraint(nlp.all_values(x)).full().min(initial=0) >= 0)
 
-    def again(self, x: Array, earlier: Outcome | Run, options: Named = NO_OPTIONS) -> Outcome:
+    def again(
+        self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
+    ) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
         return spent(self._solved(x, SMOOTHING, options), earlier)
 

@@ -7,14 +7,14 @@ IPOPT need not confirm it. Constraints do not guide the search: most bounds of t
 where it ends, and IPOPT continues where one does not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array, IntArray, Named
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BARRIERS, LAST, BatchedNewton, Ends, continued
 from greybox.solve.minima import RIVAL, Minimum, likelihood_unit
@@ -195,7 +195,9 @@ class SharedSolver(ResponseSolver):
                 z = z - excess * along / np.maximum(np.sum(along**2, axis=0), 1e-300)
         return z
 
-    def again(self, x: Array, earlier: Outcome | Run, options: Named = NO_OPTIONS) -> Outcome:
+    def again(
+        self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
+    ) -> Outcome:
         """Return a run that did not arrive, since IPOPT would take minutes, or IPOPT's end.
 
         IPOPT leads a minimum that misses a constraint back to it.

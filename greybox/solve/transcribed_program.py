@@ -7,6 +7,7 @@ whole samples of estimated delays follow in the same way.
 
 import math
 import time
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -18,7 +19,7 @@ from greybox.compiled.record_group import shared_products
 from greybox.compiled.record_part import RecordPart, RecordProgram
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
-from greybox.files.arrays import Array, Arrays, Named
+from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.interruption import reason_to_end
@@ -31,7 +32,7 @@ class TranscribedProgram(Descent):
     """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
     @one_thread_at_a_time
-    def __init__(self, nlp: CompiledProblem, options: Named) -> None:
+    def __init__(self, nlp: CompiledProblem, options: Mapping[str, Any]) -> None:
         """Put the programs of all parts together."""
         self.nlp = nlp
         self._gauss_newton = GaussNewton(nlp)  # supplies the first states
@@ -93,7 +94,7 @@ class TranscribedProgram(Descent):
         """Return whether the model is finite at the parameters `start` (p,), near the data."""
         return self._gauss_newton.is_finite_at(start)
 
-    def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:
+    def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), as the Gauss-Newton solver finds them."""
         return self._gauss_newton.profile(x, nodes)
 

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import hold_of_response
-from greybox.files.arrays import Array, BoolArray, ComplexArray, Fields
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.grouping import unique
 from greybox.files.wording import counted
 from greybox.spectral.uniform_stretches import UniformStretch
@@ -82,7 +82,7 @@ def response_at(
     )
 
 
-def measured_in(stretches: Sequence[UniformStretch], input: str, output: str) -> Fields:
+def measured_in(stretches: Sequence[UniformStretch], input: str, output: str) -> dict[str, Any]:
     """Return source, stretches, units and hold of a response that these stretches give."""
     return {
         "source": ", ".join(unique(s.record.source for s in stretches if s.record.source)),

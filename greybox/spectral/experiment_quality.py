@@ -1,7 +1,7 @@
 """Judges whether a test is worth a fit: findings on the record and on the measured response."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.excited_segment import Segments
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, Interval, Labels, Strings
+from greybox.files.arrays import Array, Interval
 from greybox.files.printed import Printed
 from greybox.files.wording import counted, some
 from greybox.spectral.saturation import at_limit
@@ -72,7 +72,7 @@ class Quality(Printed):
         return not self.refusals
 
     @property
-    def refusals(self) -> Strings:
+    def refusals(self) -> tuple[str, ...]:
         """The reasons to refuse the test."""
         return tuple(f.text for f in self.findings if f.severity == "refusal")
 
@@ -150,7 +150,7 @@ def graded(about: str, value: float, limits: Interval, text: str) -> Findings:
         yield Finding(about, severity, value, text)
 
 
-def _filters(record: Record, names: Labels) -> Findings:
+def _filters(record: Record, names: Sequence[str]) -> Findings:
     for name in names:
         for low_pass in record.filters.get(name, ()):
             text = (

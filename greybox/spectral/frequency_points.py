@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.excited_segment import Segment
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, FloatPair, Strings
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.numbers_in_text import number
@@ -56,11 +56,11 @@ class FrequencyPoint:
     end: float
     u: complex
     y: complex
-    distortion: FloatPair
-    drift: FloatPair
+    distortion: tuple[float, float]
+    drift: tuple[float, float]
     saturation: float
-    findings: Strings = ()
-    notes: Strings = ()
+    findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     unexplained: float = math.nan
 
 
@@ -73,7 +73,7 @@ class FiniteFrequency(Printed):
     left_out: tuple[tuple[Segment, str], ...] = ()
 
     @property
-    def findings(self) -> Strings:
+    def findings(self) -> tuple[str, ...]:
         """Warnings on points, and messages on the tests that were left out."""
         warnings = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
         omissions = [
@@ -94,7 +94,7 @@ class FiniteFrequency(Printed):
         )
 
     @property
-    def notes(self) -> Strings:
+    def notes(self) -> tuple[str, ...]:
         """Remarks on the points."""
         return tuple(f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.notes)
 
@@ -197,7 +197,7 @@ def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
     return replace(point, unexplained=share, standard_error=error, findings=findings)
 
 
-def _row(point: FrequencyPoint) -> Strings:
+def _row(point: FrequencyPoint) -> tuple[str, ...]:
     gain = abs(point.response)
     phase = np.angle(point.response, deg=True)
     return (

@@ -38,11 +38,8 @@ from greybox.files.arrays import (
     AnyArray,
     Array,
     ComplexArray,
-    ComplexPair,
-    FloatPair,
     IntArray,
     all_finite,
-    column_lengths,
     sum_of_squares,
 )
 from greybox.spectral.estimated_points import HZ, STRONG, EstimatedPoints
@@ -349,9 +346,11 @@ def _in_band(
     return rows, (omega - center) / half, y, inputs, instruments, transients
 
 
-def _solved(regressors: ComplexArray, instruments: ComplexArray) -> ComplexPair | None:
+def _solved(
+    regressors: ComplexArray, instruments: ComplexArray
+) -> tuple[ComplexArray, ComplexArray] | None:
     """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None if ill conditioned."""
-    x_length, z_length = (column_lengths(columns) for columns in (regressors, instruments))
+    x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):
         return None
     # With an orthonormal basis of the instruments, the condition number is that of the problem, not
@@ -536,7 +535,7 @@ def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Ar
     return np.clip(change, -limit, limit)
 
 
-def _noise(band: Band, bands: Sequence[Band]) -> FloatPair:
+def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
     """Return the noise density in a band, by its residuals and those beside, and its dof."""
     table = np.array(
         [(math.log(b.fitted.center / band.fitted.center), b.squares, b.number) for b in bands]
@@ -554,7 +553,7 @@ def _noise(band: Band, bands: Sequence[Band]) -> FloatPair:
     return float(np.exp(-slope * away[used]) @ squares[used] / total), 2 * float(total)
 
 
-def _coherence(lines: Lines, fitted: Fitted, noise: float) -> FloatPair:
+def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float]:
     """Return the partial γ² of instrument and output, and the noise density of the input.
 
     Transients and conditioned inputs are removed. With an instrument, the coherence is the lower of

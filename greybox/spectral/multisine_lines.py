@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ComplexArray, Labels, column_lengths
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.wording import counted
 from greybox.spectral.estimated_points import (
     EPS,
@@ -63,14 +63,14 @@ def periodic_response(
     """
     stretches, spectra = period_spectra(records, period, (input, output, instrument or input))
     # The instrument has no noise of the loop, so its lines are the clearest.
-    amplitude = column_lengths(spectra[:, 2])
+    amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
     points = _estimates((1 + lines) * (HZ / period), *np.moveaxis(spectra[:, :, lines], 1, 0))
     return without_incoherent(response_at(points, stretches, input, output, name))
 
 
 def period_spectra(
-    records: Record | Sequence[Record], period: float, signals: Labels
+    records: Record | Sequence[Record], period: float, signals: Sequence[str]
 ) -> tuple[list[UniformStretch], ComplexArray]:
     """Return the stretches, and the transforms (periods, signals, lines) of their whole periods.
 

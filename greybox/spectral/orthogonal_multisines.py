@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Arrays, ComplexArray, Labels, column_lengths
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.wording import counted
 from greybox.spectral.estimated_points import measured_in
 from greybox.spectral.multisine_lines import EXCITED, period_spectra
@@ -21,10 +21,10 @@ from greybox.spectral.multisine_lines import EXCITED, period_spectra
 def response_matrix(
     records: Record | Sequence[Record],
     period: float,
-    inputs: Labels,
-    outputs: Labels,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
     *,
-    excitations: Labels = (),
+    excitations: Sequence[str] = (),
     name: str = "",
 ) -> tuple[FrequencyResponse, ...]:
     """Estimate the responses of all outputs to all inputs, without cross-coupling.
@@ -119,13 +119,13 @@ def response_matrix(
     )
 
 
-def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Arrays) -> ComplexArray:
+def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array]) -> ComplexArray:
     """Return the responses (lines, outputs) from inputs (m, lines) and outputs (k, lines)."""
     system = np.hstack([u[:, None] * matrix for u, matrix in zip(inputs, between, strict=True)])
     # Inputs have different units and lines different amplitudes, which would decide the condition
     # number without scaling.
     rows = np.linalg.norm(system, axis=1, keepdims=True)
-    columns = column_lengths(system / rows)
+    columns = np.linalg.norm(system / rows, axis=0)
     scaled = system / rows / columns
     condition = np.linalg.cond(scaled)
     # With rows and columns of length one, an error of 0.1 % in the inputs then becomes 10 % in the

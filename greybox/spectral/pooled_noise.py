@@ -12,10 +12,10 @@ differ by more than chance, the curve has few degrees of freedom, and each test 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import ArrayPair
+from greybox.files.arrays import Array
 
 
-def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> ArrayPair:
+def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[Array, Array]:
     """Return the pooled levels and their degrees of freedom.
 
     Parameters

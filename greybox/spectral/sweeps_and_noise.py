@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, SPACING, response_of_hold
 from greybox.data.record import Record
 from greybox.files.argument_checks import require_whole
-from greybox.files.arrays import Array, ComplexArray, Interval, Labels, NamedStrings
+from greybox.files.arrays import Array, ComplexArray, Interval
 from greybox.spectral.estimated_points import HZ, measured_in, response_at, without_incoherent
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches
@@ -30,7 +30,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     output: str = "theta",
     *,
     instrument: str | None = None,
-    conditioned: Labels | NamedStrings = (),
+    conditioned: Sequence[str] | Mapping[str, str] = (),
     omega: ArrayLike | None = None,
     band: Interval | None = None,
     points: int = 40,

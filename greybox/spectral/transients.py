@@ -1,6 +1,7 @@
 """Fourier integrals over a manoeuvre (doublet, 2-1-1, step, manual inputs) on a chosen band."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import as_names
-from greybox.files.arrays import Array, ComplexArray, Interval, Labels
+from greybox.files.arrays import Array, ComplexArray, Interval
 from greybox.files.named_values import selected
 from greybox.spectral.uniform_stretches import uniform_stretches
 
@@ -21,8 +22,8 @@ HIGHEST = 0.4
 
 def transient_spectrum(
     record: Record,
-    inputs: str | Labels,
-    outputs: str | Labels,
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
     band: Interval,
 ) -> TransientSpectrum:
     """Return the Fourier integrals of a manoeuvre at the multiples of 2π / duration in `band`.

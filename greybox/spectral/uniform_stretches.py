@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, runs_between_gaps, unrounded
 from greybox.files.argument_checks import checked_items
-from greybox.files.arrays import Array, Labels
+from greybox.files.arrays import Array
 from greybox.files.named_values import array_of
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
@@ -26,7 +26,9 @@ class UniformStretch(NamedTuple):
     record: Record
 
 
-def uniform_stretches(records: Record | Sequence[Record], signals: Labels) -> list[UniformStretch]:
+def uniform_stretches(
+    records: Record | Sequence[Record], signals: Sequence[str]
+) -> list[UniformStretch]:
     """Cut records at gaps and missing samples.
 
     Parameters

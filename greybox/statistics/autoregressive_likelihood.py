@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from greybox.files.arrays import Array, Arrays, IntArray, column_lengths
+from greybox.files.arrays import Array, IntArray
 from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_statistics import chance
 
@@ -49,7 +49,7 @@ TINY = 1e-300
 Outputs = Sequence[Sequence[IntArray]]
 
 
-def whitened(values: Array, filters: Arrays, outputs: Outputs) -> Array:
+def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array:
     """Return rows (M, c) of values (N, c) less what the samples before them predict.
 
     Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders.
@@ -63,7 +63,7 @@ def whitened(values: Array, filters: Arrays, outputs: Outputs) -> Array:
     return np.vstack([values[:0], *pieces])
 
 
-def _shared(columns: Array, filters: Arrays, outputs: Outputs, width: int) -> Array:
+def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: int) -> Array:
     """Return by how much errors that outputs share raise the variances (c,) of factors on terms.
 
     The columns (N, 1 + c) are those of the errors and of the terms. The filters make the errors of
@@ -114,7 +114,7 @@ def autoregressive_p_values(
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
     values = np.column_stack([residuals, basis, outside(terms, basis)])
-    values /= column_lengths(values) + TINY
+    values /= np.linalg.norm(values, axis=0) + TINY
     # Each test is fitted with the parameters, without the others; the last fit has no term.
     first, size = 1 + basis.shape[1], np.array(sizes or [1] * terms.shape[1], dtype=int)
     tests = np.repeat(np.eye(len(size) + 1, len(size)), size, axis=1)
@@ -127,7 +127,7 @@ def autoregressive_p_values(
     columns = np.column_stack([values @ factors[-1], values[:, first:]])
     shared = tests[:-1] @ _shared(columns, weights, outputs, width) / size
 
-    def p_values(counts: Sequence[int], filters: Arrays) -> Array:
+    def p_values(counts: Sequence[int], filters: Sequence[Array]) -> Array:
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
         # A probability near one depends on the root of the decrease, which may be all rounding,
         # 1e-9.
@@ -149,7 +149,7 @@ def autoregressive_p_values(
 
 def _fits(
     values: Array, outputs: Outputs, used: Array, m: int, times: int
-) -> tuple[Sequence[int], Arrays, Array]:
+) -> tuple[Sequence[int], Sequence[Array], Array]:
     """Return the numbers of samples, the filters, and the factors (h, n) of fits of values (N, n).
 
     They are fits of the means of `m` samples, or of their differences, `times` one. The errors are
@@ -200,7 +200,7 @@ def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     ]
 
 
-def _products(pieces: Arrays) -> tuple[int, Array]:
+def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
     """Return the number of windows of pieces (n, c), and the sums (c, c, q + 1, q + 1) of products.
 
     Windows are of q + 1 samples, the last one first. Sums are the Toeplitz ones of pieces between

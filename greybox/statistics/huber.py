@@ -8,9 +8,11 @@ correlated errors, works with outliers, too.
 Source: Huber and Ronchetti (2009), Robust Statistics, 2nd ed., sections 7.4 and 7.8.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from greybox.files.arrays import Array, Arrays
+from greybox.files.arrays import Array
 
 
 def robust_deviation(errors: Array) -> Array:
@@ -21,7 +23,7 @@ def robust_deviation(errors: Array) -> Array:
     return np.where(deviation > 0, deviation, np.inf)
 
 
-def bounded(stretches: Arrays) -> list[Array]:
+def bounded(stretches: Sequence[Array]) -> list[Array]:
     """Return ψ(e) / mean(ψ') of the errors (k, n) of several stretches, NaN if missing."""
     errors = np.hstack(stretches)
     # This bound is 95 % efficient for normal errors (Huber and Ronchetti).

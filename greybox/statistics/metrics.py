@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, ArrayPair, Arrays, FloatPair, nans, sum_of_squares
+from greybox.files.arrays import Array, sum_of_squares
 from greybox.files.frozen_values import frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
@@ -129,7 +129,7 @@ def cross_correlation(
     return _tested(statistic, used.sum() / alike, r, NORMAL_99 / math.sqrt(pairs[1]))
 
 
-def _alike(series: Arrays, shifts: int) -> float:
+def _alike(series: Sequence[Array], shifts: int) -> float:
     """Return how many of these shifts of a series count as one: 1 for a white series."""
     sums, pairs = _lagged(series, series, shifts - 1)
     # By chance, a squared correlation is the inverse of the number of samples.
@@ -161,7 +161,7 @@ def size_test(squares: Array, dof: Array | float) -> float:
     return math.exp(-sum_of_squares(score @ trends[:, 1:]) / 2)
 
 
-def mean_test(stretches: Sequence[ArrayLike]) -> FloatPair:
+def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     """Return the mean of a correlated series and its standard error.
 
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 2.2; for
@@ -184,7 +184,7 @@ def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
     mean = float(np.nanmean(np.concatenate(series)))
     a = autoregression([np.nan_to_num(s - mean) for s in series])
     # Σ a_k e(t - k) is NaN where a term is missing, as before the first sample.
-    missing = nans(a.size - 1)
+    missing = np.full(a.size - 1, np.nan)
     return [np.convolve(np.append(missing, s - mean), a, mode="valid") for s in series], a
 
 
@@ -194,7 +194,7 @@ def _present(values: ArrayLike) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _lagged(e: Arrays, u: Arrays, lags: int) -> ArrayPair:
+def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
     """Return Σ e(t) u(t - k) for k = 0 ... lags over all stretches, and the numbers of pairs."""
     sums = np.zeros((2, lags + 1))
     for pair in zip(e, u, strict=True):
@@ -214,4 +214,4 @@ def _tested(statistic: float, dof: float, correlations: Array, bound: float) -> 
 
 
 def _unknown(lags: int) -> CorrelationTest:
-    return CorrelationTest(math.nan, 0, math.nan, nans(lags), math.nan)
+    return CorrelationTest(math.nan, 0, math.nan, np.full(lags, np.nan), math.nan)

@@ -31,9 +31,7 @@ import numpy as np
 
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     ComplexArray,
-    FloatPair,
     all_finite,
     real_and_imaginary,
 )
@@ -186,7 +184,7 @@ def judged_together(
 
 
 @lru_cache(4)  # members of a study mostly have equal numbers of points
-def error_kinds(n: int) -> ArrayPair:
+def error_kinds(n: int) -> tuple[Array, Array]:
     """Return the correlations (m, n) of n errors, and the variances (m, n) of their cosines.
 
     Independent errors come first.
@@ -249,7 +247,7 @@ def averaged_meat(
     return meat * (variance / (known.weight @ variances or 1.0)), dof
 
 
-def student_of_average(weight: Array, variance: Array, dof: float) -> FloatPair:
+def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
     """Return variance and degrees of freedom of a Student's t that replaces an average of several.
 
     These have variances (m,) and the same degrees of freedom; the result has the same intervals as

@@ -1,11 +1,12 @@
 """The von Neumann ratio: whether a sampled signal is smooth, or looks like white noise."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Arrays, sum_of_squares
+from greybox.files.arrays import Array, sum_of_squares
 
 # Ratio below which a signal is smooth. For a smooth signal plus white noise it is twice the share
 # of the noise in the variance: at 1, both are equally strong.
@@ -44,7 +45,7 @@ class NoiseRatio:
         return 100 * (1 - math.sqrt(min(self.ratio / 2, 1.0)))
 
 
-def noise_ratio(stretches: Arrays) -> NoiseRatio:
+def noise_ratio(stretches: Sequence[Array]) -> NoiseRatio:
     """Return the ratio of stretches of samples (n,), each about its own mean; NaN are skipped."""
     measured = (stretch[np.isfinite(stretch)] for stretch in stretches)
     series = [s for s in measured if s.size > 1]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair
+from greybox.files.arrays import Array
 
 HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 
@@ -14,7 +14,7 @@ def autocovariance(stretches: list[Array], lags: int) -> Array:
     return sum(rows, np.zeros(lags + 1)) / max(count, 1)
 
 
-def levinson(r: Array) -> ArrayPair:
+def levinson(r: Array) -> tuple[Array, Array]:
     """Return the autoregressions of order 0, 1, 2 ... from autocovariances r (lags + 1,).
 
     They are rows of coefficients (orders, lags + 1), filled up with zeros, and variances: with

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import AnyArray, Array, Arrays, ComplexArray, ComplexPair
+from greybox.files.arrays import AnyArray, Array, ComplexArray
 from greybox.files.frozen_values import frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
@@ -106,11 +106,11 @@ class ColoredInformation:
 
 
 def colored_information(
-    weighted: Arrays,
+    weighted: Sequence[Array],
     directions: Array,
-    residuals: Arrays,
+    residuals: Sequence[Array],
     noise: Array,
-    initial: Arrays,
+    initial: Sequence[Array],
     shocks: Callable[[], Array],
 ) -> ColoredInformation:
     """Return Σ J' Σ_e J (r, r), the middle of the sandwich, for the spectrum of the residuals.
@@ -264,11 +264,11 @@ class ResidualSpectra:
     The parameters are those of `colored_information`, for outputs with residuals alone.
     """
 
-    weighted: Arrays
+    weighted: Sequence[Array]
     directions: Array
-    residuals: Arrays
+    residuals: Sequence[Array]
     noise: Array
-    initial: Arrays
+    initial: Sequence[Array]
     shocks: Callable[[], Array]
 
     @cached_property
@@ -449,7 +449,7 @@ class ResidualSpectra:
         """White sensor noise with white process noise, which does not depend on corrections."""
         return self.process_noise(0.0)
 
-    def noise_parts(self, correlation: float) -> ComplexPair | None:
+    def noise_parts(self, correlation: float) -> tuple[ComplexArray, ComplexArray] | None:
         """Return white noise of every sensor and process noise of every state, of variance one.
 
         They are the spectra (c, k, k, b) of these c parts, and the periodograms (c, b, k, k) of the
@@ -650,7 +650,7 @@ def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> Compl
     return _positive(density)
 
 
-def remaining_products(stretches: Arrays) -> Array:
+def remaining_products(stretches: Sequence[Array]) -> Array:
     """Return the share (k,) of sample products in which none is missing, at the best lag.
 
     It is near 1 if blocks are missing, or if every n-th sample is measured, and less if samples are

@@ -19,9 +19,6 @@ import numpy as np
 
 from greybox.files.arrays import (
     Array,
-    ArrayTriple,
-    column_lengths,
-    of_diagonal,
     real_root,
     sum_of_squares,
 )
@@ -44,7 +41,7 @@ TWELFTHS = np.arange(12)
 BANDS = itertools.combinations(range(13), 2)
 SIZES = np.vstack([RATIOS ** np.isin(TWELFTHS, range(*band)) for band in BANDS])
 
-Fits = ArrayTriple  # see `correlated_fits`
+Fits = tuple[Array, Array, Array]  # see `correlated_fits`
 
 
 def score_tests(residuals: Array, basis: Array, terms: Array) -> Array:
@@ -106,7 +103,7 @@ def joint_test(residuals: Array, basis: Array, terms: Array) -> tuple[float, Arr
     # and only those beyond a fifth of the largest matter.
     squares, axes = np.linalg.eigh(effects.T @ effects)
     lengths = real_root(squares)
-    longest = max(column_lengths(terms), default=0.0)
+    longest = max(np.linalg.norm(terms, axis=0), default=0.0)
     # Directions shorter than a fifth of the longest are not tested.
     kept = lengths > max(0.2 * max(lengths, default=0.0), REMAINS * longest)
     directions = axes[:, kept] / lengths[kept]
@@ -160,10 +157,10 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         triangles = np.linalg.cholesky(products)
         # The product of its last rows is what the first columns leave of the others.
         rest = triangles[:, first:, first:] @ triangles[:, first:, first:].mT
-        left = of_diagonal(rest)
+        left = np.linalg.diagonal(rest)
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
         logarithms = (
-            2 * np.log(of_diagonal(triangles)[:, :first]),
+            2 * np.log(np.linalg.diagonal(triangles)[:, :first]),
             np.log(np.vstack([slow, SIZES[:, places]])),
         )
         scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, ComplexArray
+from greybox.files.arrays import Array, ComplexArray
 
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.
@@ -82,7 +82,7 @@ def variance_components(
     def spectrum(variance: Array) -> ComplexArray:
         return np.tensordot(variance, expected, 1)
 
-    def slopes(variance: Array, inverse: Any, ratio: Any, repeated: Any) -> ArrayPair:
+    def slopes(variance: Array, inverse: Any, ratio: Any, repeated: Any) -> tuple[Array, Array]:
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.

@@ -21,7 +21,6 @@ from typing import (
 )
 
 from greybox.estimate.verdict import Grade
-from greybox.files.arrays import Fields
 from greybox.files.control_characters import printable
 
 PROSE = ("error", "warnings", "notes", "sentences")  # may have several lines, as names may not
@@ -152,7 +151,7 @@ class Answer(Estimated, total=False):
     error: str
 
 
-def checked_answer(values: Any) -> Fields:
+def checked_answer(values: Any) -> dict[str, Any]:
     """Return the declared fields of an answer, with printable texts.
 
     Raises

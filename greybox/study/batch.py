@@ -5,7 +5,7 @@ Begin with `batch`.
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import field, fields
@@ -21,7 +21,6 @@ from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
 from greybox.estimate.printed import data_names, summary
 from greybox.estimate.storage import to_bytes
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Fields, Named
 from greybox.files.control_characters import printable
 from greybox.files.error_place import error_sentence
 from greybox.files.frozen_values import frozen
@@ -80,7 +79,7 @@ class Member:
     starts: AnyStarts | None = None
     seed: int | None = None
     method: Transcription | None = None
-    solver_options: Named = field(default_factory=dict)
+    solver_options: Mapping[str, Any] = field(default_factory=dict)
     name: str = ""
     search: str = BATCHED
     held: Sequence[Any] = ()
@@ -348,7 +347,7 @@ def _fit_member(
         runs.finish({**answer, "error": error} if error else answer, fit)
 
 
-def _stated(problem: AnyProblem | UnreadableError) -> Fields:
+def _stated(problem: AnyProblem | UnreadableError) -> dict[str, Any]:
     """Return the fields that distinguish a failed member, as the summary of a fit has them."""
     parts = problem.parts
     models = unique(part.model.label for part in parts)

@@ -7,10 +7,11 @@ Introduction to the Bootstrap; Davison and Hinkley (1997), Bootstrap Methods and
 import math
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,10 +24,9 @@ from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit, Quantity, require_fit
 from greybox.files.argument_checks import require_whole
-from greybox.files.arrays import Array, Fields, Interval, NamedArrays, Strings
+from greybox.files.arrays import Array, Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
-from greybox.files.named_values import by_name
 from greybox.files.numbers_in_text import number
 from greybox.files.printed import Printed
 from greybox.files.progress import bar
@@ -77,19 +77,19 @@ class Bootstrap(Printed):
     seed: int
     quantities: tuple[Quantity, ...]
     values: Array
-    statuses: Strings
-    warnings: Strings = ()
+    statuses: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
     seconds: float = 0.0
 
     @property
-    def names(self) -> Strings:
+    def names(self) -> tuple[str, ...]:
         """Names of the quantities."""
         return tuple(q.name for q in self.quantities)
 
     @cached_property
-    def columns(self) -> NamedArrays:
+    def columns(self) -> Mapping[str, Array]:
         """Return the values of every quantity in the replicates that did not fail."""
-        return by_name(self.names, self._successful.T)
+        return dict(zip(self.names, self._successful.T, strict=True))
 
     def __getitem__(self, name: str) -> Array:
         """Return the values of a quantity in the replicates that did not fail."""
@@ -144,7 +144,7 @@ class Bootstrap(Printed):
         return intervals
 
     @property
-    def notes(self) -> Strings:
+    def notes(self) -> tuple[str, ...]:
         """Remark on the parameters that the data bound on one side only."""
         # Intervals of poles far above the band reached at least 2.5 times as far to one side as to
         # the other, those of lags and of the tilt model at most 2.1 times
@@ -194,7 +194,7 @@ class Bootstrap(Printed):
         lines += [f"note: {text}" for text in self.notes]
         return titled(title, [*lines, f"{self.seconds:.2f} s; seed {self.seed}"])
 
-    def summary(self, level: float = 0.95) -> Fields:
+    def summary(self, level: float = 0.95) -> dict[str, Any]:
         """Return plain values for JSON, without the replicates; None for an open or unknown end."""
         error = self.standard_error
         bias = self.bias
@@ -428,7 +428,7 @@ def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
     return RecordReplicates(nlp, draws, x, search.nodes)
 
 
-def replicate_warnings(statuses: Strings, dof: float) -> Iterator[str]:
+def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:
     """Warn of many failed replicates, and of too few replicates for an interval."""
     # Replicates may fail because their estimates lie far out. Beyond 5 %, twice the share of a tail
     # of a 95 % interval, the tails of the others say little.

@@ -7,11 +7,10 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.experiment.controller import Controller
-from greybox.files.arrays import Fields
 from greybox.files.spelling import alternatives
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -50,7 +49,7 @@ def shipped_module(kind: str, name: str) -> ModuleType:
     return importlib.import_module(f"greybox.{kind}.{name}")
 
 
-def find_problem(text: str) -> tuple[AnyProblem, Fields]:
+def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     """Return a problem and its settings.
 
     `text` is an included name, ``my.py`` (its ``problem()``) or ``my.py:name``.

@@ -1,6 +1,6 @@
 """A data file: a frequency response, or a record."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,6 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.files.arrays import Fields, Named, NamedStrings, Strings
 from greybox.files.delimited_text import heading, read_delimited
 from greybox.files.escapes import in_sentences
 from greybox.files.grouping import unique
@@ -40,9 +39,9 @@ def read_data(
     input: str = "",
     output: str = "",
     *,
-    columns: NamedStrings | None = None,
+    columns: Mapping[str, str] | None = None,
     rate: float | None = None,
-    prepare: Named | None = None,
+    prepare: Mapping[str, Any] | None = None,
     gaps: Gaps | Literal[""] = "",
 ) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record:
     """Return a response, or the only record with the model's signals.
@@ -60,7 +59,7 @@ def read_data(
         If the file does not exist, has no or several such records, or its columns do not exist.
     """
     path = require_file(path)
-    options: Fields = {"columns": columns, "rate": rate, "gaps": gaps or "auto"}
+    options: dict[str, Any] = {"columns": columns, "rate": rate, "gaps": gaps or "auto"}
     if prepare:
         return prepared(read(path, **options), **prepare)
     # Only the beginning of a table has its header: a log may have gigabytes.
@@ -93,7 +92,7 @@ def read_data(
     return _record_of(read(path, **options), path, model)
 
 
-def _is_response(names: Strings | None, columns: NamedStrings) -> bool:
+def _is_response(names: tuple[str, ...] | None, columns: Mapping[str, str]) -> bool:
     if columns:
         return bool({"frequency", "magnitude"} & columns.keys())
     if names is None:
@@ -155,7 +154,7 @@ def reading_once() -> Callable[..., Any]:
     It raises UnreadableError, with the reason and the cure.
     """
     # A study of twelve models has each file in memory once.
-    data: Fields = {}
+    data: dict[str, Any] = {}
 
     def read(path: str, model: Model, **choices: Any) -> Any:
         key = repr((path, model.input_names, model.output_names, choices))

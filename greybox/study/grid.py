@@ -11,8 +11,7 @@ from glob import escape, glob
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Fields, Named
-from greybox.files.named_values import by_name, selected
+from greybox.files.named_values import selected
 from greybox.modeling.model import require_known
 from greybox.study.batch import Member
 from greybox.study.data_file import UnreadableError, reading_once
@@ -57,7 +56,7 @@ def grid(models: Any = None, data: Any = None, **settings: Any) -> list[Member]:
     return members_of({key: x for key, x in stated.items() if x is not None}, Path())
 
 
-def members_of(choices: Named, folder: Path) -> list[Member]:
+def members_of(choices: Mapping[str, Any], folder: Path) -> list[Member]:
     """Return the members of a grid, whose files are in a folder.
 
     A member whose data cannot be read has the reason as its error, and fails alone.
@@ -85,7 +84,7 @@ def members_of(choices: Named, folder: Path) -> list[Member]:
     return members
 
 
-def combined(choices: Named, folder: Path) -> Iterator[Fields]:
+def combined(choices: Mapping[str, Any], folder: Path) -> Iterator[dict[str, Any]]:
     """Yield all combinations of the values of keys; their names have the values that differ.
 
     Data of a combination are a list of files, by their paths from the folder, and of values.
@@ -110,7 +109,7 @@ def combined(choices: Named, folder: Path) -> Iterator[Fields]:
     first = next((key for key in ("name", "problem", "data") if key in axes), "model")
     varied = [key for key in axes if len(axes[key]) > 1 and key != first]
     for values in itertools.product(*axes.values()):
-        chosen = by_name(axes, values)
+        chosen = dict(zip(axes, values, strict=True))
         head = _label(first, chosen.get(first, ""), place)
         varied_text = ", ".join(_label(key, chosen[key], place) for key in varied)
         name = f"{head}: {varied_text}" if varied_text else head

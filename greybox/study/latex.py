@@ -3,7 +3,6 @@
 import re
 from collections.abc import Sequence
 
-from greybox.files.arrays import Labels
 from greybox.files.escapes import latex_text
 from greybox.files.greek_letters import greek
 from greybox.files.numbers_in_text import with_error
@@ -11,7 +10,7 @@ from greybox.files.numbers_in_text import with_error
 ACCENTS = ("tilde", "hat", "bar", "dot")
 
 
-def latex_table(header: Labels, rows: Sequence[Labels], texts: int) -> str:
+def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
     """Return a table of cells in LaTeX; the first columns, `texts` of them, are flush left."""
     body = [" & ".join(row) + r" \\" for row in rows]
     columns = "l" * texts + "r" * (len(header) - texts)

@@ -12,7 +12,6 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import StringPair
 from greybox.files.grouping import unique
 from greybox.files.numbers_in_text import percent
 from greybox.files.wording import counted, some
@@ -146,7 +145,7 @@ def _wins(measure: str, table: Table) -> str:
     return f"Best by {measure}, of {counted(wins.total(), 'data set')}: {', '.join(texts)}."
 
 
-def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> StringPair:
+def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> tuple[str, str]:
     """Return the structure that the data sets together support, and why."""
     # Not all structures suit all data sets: the comparison uses the data sets of the structure that
     # is best most often.

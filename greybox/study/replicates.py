@@ -10,7 +10,7 @@ Refits of frequency responses to drawn data, many at once, from the estimate.
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -22,7 +22,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
-from greybox.files.arrays import Array, Arrays, ComplexArray, nans, real_root, sum_of_squares
+from greybox.files.arrays import Array, ComplexArray, real_root, sum_of_squares
 from greybox.files.frozen_values import frozen
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
@@ -83,7 +83,9 @@ class Replicates(Runner):
 
     def without_end(self, start: Array, status: str) -> Outcome:
         """Return the outcome of a refit that ended nowhere: it has no estimate (p,)."""
-        return replace(super().without_end(start, status), estimate=nans(len(self.start)))
+        return replace(
+            super().without_end(start, status), estimate=np.full(len(self.start), np.nan)
+        )
 
 
 @frozen
@@ -169,7 +171,7 @@ def _drawn_record(part: RecordPart, trajectory: Trajectory, errors: PartAccuracy
     return DrawnRecord(measured, fitted, white, spectrum.of_draws(white))
 
 
-def _centered(stretches: Arrays) -> Array:
+def _centered(stretches: Sequence[Array]) -> Array:
     """Return the values (k, n) of stretches side by side, minus their means."""
     values = np.hstack(stretches)
     counts = np.isfinite(values).sum(axis=1, keepdims=True)
@@ -361,7 +363,7 @@ class ResponseReplicates(Replicates):
     def _by_ipopt(self, data: Array) -> Outcome:
         # IPOPT takes much longer than a batch: check the time limit before each solve.
         if cut := reason_to_end():
-            return Outcome(nans(len(self.start)), cut, 0, 0.0, converged=False)
+            return Outcome(np.full(len(self.start), np.nan), cut, 0, 0.0, converged=False)
         # The compiled functions are shared; near the estimate, no other criterion is needed to
         # locate the minimum.
         nlp = copy(self.nlp)

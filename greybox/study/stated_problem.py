@@ -16,7 +16,6 @@ from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Fields, Named
 from greybox.files.grouping import unique
 from greybox.files.named_values import selected, without
 from greybox.formulation.frequency_criteria import Criterion
@@ -59,8 +58,8 @@ CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
 
 
 def stated_problem(
-    stated: Named, read: Callable[..., Any] = read_data
-) -> tuple[AnyProblem, Fields]:
+    stated: Mapping[str, Any], read: Callable[..., Any] = read_data
+) -> tuple[AnyProblem, dict[str, Any]]:
     """Return the problem of options by name, and its settings: starts, seed and method, if any.
 
     Problems, models, criteria, methods and data are names, as for `greybox fit`, or values. `read`
@@ -79,7 +78,7 @@ def stated_problem(
             "problems."
         )
 
-    settings: Fields = {}
+    settings: dict[str, Any] = {}
     if "model" in options:
         problem = _problem_of_model(options, read)
     else:
@@ -114,7 +113,7 @@ def _method(method: Any) -> Any:
     return METHODS[method]()
 
 
-def _problem_of_model(options: Named, read: Callable[..., Any]) -> AnyProblem:
+def _problem_of_model(options: Mapping[str, Any], read: Callable[..., Any]) -> AnyProblem:
     if "data" not in options:
         raise ValueError("model=... needs data=..., a frequency response or a record.")
     model = options["model"]
@@ -235,9 +234,9 @@ def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | Ti
     return replace(criterion, **shared)
 
 
-def with_parameter_options(problem: AnyProblem, options: Named) -> AnyProblem:
+def with_parameter_options(problem: AnyProblem, options: Mapping[str, Any]) -> AnyProblem:
     """Return the problem with the options applied to every part that has the parameters."""
-    changes: dict[str, Fields] = {}
+    changes: dict[str, dict[str, Any]] = {}
     for name, field in OF_PARAMETERS.items():
         values = options.get(name, {})
         if not isinstance(values, Mapping):
@@ -255,7 +254,7 @@ def with_parameter_options(problem: AnyProblem, options: Named) -> AnyProblem:
     return problem.with_parts([_restated(part, changes) for part in problem.parts])
 
 
-def _restated(part: Problem, changes: Mapping[str, Named]) -> Problem:
+def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Problem:
     """Return a part with the changes of its parameters, which it may name differently."""
     # Options use the names of the answer. A tied parameter has no value of its own to change.
     inside = {part.outside(name): name for name in part.declared if name not in part.tied}

@@ -35,7 +35,7 @@ from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
-from greybox.files.arrays import Array, Fields, Labels, Named, NamedStrings, Strings
+from greybox.files.arrays import Array
 from greybox.files.control_characters import printable
 from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import parsed
@@ -197,7 +197,7 @@ class StudyMember:
     folder: Path
     number: int
     name: str
-    answer: Named
+    answer: Mapping[str, Any]
     stored_runs: int
     models: Sequence[Any] = ()
 
@@ -214,7 +214,7 @@ class StudyMember:
         return self.error
 
     @property
-    def factors(self) -> NamedStrings:
+    def factors(self) -> Mapping[str, str]:
         """What members are selected and grouped by: status, model, data and the like, as texts."""
         texts = {"status": str(self.status)}
         for name in FACTORS:
@@ -311,14 +311,14 @@ def _member(folder: Path, row: Any) -> StudyMember:
     if not all(isinstance(value, kind) for value, kind in kinds) or len(name) > LONGEST:
         raise DamagedStudyError(folder)
     shown = printable(name)
-    stored: Named = {}
+    stored: Mapping[str, Any] = {}
     if has_answer:
         _require_whole(folder, checksum, answer, fit, name, marked)
         stored = _StoredAnswer(answer, f"the answer of {shown!r} in {folder / DATABASE}")
     return StudyMember(folder, number, shown, stored, count)
 
 
-class _StoredAnswer(Named):
+class _StoredAnswer(Mapping[str, Any]):
     """An answer that is unpacked when it is read: as values ten thousand take 300 MB."""
 
     def __init__(self, answer: bytes, place: str) -> None:
@@ -334,7 +334,7 @@ class _StoredAnswer(Named):
         return len(self._values)
 
     @property
-    def _values(self) -> Fields:
+    def _values(self) -> dict[str, Any]:
         # To check it takes five times as long as to unpack it, which tables do again and again.
         if not self._is_checked:
             try:
@@ -353,11 +353,11 @@ class _StoredAnswer(Named):
 
 
 @lru_cache(16)  # a table reads several numbers of a member, then those of the next
-def _unpacked_values(answer: bytes) -> Fields:
+def _unpacked_values(answer: bytes) -> dict[str, Any]:
     return dict(json.loads(unpacked(answer)))
 
 
-def add_members(folder: Path, names: Labels) -> dict[str, StudyMember]:
+def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     """Add the names that a study does not have, and return its members by name."""
     with _database(folder, create=True) as database:
         rows = [(name,) for name in names]
@@ -379,7 +379,7 @@ class StoredRuns(RunStorage):
     def __init__(self, folder: Path, name: str = "") -> None:
         self._folder = folder
         self.fingerprint = self.trouble = ""
-        self.changes: list[tuple[str, Fields]] = []
+        self.changes: list[tuple[str, dict[str, Any]]] = []
         self._work, self._written_at = 0.0, time.monotonic()
         self.begin(name)
 
@@ -435,7 +435,7 @@ class StoredRuns(RunStorage):
         self._work += outcome.seconds
         self.write_due()
 
-    def finish(self, answer: Named, fit: bytes = b"") -> None:
+    def finish(self, answer: Mapping[str, Any], fit: bytes = b"") -> None:
         """Store the answer of the member, which is then done, and its fit."""
         text = json.dumps(answer, allow_nan=False).encode()
         values = {"answer": packed(text), "fit": packed(fit, text), "name": self._name}
@@ -711,7 +711,7 @@ def _is_ours(connection: sqlite3.Connection) -> bool:
     return connection.execute("PRAGMA application_id").fetchone() == (APPLICATION,)
 
 
-def _tables(connection: sqlite3.Connection) -> Strings:
+def _tables(connection: sqlite3.Connection) -> tuple[str, ...]:
     """Return the statements that made the tables of a database."""
     query = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rootpage"
     return tuple(sql for (sql,) in connection.execute(query))

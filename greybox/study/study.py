@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from greybox.data.pandas_frames import Frame
-from greybox.files.arrays import Fields, Labels, Strings
 from greybox.files.escapes import csv_cell, in_sentences, latex_text, sentence, terminal_text
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import grouped, unique
@@ -80,7 +79,7 @@ class Study(Printed):
         """Return the members by the value of a factor; those without one are left out."""
         return {value: self.select(**{by: value}) for value in self._values(by)}
 
-    def _values(self, name: str) -> Strings:
+    def _values(self, name: str) -> tuple[str, ...]:
         """Return the different values of a factor; ValueError if no member has it."""
         if self.members:
             names = (key for member in self.members for key in member.factors)
@@ -88,7 +87,7 @@ class Study(Printed):
         return unique(m.factors[name] for m in self.members if name in m.factors)
 
     @property
-    def table(self) -> list[Fields]:
+    def table(self) -> list[dict[str, Any]]:
         """A row for every member and quantity as plain values; `to_pandas` has the columns."""
         return [row for member in self.members for row in _rows(member)]
 
@@ -156,7 +155,7 @@ class Study(Printed):
             self._values(factor)
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
         # takes longer than comparing it.
-        best: dict[Strings, StudyMember] = {}
+        best: dict[tuple[str, ...], StudyMember] = {}
         words = [_differences([m.factors.get(factor, "") for m in self.done]) for factor in by]
         for place, member in enumerate(self.done):
             combination = ": ".join(filter(None, (texts[place] for texts in words)))
@@ -260,7 +259,7 @@ def _overview(members: Sequence[StudyMember]) -> str:
     return text_table(OVERVIEW, rows, left=(0, 1, 2, 3, 4))
 
 
-def _rows(member: StudyMember) -> Iterator[Fields]:
+def _rows(member: StudyMember) -> Iterator[dict[str, Any]]:
     answer = member.answer
     is_done = member.status == "done"
     numbers = ("cost", "converged", "agreeing", "minima", "held_out")
@@ -320,7 +319,7 @@ def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
     return [{"member": member.name} for member in members]
 
 
-def _differences(texts: Labels) -> list[str]:
+def _differences(texts: Sequence[str]) -> list[str]:
     """Return texts without the values, such as ``a = 1``, that all of them have."""
     words = [text.split(", ") for text in texts]
     common = set.intersection(*map(set, words)) if len({*texts}) > 1 else set()

@@ -6,7 +6,6 @@ from typing import Any
 from greybox.data.record import Record
 from greybox.estimate.result import Fits
 from greybox.files.argument_checks import checked_items
-from greybox.files.arrays import Labels
 from greybox.simulation.prediction import require_lengths
 from greybox.validation.comparison import (
     HELD_OUT,
@@ -38,7 +37,7 @@ def compare(
     records: Record | Sequence[Record] | None = None,
     window: float | None = None,
     lead: float | None = None,
-    labels: Labels = (),
+    labels: Sequence[str] = (),
 ) -> Comparison:
     """Compare fits of different structures: which one describes the data best, which predicts best.
 
@@ -156,7 +155,7 @@ def compare(
 
 def _predictions(
     fits: Fits,
-    names: Labels,
+    names: Sequence[str],
     held_out: Sequence[Record],
     lengths: tuple[float | None, float | None],
     same_data: bool,

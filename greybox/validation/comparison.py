@@ -2,11 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
-from greybox.files.arrays import Fields, Strings
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import grouped, unique
-from greybox.files.named_values import by_name
 from greybox.files.numbers_in_text import number, probability
 from greybox.files.printed import Printed, one_line
 from greybox.files.text_table import text_table, titled
@@ -79,18 +78,21 @@ class Comparison(Printed):
         The reason, in one sentence.
     """
 
-    labels: Strings
+    labels: tuple[str, ...]
     data: str
     rows: tuple[Row, ...]
-    statements: Strings
+    statements: tuple[str, ...]
     predictions: Mapping[str, tuple[tuple[Prediction, ...], ...]] = field(default_factory=dict)
     supported: str = ""
     verdict: str = ""
 
     @property
-    def table(self) -> list[Fields]:
+    def table(self) -> list[dict[str, Any]]:
         """The rows as plain values: data, output, measure, unit, and the value by label."""
-        return [vars(row) | {"values": by_name(self.labels, row.values)} for row in self.rows]
+        return [
+            vars(row) | {"values": dict(zip(self.labels, row.values, strict=True))}
+            for row in self.rows
+        ]
 
     def value(self, measure: str, label: str, data: str = "fit", output: str = "") -> float | None:
         """Return one number of the table.

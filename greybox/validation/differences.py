@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import FloatPair, Labels, Strings
 from greybox.files.frozen_values import frozen
 from greybox.files.numbers_in_text import probability, with_error
 from greybox.files.printed import Printed
@@ -34,8 +33,8 @@ class Difference:
 
     name: str
     unit: str
-    values: FloatPair
-    errors: FloatPair
+    values: tuple[float, float]
+    errors: tuple[float, float]
     p_value: float
     p_of_all: float
 
@@ -49,7 +48,7 @@ class Difference:
 class Differences(Printed):
     """All parameters that two fits share. Printing it gives the verdict and the table."""
 
-    labels: Strings
+    labels: tuple[str, ...]
     quantities: tuple[Difference, ...]
 
     @property
@@ -83,7 +82,7 @@ class Differences(Printed):
         return "\n".join([self.verdict, "", text_table(header, rows, left=(0, 4, 6))])
 
 
-def differences(first: Fit, second: Fit, names: Labels | None = None) -> Differences:
+def differences(first: Fit, second: Fit, names: Sequence[str] | None = None) -> Differences:
     """Test which parameters of two fits to different data differ beyond their errors.
 
     Every parameter is tested by Welch's t, since the errors of two flights differ in size, and all
@@ -110,7 +109,7 @@ def differences(first: Fit, second: Fit, names: Labels | None = None) -> Differe
         raise ValueError(
             "the fits share data, so that their errors are not independent: use gb.compare."
         )
-    titles: Strings = (first.name, second.name)
+    titles: tuple[str, ...] = (first.name, second.name)
     if titles[0] == titles[1]:
         titles = labels_of((first, second))
     shared = [name for name in first.free if name in second.free] if names is None else list(names)

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, share_samples
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import BoolArray, FloatPair, Labels, Strings
+from greybox.files.arrays import BoolArray
 from greybox.files.grouping import unique
 from greybox.files.wording import counted
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -21,7 +21,7 @@ Predictions = tuple[tuple[Prediction, ...], ...]
 
 def window_lengths(
     fits: Fits, records: Sequence[Record], window: float | None, lead: float | None
-) -> FloatPair:
+) -> tuple[float, float]:
     """Return the lengths of window and lead in s for these records; NaN without time."""
     records = [record for record in records if record.has_time]
     if not records:
@@ -41,9 +41,9 @@ def window_lengths(
 
 def predict_same_windows(
     fits: Fits,
-    labels: Labels,
+    labels: Sequence[str],
     data: Sequence[Sequence[Record]],
-    lengths: FloatPair,
+    lengths: tuple[float, float],
     *,
     fitted: bool,
 ) -> tuple[Predictions, list[str]]:
@@ -74,7 +74,7 @@ def predict_same_windows(
     return tuple(zip(*by_record, strict=True)), notes
 
 
-def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> Strings:
+def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
     """Return the outputs of all models that the record has; ValueError if there are none."""
     shared = [
         name
@@ -91,7 +91,7 @@ def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> Strings
 
 
 def where_all_are_finite(
-    results: Sequence[tuple[Prediction, BoolArray, str]], labels: Labels
+    results: Sequence[tuple[Prediction, BoolArray, str]], labels: Sequence[str]
 ) -> tuple[list[Prediction], list[str]]:
     """Return the predictions in the windows in which all are finite, and a note on the others.
 
@@ -139,7 +139,7 @@ def with_all_signals(records: Sequence[Record]) -> Record:
     return replace(first, signals=signals, units=units, hold=hold)
 
 
-def not_held_out(fits: Fits, labels: Labels, records: Sequence[Record]) -> list[str]:
+def not_held_out(fits: Fits, labels: Sequence[str], records: Sequence[Record]) -> list[str]:
     """Return a warning for every held-out record to which a fit was made after all."""
     return [
         f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of "

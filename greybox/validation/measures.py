@@ -12,7 +12,7 @@ from greybox.estimate.fit import SolverChoice
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Array, StringPair, nans
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.json_numbers import finite
@@ -180,7 +180,9 @@ def prediction_rows(kind: str, predictions: Predictions, fits: Fits) -> Iterator
             yield Row(kind, output, *key, tuple(finite(values[key]) for values in measures))
 
 
-def _measures(output: str, predictions: Sequence[Prediction], fit: Fit) -> dict[StringPair, float]:
+def _measures(
+    output: str, predictions: Sequence[Prediction], fit: Fit
+) -> dict[tuple[str, str], float]:
     """Return the measures of an output over all samples that a fit predicts, by name and unit."""
     with_output = [p for p in predictions if output in p.outputs]
     measured = np.concatenate([p.measured(output).ravel() for p in with_output])
@@ -204,7 +206,7 @@ def _measures(output: str, predictions: Sequence[Prediction], fit: Fit) -> dict[
 
 def _in_time_order(prediction: Prediction, output: str) -> list[Array]:
     """Return the errors one step ahead along the record, NaN between windows, cut at its gaps."""
-    along = nans(len(prediction.data))
+    along = np.full(len(prediction.data), np.nan)
     errors = prediction.one_step[prediction.outputs.index(output)]
     there = prediction.rows >= 0
     along[prediction.rows[there]] = errors[there]

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, FloatPair, StringPair, Strings, all_finite
-from greybox.files.named_values import Values, array_of, by_name, without
+from greybox.files.arrays import Array, all_finite
+from greybox.files.named_values import Values, array_of, without
 from greybox.files.numbers_in_text import number, p_text
 from greybox.files.printed import Printed
 from greybox.files.wording import listed
@@ -61,11 +61,11 @@ class NestedTest(Printed):
 
     small: str
     large: str
-    terms: Strings
+    terms: tuple[str, ...]
     likelihood_ratio: float
     scale: float
     statistic: float
-    dof: FloatPair
+    dof: tuple[float, float]
     p_value: float
 
     def __str__(self) -> str:
@@ -142,7 +142,7 @@ def nested_test_at(
     values: Values,
     small: Fit,
     large: Fit,
-    labels: StringPair,
+    labels: tuple[str, str],
     *,
     independent: bool = False,
 ) -> NestedTest:
@@ -246,7 +246,7 @@ def _estimates_variance(part: FittedPart) -> bool:
     return not isinstance(part.settings.get("noise"), Mapping)
 
 
-def _likelihood_ratio(small: Fit, large: Fit, labels: StringPair) -> float:
+def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
     ratio = 2 * (small.cost - large.cost)
     # 0.02, while 3.84 is significant: the two fits may have been integrated with different steps.
     # 1e-9: the tolerance of the solvers relative to a large cost.
@@ -265,7 +265,7 @@ def _likelihood_ratio(small: Fit, large: Fit, labels: StringPair) -> float:
     return ratio
 
 
-Equations = Mapping[StringPair, NDArray[np.inexact]]  # of 40 points each, by kind and name
+Equations = Mapping[tuple[str, str], NDArray[np.inexact]]  # of 40 points each, by kind and name
 
 # What a criterion may add to that of the smaller model: parameters.
 ADDED_SETTINGS = ("biases", "corrected", "process_noise", "disturbance")
@@ -275,7 +275,7 @@ class NotNestedError(ValueError):
     """The reason why one model is not another one with parameters removed."""
 
 
-def nested_values(small: Fit, large: Fit, labels: StringPair) -> Values:
+def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> Values:
     """Return the values at which the parameters that only `large` has free make it `small`.
 
     Raises
@@ -329,7 +329,7 @@ def nested_values(small: Fit, large: Fit, labels: StringPair) -> Values:
         choices.append([v for v in values if low <= v <= high and math.isfinite(v)])
     # 256 are all combinations of four terms; of more terms, the first ones are zero.
     combinations = itertools.islice(itertools.product(*choices), 256)
-    candidates = (by_name(unknown, values) for values in combinations)
+    candidates = (dict(zip(unknown, values, strict=True)) for values in combinations)
     removed = next(filter(is_small, candidates), None)
     if removed is None:
         place = f" where {listed(unknown)} is 0, 1 or at a bound" if unknown else ""

@@ -1,8 +1,9 @@
 """Whether fits have the same data, and whether their costs may be compared."""
 
+from collections.abc import Sequence
+
 from greybox.estimate.result import Fit, Fits
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Labels, Strings
 from greybox.files.grouping import unique
 from greybox.files.numbers_in_text import number
 from greybox.files.wording import numbered_where_alike
@@ -17,7 +18,7 @@ def check_fits(fits: Fits) -> None:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
 
 
-def labels_of(fits: Fits) -> Strings:
+def labels_of(fits: Fits) -> tuple[str, ...]:
     """Return the names of the models, with problems or numbers where they are alike."""
     # Names of models are the most useful. Only if these are equal, names of problems or numbers are
     # needed.
@@ -29,7 +30,7 @@ def labels_of(fits: Fits) -> Strings:
     return tuple(numbered_where_alike(models))
 
 
-def data_difference(fits: Fits, names: Labels) -> str:
+def data_difference(fits: Fits, names: Sequence[str]) -> str:
     """Return how the data of a fit differ from those of the first; empty if they do not."""
     first = fits[0].parts
     for fit, name in zip(fits[1:], names[1:], strict=True):
@@ -72,7 +73,7 @@ def is_likelihood(fit: Fit) -> bool:
     return all(part.weight == 1 and part.is_likelihood for part in fit.parts)
 
 
-def other_samples(fits: Fits, names: Labels) -> str:
+def other_samples(fits: Fits, names: Sequence[str]) -> str:
     """Return how the samples left out differ from those of the first fit; empty if they do not."""
     for k, first in enumerate(fits[0].parts):
         count = first.compared_numbers
@@ -88,7 +89,7 @@ def other_samples(fits: Fits, names: Labels) -> str:
     return ""
 
 
-def why_not_comparable(fits: Fits, names: Labels) -> str:
+def why_not_comparable(fits: Fits, names: Sequence[str]) -> str:
     """Return why the costs of fits to the same data cannot be compared; empty where they can.
 
     Costs in time and those of MaximumLikelihood are negative log-likelihoods; those of other

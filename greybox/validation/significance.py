@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit, Fits
-from greybox.files.arrays import Arrays, ArrayTriple, Labels, StringPair
+from greybox.files.arrays import Array
 from greybox.files.numbers_in_text import number, p_text
 from greybox.files.wording import counted, listed
 from greybox.simulation.prediction import Prediction
@@ -27,7 +27,7 @@ from greybox.validation.same_data import other_samples
 
 def verdicts(
     fits: Fits,
-    labels: Labels,
+    labels: Sequence[str],
     predictions: Mapping[str, Predictions],
     *,
     same_data: bool,
@@ -54,7 +54,7 @@ def verdicts(
 
 
 def fit_verdict(
-    fits: tuple[Fit, Fit], labels: StringPair, difference: float | None
+    fits: tuple[Fit, Fit], labels: tuple[str, str], difference: float | None
 ) -> tuple[str, NestedTest | None]:
     """Say which of two fits describes the data of both better.
 
@@ -76,7 +76,7 @@ def fit_verdict(
     return "" if difference is None else verdict_by_aic(labels, difference), None
 
 
-def verdict_by_aic(labels: StringPair, difference: float) -> str:
+def verdict_by_aic(labels: tuple[str, str], difference: float) -> str:
     """Compare structures that are not nested by AIC: Burnham and Anderson (2002), section 2.6."""
     by = f"AIC differs by {number(abs(difference), 3)}"
     if abs(difference) < EQUAL_AIC:
@@ -87,12 +87,14 @@ def verdict_by_aic(labels: StringPair, difference: float) -> str:
     return f"{better} fits the data better than {worse} ({by})."
 
 
-def _undecided(labels: StringPair) -> str:
+def _undecided(labels: tuple[str, str]) -> str:
     return f"The data do not show which of {labels[0]} and {labels[1]} fits them better"
 
 
 def prediction_verdict(
-    labels: StringPair, predictions: tuple[Sequence[Prediction], Sequence[Prediction]], kind: str
+    labels: tuple[str, str],
+    predictions: tuple[Sequence[Prediction], Sequence[Prediction]],
+    kind: str,
 ) -> str:
     """Compare two models by their mean squared errors of prediction, window by window.
 
@@ -158,7 +160,7 @@ def prediction_verdict(
     return f"{better} predicts {data} better than {worse}, in {share:.0f} % of {windows} ({test})."
 
 
-def _sign_test(differences: Arrays, error: float) -> float:
+def _sign_test(differences: Sequence[Array], error: float) -> float:
     """Return the p-value of equally many differences of either sign.
 
     `error` is the standard error of their mean: correlated differences count as fewer.
@@ -174,7 +176,7 @@ def _sign_test(differences: Arrays, error: float) -> float:
     )
 
 
-def mean_squares(first: Prediction, second: Prediction) -> ArrayTriple:
+def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, Array]:
     """Return the mean squared errors of both in every window (w,), and their rounding.
 
     Errors are in multiples of the smaller noise of the two models.
@@ -197,7 +199,7 @@ def mean_squares(first: Prediction, second: Prediction) -> ArrayTriple:
     return totals[0], totals[1], rounding
 
 
-def residuals_not_white(fits: Fits, labels: Labels) -> Iterator[str]:
+def residuals_not_white(fits: Fits, labels: Sequence[str]) -> Iterator[str]:
     """Warn of information criteria that assume white residuals where they are not."""
     colored = []
     for fit, label in zip(fits, labels, strict=True):
@@ -213,7 +215,7 @@ def residuals_not_white(fits: Fits, labels: Labels) -> Iterator[str]:
         )
 
 
-def which_likelihood(labels: Labels, likelihoods: Likelihoods) -> str:
+def which_likelihood(labels: Sequence[str], likelihoods: Likelihoods) -> str:
     """Say which likelihood AIC, AICc and BIC are based on, and where it is not at its maximum."""
     criterion = likelihoods.criterion
     name = f"{type(criterion).__name__} ({criterion.description})"

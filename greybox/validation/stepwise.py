@@ -11,7 +11,7 @@ correction of Bonferroni.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from greybox.compiled.compiled_problem import AnyProblem, require_problem
@@ -19,7 +19,6 @@ from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
 from greybox.files.argument_checks import as_names
-from greybox.files.arrays import Labels, Strings
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values, selected, without
 from greybox.files.numbers_in_text import number
@@ -85,8 +84,8 @@ class StepwiseSelection(Printed):
         p-values of chosen terms that are needed only if the errors are independent along frequency.
     """
 
-    candidates: Strings
-    terms: Strings
+    candidates: tuple[str, ...]
+    terms: tuple[str, ...]
     fit: Fit
     without: Fit
     trials: tuple[Trial, ...]
@@ -134,7 +133,7 @@ class StepwiseSelection(Printed):
 
 def stepwise(
     problem: AnyProblem,
-    candidates: Labels | Values | Misfit,
+    candidates: Sequence[str] | Values | Misfit,
     *,
     starts: int = 4,
 ) -> StepwiseSelection:

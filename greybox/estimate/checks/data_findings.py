@@ -1,13 +1,13 @@
 """What the reader of a log found: restarts of the clock, lost lines, misspelled units."""
 
 import re
+from collections.abc import Iterator
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.data.record import Record
 from greybox.data.units import known_unit, misspelled
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.text_table import Sentences
 from greybox.modeling.model import Model
 
 
@@ -28,7 +28,7 @@ def findings_of_data(nlp: CompiledProblem) -> Findings:
             yield Finding(f"data of {part.name!r}: {text}", kind, part.name)
 
 
-def _misspelled_units(model: Model, data: Record) -> Sentences:
+def _misspelled_units(model: Model, data: Record) -> Iterator[str]:
     for name in (*model.input_names, *model.output_names):
         unit = data.units.get(name, "")
         if known_unit(unit) is None and (text := misspelled(unit)):

@@ -7,7 +7,7 @@ import numpy as np
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.largest_deviation import SIZE
-from greybox.files.arrays import Array, FloatPair
+from greybox.files.arrays import Array
 from greybox.files.numbers_in_text import number
 from greybox.files.wording import listed
 from greybox.statistics.huber import bounded, robust_deviation
@@ -68,7 +68,7 @@ def outlying_samples(evidence: Evidence) -> Findings:
                 )
 
 
-def _rank_correlation(a: Array, b: Array) -> FloatPair:
+def _rank_correlation(a: Array, b: Array) -> tuple[float, float]:
     """Return Spearman's rank correlation of two series (n,), and its chance if independent.
 
     Slow series have fewer independent values: n (1 - c) / (1 + c), with c the product of their

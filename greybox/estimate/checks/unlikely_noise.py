@@ -8,7 +8,6 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.files.named_values import by_name
 from greybox.files.wording import counted
 
 # Squared residuals over given variances below which these are doubted, or include other errors.
@@ -24,7 +23,7 @@ def unlikely_noise(evidence: Evidence) -> Findings:
     remaining = 1 - len(nlp.free) / total
     shared = Counter[str]()
     for part in nlp.parts_of(RecordPart):
-        shared.update(by_name(part.outputs, part.few.tolist()))
+        shared.update(dict(zip(part.outputs, part.few.tolist(), strict=True)))
     for part, trajectory in nlp.rows_of(ResponsePart, trajectories):
         yield from _of_response(part, trajectory, remaining, 0.01 / len(parts))
     for part, trajectory in nlp.rows_of(RecordPart, trajectories):

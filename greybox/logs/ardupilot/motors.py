@@ -19,13 +19,13 @@ https://ardupilot.org/copter/docs/parameters.html.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, Interval, NamedArrays
+from greybox.files.arrays import Array, Interval
 from greybox.files.named_values import Values
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
@@ -75,7 +75,7 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     return np.sqrt(np.sum(terms**2, axis=-1) / 2)
 
 
-def motor_outputs(recording: Recording, start: float, end: float) -> NamedArrays:
+def motor_outputs(recording: Recording, start: float, end: float) -> Mapping[str, Array]:
     """Return the PWM of the motors from `start` to `end`, µs, by name; none without a log."""
     if "RCOU" not in recording:
         return {}

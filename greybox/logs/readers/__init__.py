@@ -31,7 +31,6 @@ from typing import NamedTuple
 from greybox.data.clock import Gaps, require_gaps
 from greybox.data.record import Recording
 from greybox.files.argument_checks import is_finite_number
-from greybox.files.arrays import NamedStrings, Strings
 from greybox.files.escapes import in_sentences
 from greybox.files.safe_files import require_file
 from greybox.logs.named_columns import in_si
@@ -44,7 +43,7 @@ class Format(NamedTuple):
 
     module: str
     about: str
-    suffixes: Strings
+    suffixes: tuple[str, ...]
     recognizes: Callable[[bytes], bool]
 
 
@@ -99,7 +98,7 @@ FORMATS = (
 def read(
     path: str | Path,
     messages: Collection[str] | None = None,
-    columns: NamedStrings | None = None,
+    columns: Mapping[str, str] | None = None,
     rate: float | None = None,
     gaps: Gaps = "auto",
 ) -> Recording:

@@ -6,7 +6,6 @@ from typing import Any
 
 from pymavlink.mavutil import mode_mapping_bynumber
 
-from greybox.files.arrays import Fields
 from greybox.files.named_values import non_empty
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers.messages import Messages
@@ -46,7 +45,7 @@ def unit(label: str) -> str:
     return UNITS.get(label, label.replace("/s/s", "/s²"))
 
 
-def metadata(groups: Iterable[Messages]) -> Fields:
+def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
     """Return the known metadata of a recording from MSG, VER, PARM and MODE."""
     by_name = {group.name: group for group in groups}
     parm, msg = by_name.get("PARM"), by_name.get("MSG")

@@ -12,12 +12,11 @@ among its parameters.
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from greybox.data.clock import median_step
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.files.arrays import NamedStrings
 from greybox.files.named_values import Values
 from greybox.logs.readers.messages import Messages
 
@@ -89,7 +88,7 @@ def _holds(group: Messages, period: float) -> Values:
     return holds | dict.fromkeys(_among(OUTPUTS, group), period)
 
 
-def _among(table: NamedStrings, group: Messages) -> list[str]:
+def _among(table: Mapping[str, str], group: Messages) -> list[str]:
     """Return the columns that a table of fields by message has."""
     # All instances of a message, IMU[0] and IMU[1], have the same fields.
     message = group.name.partition("[")[0]

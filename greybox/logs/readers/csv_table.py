@@ -1,7 +1,7 @@
 """Tables of measured signals as text: a header line, a time column, and numeric columns."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from greybox.data.record import Recording
 from greybox.data.response_columns import find_column
 from greybox.data.time_column import TIMES, seconds
 from greybox.data.units import with_units_in_header
-from greybox.files.arrays import Array, Labels, NamedStrings
+from greybox.files.arrays import Array
 from greybox.files.control_characters import printable
 from greybox.files.delimited_text import (
     MISSING,
@@ -36,7 +36,7 @@ from greybox.logs.readers.table_columns import time_column
 def read(
     path: Path,
     messages: MessageNames = None,
-    stated: NamedStrings | None = None,
+    stated: Mapping[str, str] | None = None,
     rate: float | None = None,
 ) -> Recording:
     """Read a table with a header line into one record named after the file.
@@ -135,7 +135,7 @@ def _headings(text: DelimitedText) -> list[Heading]:
     return headings
 
 
-def _require_numbers(path: Path, stated: NamedStrings, without: Labels) -> None:
+def _require_numbers(path: Path, stated: Mapping[str, str], without: Sequence[str]) -> None:
     """Raise ValueError if a stated column is one of those without numbers."""
     for column in stated.values():
         with suppress(ValueError):

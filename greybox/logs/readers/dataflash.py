@@ -5,15 +5,14 @@ letters, unit and multiplier tables) follows pymavlink, and the values are equal
 the last bit.
 """
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import Array, IntArray, Labels, Strings
-from greybox.files.named_values import by_name
+from greybox.files.arrays import Array, IntArray
 from greybox.files.progress import bar
-from greybox.files.text_table import Sentences
 from greybox.files.wording import counted
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
@@ -74,7 +73,7 @@ def recording(
     groups: list[Messages],
     path: Path,
     messages: MessageNames,
-    findings: Labels,
+    findings: Sequence[str],
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
     checksum = checksum_of(path)
@@ -95,13 +94,13 @@ def recording(
     return Recording(by_name, path.name, checksum, metadata, findings)
 
 
-def _contents(data: Bytes, messages: MessageNames) -> tuple[list[Messages], Strings]:
+def _contents(data: Bytes, messages: MessageNames) -> tuple[list[Messages], tuple[str, ...]]:
     """Return the messages, the requested ones with their columns, and findings."""
     positions = index(data)
     # One sort instead of a comparison for each type: a file may describe many types.
     order = np.argsort(positions.numbers, kind="stable")
     counts = np.bincount(positions.numbers, minlength=len(positions.layouts))
-    rows = by_name(positions.layouts, np.split(order, np.cumsum(counts)[:-1]))
+    rows = dict(zip(positions.layouts, np.split(order, np.cumsum(counts)[:-1]), strict=True))
 
     def decoded(layout: Layout, units: Units) -> Messages:
         return _decoded(
@@ -174,7 +173,7 @@ def clock_column(layout: Layout) -> str:
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 
-def _missing(present: set[str], messages: MessageNames) -> Sentences:
+def _missing(present: set[str], messages: MessageNames) -> Iterator[str]:
     """Yield findings on requested or necessary messages that are missing."""
     # A missing RATE has a finding of its own, with the cure.
     names = ", ".join(sorted(present - {*ABOUT}))
@@ -185,7 +184,7 @@ def _missing(present: set[str], messages: MessageNames) -> Sentences:
         yield ardupilot_metadata.NO_RATE
 
 
-def _damage(positions: Index) -> Sentences:
+def _damage(positions: Index) -> Iterator[str]:
     if positions.damage:
         skipped = sum(end - start for start, end in positions.damage)
         yield (

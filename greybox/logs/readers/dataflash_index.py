@@ -10,7 +10,7 @@ Units of a DataFlash log: UNIT and MULT name them by a letter, and FMTU uses the
 import math
 import mmap
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT, MULT_TO_PREFIX
 
-from greybox.files.arrays import IntArray, NamedStrings, Strings
+from greybox.files.arrays import IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.logs.readers.ardupilot_metadata import column, unit
@@ -39,7 +39,7 @@ class Layout:
     name: str
     length: int
     format: str
-    columns: Strings
+    columns: tuple[str, ...]
 
     @property
     def dtype(self) -> np.dtype:
@@ -167,7 +167,7 @@ def _chain(
 
 
 def sound_layout(
-    kind: int, name: str, length: int | None, letters: str, columns: Strings
+    kind: int, name: str, length: int | None, letters: str, columns: tuple[str, ...]
 ) -> Layout | None:
     """Return the layout, or None if its letters, columns and length do not fit together.
 
@@ -218,7 +218,7 @@ USUAL = {
 class Units(NamedTuple):
     """Unit of every column of one type, and the column of instances, if any."""
 
-    columns: NamedStrings
+    columns: Mapping[str, str]
     instance: str
 
 
@@ -240,7 +240,7 @@ class UnitTables:
         self._letters = dict(zip(map(_integer, column(used, "FmtType")), letters, strict=False))
 
     @property
-    def findings(self) -> Strings:
+    def findings(self) -> tuple[str, ...]:
         """Messages about letters with several units in the table."""
         return tuple(
             f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: "
@@ -264,7 +264,7 @@ class UnitTables:
         return Units(columns, _instance(layout, units))
 
 
-def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], Strings]:
+def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
     """Give messages of logs without unit tables ArduPilot's usual units, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
         return groups, ()

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.named_values import by_name
 from greybox.files.numbers_in_text import is_number
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, is_wanted, recording
 from greybox.logs.readers.dataflash_index import Layout, Units, UnitTables, sound_layout
@@ -34,7 +33,7 @@ class _MessageLines:
         self.damaged = 0
         self.timer = clock_column(layout)
         self.order = array("q")
-        self.letters = by_name(layout.columns, layout.format)
+        self.letters = dict(zip(layout.columns, layout.format, strict=True))
         self.columns: dict[str, array[float] | list[str]] = {
             name: [] if letter in TEXTS and name != self.timer else array("d")
             for name, letter in self.letters.items()

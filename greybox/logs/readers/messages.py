@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, IntArray, Labels, NamedArrays, NamedStrings, Strings, nans
+from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values
@@ -45,9 +45,9 @@ class Messages:
     name: str
     order: IntArray
     time: Array | None
-    columns: NamedArrays
-    texts: Mapping[str, Labels] = field(default_factory=dict)
-    units: NamedStrings = field(default_factory=dict)
+    columns: Mapping[str, Array]
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     instance: str = ""
     hold: Values = field(default_factory=dict)
 
@@ -77,16 +77,16 @@ def checksum_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def bare(messages: MessageNames) -> Strings | None:
+def bare(messages: MessageNames) -> tuple[str, ...] | None:
     """Return names without instances: a request for ``IMU[0]`` reads all of IMU."""
     return None if messages is None else unique(name.partition("[")[0] for name in messages)
 
 
-def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], Strings]:
+def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
     """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
     timed = [group for group in groups if group.time is not None and len(group)]
     # In the order of the file, in which restarts show across all types of messages.
-    stamps = nans(max((1 + int(group.order.max()) for group in timed), default=0))
+    stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
     for group in timed:
         stamps[group.order] = group.time
     shifted, findings = time_stamps.one_clock(stamps)
@@ -98,7 +98,7 @@ def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], Strings]:
 
 def records(
     groups: Iterable[Messages], source: str, checksum: str
-) -> tuple[dict[str, Record], Strings]:
+) -> tuple[dict[str, Record], tuple[str, ...]]:
     """Return a record for every type and instance with a time and a number, and findings."""
     by_name: dict[str, Record] = {}
     findings: list[str] = []

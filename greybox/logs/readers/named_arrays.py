@@ -3,10 +3,12 @@
 The same records are made of the topics of PX4 logs and of tables of text.
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array, Fields, Labels, NamedStrings
+from greybox.files.arrays import Array
 from greybox.files.named_values import Values
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
@@ -16,13 +18,15 @@ from greybox.logs.readers.table_columns import table
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
-Groups = dict[str, tuple[Fields, Fields]]  # numeric arrays and their units, of groups or structs
+Groups = dict[
+    str, tuple[dict[str, Any], dict[str, Any]]
+]  # numeric arrays and their units, of groups or structs
 
 
 def read(
     path: Path,
     messages: MessageNames = None,
-    stated: NamedStrings | None = None,
+    stated: Mapping[str, str] | None = None,
     rate: float | None = None,
 ) -> Recording:
     """Read every group or struct that has a time into a record.
@@ -80,7 +84,7 @@ def _rows(values: Array, turned: bool) -> Array:
     return values.T if turned else values
 
 
-def read_contents(kind: str, path: Path, *wanted: str) -> tuple[Fields, Groups]:
+def read_contents(kind: str, path: Path, *wanted: str) -> tuple[dict[str, Any], Groups]:
     """Return the report on a file, and its numeric vectors and matrices; the root has its name.
 
     Parameters
@@ -109,10 +113,10 @@ def read_contents(kind: str, path: Path, *wanted: str) -> tuple[Fields, Groups]:
 def recording(
     path: Path,
     groups: Groups,
-    problems: Labels,
+    problems: Sequence[str],
     messages: MessageNames = None,
     parameters: Values | None = None,
-    stated: NamedStrings | None = None,
+    stated: Mapping[str, str] | None = None,
     rate: float | None = None,
     *,
     rows_allowed: bool = False,

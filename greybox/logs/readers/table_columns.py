@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.data.time_column import seconds, tick, times_in_seconds
-from greybox.files.arrays import AnyArray, NamedArrays, NamedStrings, Strings
+from greybox.files.arrays import AnyArray, Array
 from greybox.files.wording import some
 from greybox.logs.named_columns import BETWEEN, unit_and_hold
 from greybox.logs.readers.messages import Messages
@@ -15,8 +15,8 @@ WIDEST = 64
 
 
 def table(
-    name: str, columns: NamedArrays, units: NamedStrings, rate: float | None = None
-) -> tuple[Messages, Strings]:
+    name: str, columns: Mapping[str, Array], units: Mapping[str, str], rate: float | None = None
+) -> tuple[Messages, tuple[str, ...]]:
     """Make messages of columns that share a time, and findings on those that were left out.
 
     Without a time column the samples are `rate` Hz apart, or ``Ts`` seconds where the table has
@@ -69,7 +69,7 @@ def table(
     )
 
 
-def time_column(columns: Mapping[str, AnyArray], units: NamedStrings) -> str:
+def time_column(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> str:
     """Return the name of the time: a vector of this name, or a first one that is a clock."""
     vectors = [key for key, values in columns.items() if values.ndim == 1 and values.size]
     timer = next((key for key in vectors if seconds(key, units.get(key, ""))), "")
@@ -79,7 +79,7 @@ def time_column(columns: Mapping[str, AnyArray], units: NamedStrings) -> str:
     return timer or (first if is_clock and np.all(np.diff(columns[first]) > 0) else "")
 
 
-def _split(name: str, values: AnyArray, size: int) -> NamedArrays:
+def _split(name: str, values: AnyArray, size: int) -> Mapping[str, Array]:
     """Return the signals of a variable of the right length: itself, or the columns of a matrix."""
     if values.shape[:1] != (size,):
         return {}

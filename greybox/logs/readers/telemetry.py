@@ -16,7 +16,7 @@ import mmap
 import re
 import struct
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,16 +28,10 @@ from greybox.data.record import Recording
 from greybox.files.arrays import (
     Array,
     BoolArray,
-    Fields,
     IntArray,
-    Labels,
-    NamedArrays,
-    NamedStrings,
-    nans,
 )
-from greybox.files.named_values import Values, by_name, non_empty, without
+from greybox.files.named_values import Values, non_empty, without
 from greybox.files.progress import bar
-from greybox.files.text_table import Sentences
 from greybox.logs.readers import time_stamps
 from greybox.logs.readers.ardupilot_metadata import mode_name, unit, vehicle_in
 from greybox.logs.readers.controller_outputs import with_holds
@@ -165,7 +159,7 @@ class Kind:
                 self._labels += [name] if first else []
 
     @property
-    def columns(self) -> NamedArrays:
+    def columns(self) -> Mapping[str, Array]:
         """The numeric fields, (n,) arrays; those of an array are ``name[0]``, ``name[1]``."""
         table = np.asarray(self._values).reshape(len(self.numbers), -1)
         return {label: table[:, k].copy() for k, label in enumerate(self._labels)}
@@ -191,11 +185,13 @@ class Heartbeats(NamedTuple):
 
     sender: int
     autopilot: int
-    fields: NamedArrays
+    fields: Mapping[str, Array]
     rows: BoolArray
 
 
-def metadata(kinds: Mapping[str, Kind], times: NamedArrays, beats: Heartbeats) -> Fields:
+def metadata(
+    kinds: Mapping[str, Kind], times: Mapping[str, Array], beats: Heartbeats
+) -> dict[str, Any]:
     """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
     texts = ()
     if "STATUSTEXT" in kinds:
@@ -234,7 +230,7 @@ def heartbeats(kinds: Mapping[str, Kind]) -> Heartbeats:
     return Heartbeats(sender, autopilot, {name: x[rows] for name, x in fields.items()}, rows)
 
 
-def _firmware(beats: Heartbeats, texts: Labels) -> NamedStrings:
+def _firmware(beats: Heartbeats, texts: Sequence[str]) -> Mapping[str, str]:
     for text in texts:
         if vehicle := vehicle_in(text):
             return {"vehicle": vehicle, "firmware": text}
@@ -259,10 +255,12 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> Values:
             for code, value in zip(codes, values, strict=True)
         ]
 
-    return by_name(sent.texts["param_id"], values)
+    return dict(zip(sent.texts["param_id"], values, strict=True))
 
 
-def _modes(beats: Heartbeats, times: NamedArrays, vehicle: str) -> tuple[tuple[float, str], ...]:
+def _modes(
+    beats: Heartbeats, times: Mapping[str, Array], vehicle: str
+) -> tuple[tuple[float, str], ...]:
     """Return (time, name) at every change."""
     modes: list[tuple[float, str]] = []
     if not beats.rows.any():
@@ -371,7 +369,7 @@ def _clocks(kinds: Mapping[str, Kind]) -> tuple[Array, dict[int, list[float]]]:
         np.concatenate([getattr(kind, name) for kind in kinds.values()])
         for name in ("numbers", "senders", "received", "sent")
     )
-    stamps = nans(1 + numbers.max(initial=-1))
+    stamps = np.full(1 + numbers.max(initial=-1), np.nan)
     stamps[numbers] = received
     # A restart shows in the order in which the packets came, whatever their kinds.
     order = np.argsort(numbers)
@@ -414,7 +412,7 @@ def _messages(kind: Kind, time: Array) -> Messages:
     return messages.rows(np.argsort(time, kind="stable"))
 
 
-def _labels(senders: IntArray, names: Labels | None, instances: Array | None) -> list[str]:
+def _labels(senders: IntArray, names: Sequence[str] | None, instances: Array | None) -> list[str]:
     """Return the parts of ``system:component:instance`` that differ between packets, if any."""
     # Equal labels share one text: a log has millions.
     addresses = {sender: _address(sender) for sender in np.unique(senders).tolist()}
@@ -429,7 +427,7 @@ def _address(sender: int) -> str:
     return f"{sender >> 8}:{sender & 0xFF}"
 
 
-def _damage(packets: Packets) -> Sentences:
+def _damage(packets: Packets) -> Iterator[str]:
     if packets.skipped:
         yield f"{packets.skipped} bytes in {packets.places} places are damaged and were skipped."
     if packets.unknown:

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from greybox.files.arrays import Array, Indices, IntArray, Strings
+from greybox.files.arrays import Array, IntArray
 
 # s by which stamps fall at a clock restart; between messages of one boot they fall by up to 4 ms.
 BACK = 1.0
@@ -17,7 +17,7 @@ PAUSE = 10.0  # s between two boots on the common clock: the real pause is unkno
 SLACK = 600.0  # s outside of the first and last stamps: farther ones are damaged
 
 
-def restarts(stamps: Array) -> Indices:
+def restarts(stamps: Array) -> tuple[int, ...]:
     """Return where the clock restarted: indices into the stamps, s, in the order of the file.
 
     A single damaged stamp is not a restart: the median of the later stamps must be below that of
@@ -34,7 +34,7 @@ def restarts(stamps: Array) -> Indices:
     return tuple(starts)
 
 
-def one_clock(stamps: Array) -> tuple[Array, Strings]:
+def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
     """Return the stamps, s, on one clock, NaN for implausible ones, and findings.
 
     After a restart the clock is set to `PAUSE` after the last stamp of the previous boot, so that a

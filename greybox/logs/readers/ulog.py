@@ -1,14 +1,15 @@
 """PX4 logs (.ulg), through pyulog, which the extra ``px4`` installs."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Fields, Named
 from greybox.files.named_values import non_empty, without
 from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers import named_arrays
@@ -99,7 +100,7 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
     )
 
 
-def _about(facts: Named) -> Fields:
+def _about(facts: Mapping[str, Any]) -> dict[str, Any]:
     release, commit = facts["firmware"]
     written = [(0.0, name, value) for name, value in facts["initial"].items()]
     written += [(ticks / 1e6, name, value) for ticks, name, value in facts["changes"]]
@@ -119,7 +120,7 @@ def with_angles(name: str, record: Record) -> Record:
     units = {field: "rad/s" for field in record.signals if re.fullmatch(RATES.get(name, ""), field)}
     # Quaternions w, x, y, z turn from the vehicle to the earth.
     first, *_ = parts = [f"{QUATERNIONS.get(name, '')}[{k}]" for k in range(4)]
-    angles: Fields = {}
+    angles: dict[str, Any] = {}
     if {*parts} <= {*record.signals}:
         w, x, y, z = (record[part] for part in parts)
         angles = {

@@ -11,7 +11,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import ASSUMED_ERROR, SMOOTHING
 from greybox.compiled.record_group import Groups, sharing
-from greybox.files.arrays import Array, Arrays
+from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
 from greybox.solve.gauss_newton.settings import Settings
@@ -117,12 +117,14 @@ class AllParts:
             return math.inf
         return float(sum(part.weight * part.cost(t, smoothing) for part, t in self.along(iterate)))
 
-    def gap_cost(self, iterate: Iterate, multipliers: Arrays) -> float:
+    def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
         pairs = self.along(iterate, multipliers)
         return sum(part.weight * float((np.abs(t.gaps) * m).sum()) for part, t, m in pairs)
 
-    def squared_cost(self, iterate: Iterate, residual_weights: Arrays, variances: Arrays) -> float:
+    def squared_cost(
+        self, iterate: Iterate, residual_weights: Sequence[Array], variances: Sequence[Array]
+    ) -> float:
         """Return half the weighted squares of residuals and gaps of a finite iterate.
 
         The variances (n,) of the gaps are those of every state. Gaps whose variance is zero do
@@ -148,7 +150,7 @@ class AllParts:
 
     # --- linearization and steps
 
-    def linearize(self, iterate: Iterate, weights: Arrays) -> list[Any]:
+    def linearize(self, iterate: Iterate, weights: Sequence[Array]) -> list[Any]:
         """Return the linearization of every part."""
         return [part.linearize(t, weight) for part, t, weight in self.along(iterate, weights)]
 

@@ -16,12 +16,12 @@ from dataclasses import replace
 from typing import Any
 
 from greybox.compiled.part import Condensed, Trajectory
-from greybox.files.arrays import Array, Arrays, BoolArray
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.frozen_values import frozen
 
 CONVERGED, STALLED = "converged", "stalled"
 
-Nodes = Arrays
+Nodes = Sequence[Array]
 """The nodes (s, n) of every part."""
 
 
@@ -75,7 +75,7 @@ class Step:
     distance: float
     gradient: Array
     hessian: Array
-    multipliers: Arrays
+    multipliers: Sequence[Array]
     constraint_penalty: float
 
 
@@ -145,8 +145,8 @@ class Progress:
 
     stages: tuple[float, ...] = (0.0,)
     state_iterations: int = 0
-    gap_variance: Arrays = ()
-    multipliers: Arrays = ()
+    gap_variance: Sequence[Array] = ()
+    multipliers: Sequence[Array] = ()
     constraint_penalty: float = 1e3
     damping: float = 0.0
     # The line search has already damped a shortened step: a hundredth of the first damping is

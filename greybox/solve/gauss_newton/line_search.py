@@ -6,9 +6,9 @@ and Wright, Numerical Optimization, 2nd ed., section 18.3).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from greybox.files.arrays import Arrays
+from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import Iterate, Progress, Step
 from greybox.solve.gauss_newton.stability import are_stable
@@ -16,7 +16,7 @@ from greybox.solve.gauss_newton.stability import are_stable
 Merit = Callable[[Iterate], float]
 
 
-def merit_function(parts: AllParts, residual_weights: Arrays, progress: Progress) -> Merit:
+def merit_function(parts: AllParts, residual_weights: Sequence[Array], progress: Progress) -> Merit:
     """Return the merit function, infinite where a part diverges or a predictor is unstable."""
 
     def merit(iterate: Iterate) -> float:

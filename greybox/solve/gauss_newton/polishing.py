@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.files.arrays import Array, column_lengths, positive_or_one
+from greybox.files.arrays import Array, positive_or_one
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Step
 from greybox.solve.gauss_newton.iteration import descend, followed
@@ -121,7 +121,7 @@ def sharp_step(parts: AllParts, iterate: Iterate, step: Step) -> Step:
         rows.append(math.sqrt(part.weight * bread) * information.jacobian[:, :free] / slope)
     jacobian = np.vstack(rows)
 
-    size = column_lengths(jacobian)
+    size = np.linalg.norm(jacobian, axis=0)
     unit = 1 / positive_or_one(size)
     _, singular, axes = np.linalg.svd(triangle_of(jacobian * unit))
     determined = singular > 1e-8 * singular[0]  # smaller singular values are rounding as well

@@ -20,7 +20,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Course, Segments
 from greybox.compiled.transient_part import TransientPart
-from greybox.files.arrays import Array, ArrayTriple, BoolArray, diagonal, evenly_spread, of_diagonal
+from greybox.files.arrays import Array, BoolArray, diagonal, evenly_spread
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
 
@@ -48,7 +48,7 @@ class Points(NamedTuple):
     cross: Array
     slope: Array
 
-    def reduced(self, damping: Array) -> ArrayTriple:
+    def reduced(self, damping: Array) -> tuple[Array, Array, Array]:
         """Return gradient and Hessian without the states, and how these follow (r, m, n, 1 + p)."""
         right = np.concatenate([self.slope[..., None], self.cross], axis=3)
         damped = _damped(self.curvature, damping[:, None])
@@ -218,7 +218,7 @@ def _select(flags: BoolArray, these: Array, others: Array) -> Array:
 
 def _damped(hessian: Array, damping: Array) -> Array:
     """Return regular Hessians (..., p, p), with damping (...) relative to their diagonal."""
-    entries = of_diagonal(hessian)
+    entries = np.linalg.diagonal(hessian)
     largest = np.max(np.abs(entries), axis=-1, keepdims=True, initial=0.0)
     # The ridge, 1e-12 of the largest entry, is for what short segments do not show.
     added = damping[..., None] * entries + 1e-12 * largest + (largest == 0)

@@ -1,8 +1,8 @@
 """The limits of a run of the record solver, which `solver_options` set by the names of IPOPT."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-from greybox.files.arrays import Named
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Settings:
 USUAL = Settings()
 
 
-def settings(options: Named) -> Settings:
+def settings(options: Mapping[str, Any]) -> Settings:
     """Return the settings with these options.
 
     Raises

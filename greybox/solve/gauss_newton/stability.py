@@ -1,13 +1,13 @@
 """Kalman gains within an iteration: good ones to begin with, and predictors that must be stable."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from greybox.compiled.kalman_gain import KalmanGain
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, ArrayPair, Arrays, ArrayTriple, all_finite
+from greybox.files.arrays import Array, all_finite
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import Iterate
 
@@ -16,7 +16,7 @@ from greybox.solve.gauss_newton.iterate import Iterate
 DECADES = 10.0 ** np.arange(-12, 1)
 
 
-def best_gains(parts: AllParts, iterate: Iterate, variances: Arrays) -> Array:
+def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) -> Array:
     """Return z (p,) with the best gains: those of the iterate, or of a steady Kalman filter.
 
     `variances` (n,) for every part are the variances of the gaps; the process noise of the filters
@@ -60,9 +60,9 @@ def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) ->
 def stable_step(
     parts: AllParts,
     iterate: Iterate,
-    constraints: ArrayPair,
+    constraints: tuple[Array, Array],
     solve: Callable[[Array, Array], Array],
-) -> ArrayTriple:
+) -> tuple[Array, Array, Array]:
     """Return a step that keeps simulated predictors stable, and its constraints.
 
     These are normals (n, p) and limits (n,) with normals · step >= limits, and `solve` gives the
