@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 
 from greybox.estimate.stored_values import require
-from greybox.files.json_numbers import parsed
+from greybox.files.bounded_json import parsed
 from greybox.files.safe_files import replacing, write_text
 from greybox.study.ownership import mark_of_files
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.compiled.information import ColoredErrors
 from greybox.files.arrays import Array, sum_of_squares
-from greybox.statistics.residual_spectrum import colored_information
+from greybox.statistics.colored_information import colored_information
 
 
 def colored_errors(

@@ -17,7 +17,7 @@ from greybox.compiled.riccati import reached, steady_state_gain
 from greybox.files.arrays import Array, IntArray, all_finite
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import places_of
-from greybox.modeling.one_thread import cached_property
+from greybox.modeling.cached_property import cached_property
 
 
 @frozen

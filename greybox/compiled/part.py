@@ -23,7 +23,7 @@ from greybox.compiled.information import Information
 from greybox.files.arrays import Array, IntArray, all_finite
 from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
-from greybox.modeling.one_thread import cached_property
+from greybox.modeling.cached_property import cached_property
 
 NO_NODES = np.zeros((0, 0))
 # Assumed output error while continuity is a penalty, as a share of the standard deviation of a

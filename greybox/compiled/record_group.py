@@ -21,7 +21,8 @@ from greybox.compiled.segments import Segments
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, IntArray, diagonal
 from greybox.files.grouping import grouped
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.cached_property import cached_property
+from greybox.modeling.one_thread import one_thread_at_a_time
 
 
 class RecordGroup(SegmentedPart):

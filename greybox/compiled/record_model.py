@@ -18,8 +18,8 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion, between_samples
+from greybox.modeling.formula_arguments import Names
 from greybox.modeling.integrators import Integrator
-from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import as_column, called, dense_jacobian

@@ -26,7 +26,8 @@ from greybox.files.arrays import (
 )
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.cached_property import cached_property
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
 from greybox.statistics.huber import bounded
 

@@ -27,7 +27,8 @@ from greybox.files.frozen_values import frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood
 from greybox.formulation.problem import Problem
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.cached_property import cached_property
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,

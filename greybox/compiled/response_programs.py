@@ -36,12 +36,14 @@ from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
+from greybox.modeling.cached_property import cached_property
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.fingerprint import function_key, value_fingerprint
 from greybox.modeling.linear_response import response_formulas
-from greybox.modeling.one_thread import Stored, cached_property, unchanged_in
+from greybox.modeling.one_thread import Stored
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.symbolic_reading import entries_by_name, traced
+from greybox.modeling.traced_once import unchanged_in
 from greybox.modeling.trim import Trimmed
 
 ChooseCriterion = Callable[[Problem], Criterion]

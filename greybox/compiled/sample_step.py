@@ -15,10 +15,12 @@ from greybox.compiled.sampled_data import input_over_step
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
+from greybox.modeling.cached_property import cached_property
 from greybox.modeling.integrators import Integrator, repeated, substep_function
-from greybox.modeling.one_thread import cached_property, once, one_thread_at_a_time
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import as_column, input_symbols
+from greybox.modeling.traced_once import once
 
 # Samples of one call: of its overhead of 12 µs a sample bears a tenth of a microsecond.
 RUN = 100

@@ -21,7 +21,7 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import array_of
 from greybox.files.wording import listed
-from greybox.modeling.one_thread import cached_property
+from greybox.modeling.cached_property import cached_property
 from greybox.statistics.noise_ratio import noise_ratio
 
 # Samples through which more than an initial state and a slope is needed.

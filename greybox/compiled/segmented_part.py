@@ -21,8 +21,8 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import without
 from greybox.formulation.problem import Problem
-from greybox.modeling.one_thread import cached_property
-from greybox.statistics.metrics import whiteness
+from greybox.modeling.cached_property import cached_property
+from greybox.statistics.correlation_statistics import whiteness
 
 # Three standard deviations of a signal, in assumed output errors.
 JUMP = 3.0 / ASSUMED_ERROR

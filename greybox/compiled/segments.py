@@ -26,8 +26,9 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns, Remembering
 from greybox.files.arrays import Array, IntArray
-from greybox.modeling.one_thread import once, one_thread_at_a_time
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian
+from greybox.modeling.traced_once import once
 
 # Samples whose derivatives are in memory at once: with three states and five parameters they take
 # 2 MB. For one to twenty states, 2500 to 24 000 take equally long. A record of so many is evaluated

@@ -14,6 +14,9 @@ Begin with `record` and `frequency_response`.
 | `units` | conversion of units to SI |
 | `time_column` | time columns of tables, and the clocks that wrote them |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
+| `frequency_band` | pairs of numbers, such as the ends of a band |
+| `checksum` | checksums of arrays, by which equal data are recognized |
+| `dates` | dates as seconds |
 | `response_file` | frequency responses in CSV |
 | `response_columns` | the columns of a table of a frequency response, also in dB and degrees |
 | `pandas_frames` | pandas data frames from and to records and responses |

@@ -2,18 +2,12 @@
 
 Fourth powers of the numbers, as in squares of sums of squares, must be finite. No physical quantity
 in any unit is outside this range, but damaged files have such numbers.
-
-Checksums of the arrays, by which equal data are recognized.
 """
-
-import hashlib
-import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.files.arrays import Array, BoolArray, Interval
+from greybox.files.arrays import Array, BoolArray
 
 
 def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
@@ -86,40 +80,6 @@ def require_size(name: str, values: NDArray, first: str, size: int) -> None:
         )
 
 
-def number_pair(value: object, what: str) -> Interval:
-    """Return two numbers (low, high), neither of them NaN; ValueError for anything else."""
-    try:
-        low, high = value  # type: ignore[misc]
-        low, high = float(low), float(high)
-    except (TypeError, ValueError):
-        raise ValueError(f"{what} {value!r} must be a pair of numbers.") from None
-    if math.isnan(low) or math.isnan(high):
-        raise ValueError(f"{what} {value!r} contain a NaN: give two numbers (low, high).")
-    return low, high
-
-
-def require_band(band: Interval) -> Interval:
-    """Return a lower and a higher frequency, rad/s; ValueError for anything else."""
-    low, high = number_pair(band, "band")
-    if not 0 <= low < high < math.inf:
-        raise ValueError(
-            f"band={low:g} {high:g} must be two frequencies of at least 0 rad/s, the lower one "
-            "first."
-        )
-    return low, high
-
-
-def seconds_from_first(values: Any) -> Any:
-    """Return dates and time differences in s from the first one; anything else as it is."""
-    if getattr(values, "tz", None) is not None:  # numpy has dates with a time zone as objects
-        values = values.tz_convert("UTC").tz_localize(None)
-    if getattr(getattr(values, "dtype", None), "kind", "") not in ("M", "m"):
-        return values
-    array = np.asarray(values)
-    # A slice, because an empty array has no first value.
-    return (array - array[:1]) / np.timedelta64(1, "s")
-
-
 def within_range(values: Array) -> Array:
     """Return the values (n,), read-only: larger ones as NaN, smaller ones as zero."""
     outside = out_of_range(values)
@@ -129,14 +89,6 @@ def within_range(values: Array) -> Array:
     inside = np.where(outside, limit, values)
     inside.setflags(write=False)
     return inside
-
-
-def checksum_of(*items: str | NDArray) -> str:
-    """Return the SHA-256 of names and arrays, one after the other."""
-    digest = hashlib.sha256()
-    for item in items:
-        digest.update(item.encode() if isinstance(item, str) else item.tobytes())
-    return digest.hexdigest()
 
 
 def out_of_range(values: NDArray) -> BoolArray:

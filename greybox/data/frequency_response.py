@@ -7,13 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.data.checked_array import (
-    checked_array,
-    checksum_of,
-    finite_array,
-    require,
-    require_size,
-)
+from greybox.data.checked_array import checked_array, finite_array, require, require_size
+from greybox.data.checksum import checksum_of
 from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si

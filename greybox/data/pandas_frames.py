@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.checked_array import checked_array, seconds_from_first
+from greybox.data.checked_array import checked_array
+from greybox.data.dates import seconds_from_first
 from greybox.data.time_column import seconds, times_in_seconds
 from greybox.files.arrays import AnyArray, Array
-from greybox.files.delimited_text import heading
+from greybox.files.column_headings import heading
 from greybox.files.named_values import non_empty
 from greybox.files.optional_package import required
 

@@ -11,13 +11,12 @@ from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import (
     checked_array,
-    checksum_of,
     out_of_range,
     require,
     require_size,
-    seconds_from_first,
     within_range,
 )
+from greybox.data.checksum import checksum_of
 from greybox.data.clock import (
     Clock,
     Gaps,
@@ -26,6 +25,7 @@ from greybox.data.clock import (
     lost_rows,
     require_gaps,
 )
+from greybox.data.dates import seconds_from_first
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 from greybox.files.arrays import (

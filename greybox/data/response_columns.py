@@ -19,7 +19,7 @@ from greybox.files.arrays import (
     ComplexArray,
     complex_array,
 )
-from greybox.files.delimited_text import heading
+from greybox.files.column_headings import heading
 from greybox.files.named_values import selected
 from greybox.files.spelling import alternatives
 

@@ -13,13 +13,8 @@ from greybox.data.response_columns import (
     written_columns,
 )
 from greybox.data.units import with_units_in_header
-from greybox.files.delimited_text import (
-    DelimitedText,
-    heading,
-    numbered,
-    read_delimited,
-    write_delimited,
-)
+from greybox.files.column_headings import heading
+from greybox.files.delimited_text import DelimitedText, numbered, read_delimited, write_delimited
 from greybox.files.escapes import in_sentences
 from greybox.files.grouping import unique
 from greybox.files.named_values import without

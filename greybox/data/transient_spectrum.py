@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.data.checked_array import checksum_of, finite_array, require_size
+from greybox.data.checked_array import finite_array, require_size
+from greybox.data.checksum import checksum_of
 from greybox.data.frequency_response import Stretch
 from greybox.files.argument_checks import as_names
 from greybox.files.arrays import (

@@ -23,7 +23,7 @@ from greybox.files.spelling import alternatives
 from greybox.files.text_table import text_table
 from greybox.files.wording import counted, some
 from greybox.formulation.starts import sobol_shares
-from greybox.modeling.model import Names
+from greybox.modeling.formula_arguments import Names
 from greybox.modeling.parameter import lower_and_upper
 from greybox.solve.gauss_newton.driver import GaussNewton
 

@@ -25,7 +25,8 @@ from greybox.files.frozen_values import frozen
 from greybox.files.wording import counted
 from greybox.formulation.starts import AnyStarts
 from greybox.modeling.fingerprint import value_fingerprint
-from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
+from greybox.modeling.one_thread import LOCK, one_thread_at_a_time
+from greybox.modeling.traced_once import traced_once
 from greybox.solve.executors import one_blas_thread, require_executor
 from greybox.solve.interruption import (
     Interrupted,

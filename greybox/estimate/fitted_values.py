@@ -22,7 +22,7 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, equation
 from greybox.modeling.model_reference import reference, source_text
-from greybox.modeling.one_thread import traced_once
+from greybox.modeling.traced_once import traced_once
 
 
 def fitted_part(

@@ -48,12 +48,8 @@ from greybox.statistics.column_space import (
     outside,
     triangle_of,
 )
-from greybox.statistics.score_statistics import (
-    correlated_fits,
-    joint_test,
-    p_values_of_fits,
-    score_tests,
-)
+from greybox.statistics.restricted_likelihoods import correlated_fits, p_values_of_fits
+from greybox.statistics.score_statistics import joint_test, score_tests
 
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5

@@ -33,8 +33,9 @@ from greybox.files.arrays import (
 )
 from greybox.files.frozen_values import frozen
 from greybox.statistics.autoregressive_likelihood import Outputs
+from greybox.statistics.beta_share import chance
 from greybox.statistics.column_space import column_basis, outside
-from greybox.statistics.score_statistics import chance, score_tests
+from greybox.statistics.score_statistics import score_tests
 
 TINY = 1e-300
 STEP = 1e-6  # of the numbers of a term, for derivatives

@@ -29,10 +29,10 @@ from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
+from greybox.modeling.formula_arguments import Names
 from greybox.modeling.functions import maximum, minimum, tanh
-from greybox.modeling.model import Names
-from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
+from greybox.modeling.traced_once import once
 from greybox.statistics.column_space import beside
 
 # A term in words, also for a negative factor if that differs, and the code that adds it.

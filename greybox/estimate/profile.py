@@ -33,8 +33,9 @@ from greybox.files.numbers_in_text import number
 from greybox.files.progress import bar
 from greybox.files.wording import listed
 from greybox.formulation.starts import Sobol
+from greybox.modeling.cached_property import cached_property
 from greybox.modeling.model import require_known
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.settings import USUAL

@@ -22,9 +22,9 @@ from greybox.estimate.fitted_part import require_shapes
 from greybox.estimate.result import Fit, require_fit
 from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.argument_checks import checked_items
+from greybox.files.bounded_json import parsed
 from greybox.files.control_characters import printable
 from greybox.files.escapes import in_sentences
-from greybox.files.json_numbers import parsed
 from greybox.files.safe_files import HDF5
 from greybox.files.sealed_files import read_sealed, write_sealed
 from greybox.formulation.prior import normal_prior

@@ -5,7 +5,8 @@ test).
 
 | file | contents |
 | --- | --- |
-| `excitation` | test signals: sines, sweeps and multisines |
+| `excitation` | test signals and their maneuvers |
+| `sine_schedules`, `sweeps`, `multisines` | the signals that are flown |
 | `scripts` | files that fly them on a vehicle |
 | `controller` | sampled control laws |
 | `sampled_loop` | the loop of a plant and its controllers, as linear equations |
@@ -15,6 +16,7 @@ test).
 | `control_check` | whether a controller computes the control of a log |
 | `measured_loop` | broken loops from measured responses |
 | `gain_comparison` | whether gains are worse than today's |
+| `todays_loop` | the loop with today's gains, and how other gains change it |
 | `safe_gains` | gains that meet requirements on margins, and are better than today's |
 | `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
@@ -28,12 +30,7 @@ from greybox.experiment.control_check import (
     check_controller as check_controller,
 )
 from greybox.experiment.controller import Controller as Controller
-from greybox.experiment.excitation import (
-    Excitation as Excitation,
-    multisine as multisine,
-    sine_schedule as sine_schedule,
-    sweep as sweep,
-)
+from greybox.experiment.excitation import Excitation as Excitation
 from greybox.experiment.expected_errors import (
     ExpectedErrors as ExpectedErrors,
     expected_errors as expected_errors,
@@ -47,6 +44,7 @@ from greybox.experiment.margins import (
     measured_margins as measured_margins,
 )
 from greybox.experiment.measured_loop import broken_loop as broken_loop
+from greybox.experiment.multisines import multisine as multisine
 from greybox.experiment.safe_gains import SafeGains as SafeGains, safe_gains as safe_gains
 from greybox.experiment.scripts import (
     ardupilot_script as ardupilot_script,
@@ -54,4 +52,6 @@ from greybox.experiment.scripts import (
     write_excitation as write_excitation,
 )
 from greybox.experiment.sine_plan import SinePlan as SinePlan, plan_sines as plan_sines
+from greybox.experiment.sine_schedules import sine_schedule as sine_schedule
+from greybox.experiment.sweeps import sweep as sweep
 from greybox.experiment.virtual_flight import virtual_flight as virtual_flight

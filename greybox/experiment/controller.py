@@ -10,13 +10,9 @@ import casadi as ca
 from greybox.files.argument_checks import checked_items, is_finite_number
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values
-from greybox.modeling.model import (
-    Names,
-    declared_parameters,
-    require_known,
-    require_signal_names,
-    require_usable,
-)
+from greybox.modeling.declaration import declared_parameters, require_signal_names, require_usable
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import column, entries_by_name, traced

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.checked_array import number_pair
+from greybox.data.frequency_band import number_pair
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level

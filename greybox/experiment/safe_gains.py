@@ -13,21 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.checked_array import number_pair
+from greybox.data.frequency_band import number_pair
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit, Fits
 from greybox.experiment.controller import Controller, Controllers
 from greybox.experiment.drawn_loops import BESIDE, drawn_loops
-from greybox.experiment.gain_comparison import (
-    ROUNDING,
-    GainComparison,
-    TodaysLoop,
-    todays_loop,
-    worst_changes,
-)
+from greybox.experiment.gain_comparison import ROUNDING, GainComparison, worst_changes
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
+from greybox.experiment.todays_loop import TodaysLoop, todays_loop
 from greybox.files.argument_checks import checked_items
 from greybox.files.arrays import (
     Array,
@@ -41,7 +36,8 @@ from greybox.files.numbers_in_text import number
 from greybox.files.printed import Printed
 from greybox.files.text_table import text_table
 from greybox.files.wording import counted, listed
-from greybox.modeling.model import Names, require_known
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.model import require_known
 from greybox.spectral import spectral_response
 
 POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains

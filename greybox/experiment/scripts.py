@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.data.record import Record
-from greybox.experiment.excitation import DWELL, Excitation
+from greybox.experiment.excitation import Excitation
+from greybox.experiment.sweeps import DWELL
 from greybox.files.delimited_text import write_delimited
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.logs.named_columns import BETWEEN

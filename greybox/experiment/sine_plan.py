@@ -11,12 +11,13 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.data.checked_array import require_band
+from greybox.data.frequency_band import require_band
 from greybox.data.record import Record
 from greybox.experiment.controller import Controllers
-from greybox.experiment.excitation import NOTHING, Excitation, sine_schedule
+from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
+from greybox.experiment.sine_schedules import sine_schedule
 from greybox.files.arrays import (
     Array,
     BoolArray,

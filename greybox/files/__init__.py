@@ -17,8 +17,11 @@ Begin with `arrays` and `argument_checks`, which nearly all other files use.
 | `printed` | values that print themselves, also in notebooks |
 | `control_characters` | control characters in names and texts, written out |
 | `escapes` | texts of strangers in terminals, tables, LaTeX, pages and messages |
-| `delimited_text` | tables of numbers in files: separator, decimal mark, units, comments, facts |
-| `json_numbers` | values in JSON, without NaN and infinity, and bounded when they are read |
+| `delimited_text` | tables of numbers in files: separator, header, comments, facts |
+| `decimal_marks` | numbers in cells, with decimal points or commas |
+| `column_headings` | headings of columns: names and units |
+| `json_numbers` | values in JSON, without NaN and infinity |
+| `bounded_json` | values of JSON, bounded when they are read |
 | `packed` | compressed bytes |
 | `progress` | progress bars |
 | `error_place` | an error as a sentence, with its place in a file of the user |

@@ -5,8 +5,6 @@ commas in numbers.
 The header line decides the separator, or the last line where blanks separate its numbers. All
 numbers together decide the decimal mark. A table that can be read in two ways is refused, and the
 message names the line: a wrong number would be worse than no number.
-
-Headings of columns: a name and a unit, ``pitch [deg]`` or ``pitch (deg)``.
 """
 
 import csv
@@ -16,12 +14,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.files.control_characters import printable
+from greybox.files.decimal_marks import are_numbers, has_decimal_comma, number_in
 from greybox.files.escapes import csv_cell
 from greybox.files.frozen_values import frozen
 from greybox.files.numbers_in_text import is_number
@@ -33,12 +31,6 @@ FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
 WIDER = ", or, if its numbers have decimal commas, separate cells by semicolons"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # first bytes of a text in UTF-16, as of Excel and PowerShell
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
-
-WITH_COMMA = re.compile(r"[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?")
-WITH_POINT = re.compile(r"[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?")
-THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")  # 1,000 is a thousand or one
-# 1,234.5 and 1.234,5 and 1,234,567 certainly have thousands separators.
-GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,})")
 
 
 @frozen
@@ -230,56 +222,6 @@ def write_delimited(
     write_text(path, text.getvalue())
 
 
-def are_numbers(cells: Iterable[str]) -> bool:
-    """Return whether all cells are numbers, with a decimal point or comma."""
-    return all(is_number(cell.strip().replace(",", ".")) for cell in cells)
-
-
-def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> bool:
-    """Return whether the numbers in the cells of numbered lines have decimal commas.
-
-    Raises
-    ------
-    ValueError
-        If some numbers have decimal points and others commas, or if a comma separates thousands or
-        may do so.
-    """
-    point: tuple[int, str] | None = None
-    comma: tuple[int, str] | None = None
-    certain = False  # some comma cannot be a thousands separator
-    for number, row in rows:
-        for cell in row:
-            if GROUPED.fullmatch(cell):
-                raise ValueError(
-                    f"{path}, line {number}: {cell!r} has a thousands separator: leave it out."
-                )
-            if WITH_COMMA.fullmatch(cell):
-                comma = comma or (number, cell)
-                certain = certain or not THOUSANDS.fullmatch(cell)
-            elif point is None and WITH_POINT.fullmatch(cell):
-                point = number, cell
-    if comma and point:
-        raise ValueError(
-            f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: "
-            "write all numbers with one decimal mark and without thousands separators."
-        )
-
-    if comma and not certain:
-        raise ValueError(
-            f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands "
-            "separator: write a decimal point."
-        )
-
-    return comma is not None
-
-
-def number_in(cell: str, decimal_comma: bool) -> float:
-    """Return the number in a cell; NaN if it is not a number."""
-    plain = cell.replace(",", ".") if decimal_comma else cell
-    # Python reads 1_5 as 15.
-    return float(plain) if is_number(plain) and "_" not in plain else math.nan
-
-
 def _decoded(raw: bytes) -> str:
     """Return the text, from Unicode or a Western encoding, with plain minus signs."""
     # Every text is valid Latin-1: it comes last. `float` does not read typographic minus signs.
@@ -309,24 +251,3 @@ def _split(line: str) -> tuple[list[str], str]:
         names.pop()  # separators at the end of the line
 
     return names, separator
-
-
-# An element of an array, as flight controllers write it: its brackets hold no unit.
-INDEX = re.compile(r".*\w\[\d+\]")
-BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
-
-
-class Heading(NamedTuple):
-    """One column's name and unit."""
-
-    name: str
-    unit: str
-
-
-def heading(cell: str) -> Heading:
-    """Split ``pitch [deg]`` or ``pitch (deg)`` into name and unit; ``motor[0]`` is a name."""
-    cell = cell.strip()
-    match = BRACKETS.match(cell)
-    if match is None or INDEX.fullmatch(cell):
-        return Heading(cell, "")
-    return Heading(match[1].strip(), (match[2] or match[3] or "").strip())

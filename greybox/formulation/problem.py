@@ -31,13 +31,8 @@ from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.sum import Addable, Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
-from greybox.modeling.model import (
-    Model,
-    Names,
-    ParameterFormula,
-    require_known,
-    require_operating_point,
-)
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.model import Model, ParameterFormula, require_known, require_operating_point
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, Parameters
 from greybox.modeling.realization import dynamics

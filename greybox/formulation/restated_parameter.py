@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from greybox.data.checked_array import number_pair
+from greybox.data.frequency_band import number_pair
 from greybox.files.argument_checks import is_finite_number
 from greybox.files.arrays import Interval
 from greybox.modeling.parameter import Parameter

@@ -16,7 +16,7 @@ from greybox.files.printed import one_line, preformatted
 from greybox.files.wording import counted, numbered_where_alike
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
-from greybox.modeling.model import merged_parameters
+from greybox.modeling.merged_parameters import merged_parameters
 from greybox.modeling.parameter import Parameter, lower_and_upper, parameter_table, start_values
 
 # A part is a `Problem`, whose file imports this one.

@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from greybox.data.checked_array import require_band
 from greybox.data.excited_segment import Segment, Segments, segment_table
+from greybox.data.frequency_band import require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, described_unstated_hold
 from greybox.data.record import Record, Recording

@@ -26,10 +26,11 @@ from greybox.identification.selection import (
     select,
 )
 from greybox.identification.structure_fit import fit_within_far_bounds, stated_for
+from greybox.modeling.factored_form import upper_half
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import require_known
 from greybox.modeling.model_reference import included_model
-from greybox.modeling.rational import Rational, upper_half
+from greybox.modeling.rational import Rational
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.levy import coefficients, ratio, reweighted
 from greybox.regression.poles_and_zeros import near_pairs, root_text

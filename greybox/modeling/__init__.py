@@ -5,11 +5,15 @@ Begin with `model`.
 | file | contents |
 | --- | --- |
 | `model`, `transfer_function`, `state_space` | what every model declares, and its two kinds |
+| `declaration` | checks of what the class of a model declares |
 | `parameter`, `functions` | what formulas are written with |
-| `symbolic_reading`, `one_thread` | a formula traced with CasADi; the lock for its derivatives |
+| `formula_arguments` | the arguments of a formula, values by name |
+| `merged_parameters` | parameters of the same name as one unknown |
+| `symbolic_reading`, `traced_once` | a formula traced with CasADi, once while the model stays the same |
+| `one_thread`, `cached_property` | the lock for derivatives and solvers; properties without a lock |
 | `fingerprint` | keys of values, equal in every process |
 | `complex_arithmetic` | real and imaginary part of a function of s |
-| `rational` | numerator, denominator and delay, and their print |
+| `rational`, `factored_form` | numerator, denominator and delay, and their print |
 | `function_of_s` | what these two readings of s share |
 | `formula_structure` | a formula operation by operation |
 | `pade_delay` | a delay as a rational function or as states |
@@ -17,7 +21,7 @@ Begin with `model`.
 | `trim`, `linearization` | the operating point, and the linear system there |
 | `elimination` | the response of a linear system of expressions |
 | `realization` | every model as an ODE with delayed inputs |
-| `integrators`, `step_size` | explicit and implicit steps, and how many |
+| `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |
 | `held_inputs` | the exact step of a linear system with held inputs |
 | `known_systems` | linear models with known numbers, such as a filter |
 | `added_terms` | an ODE with further terms in its derivatives |
@@ -25,12 +29,11 @@ Begin with `model`.
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
 
-from greybox.modeling.integrators import (
+from greybox.modeling.implicit_integrators import (
     ImplicitIntegrator as ImplicitIntegrator,
-    Integrator as Integrator,
     Radau as Radau,
-    RungeKutta as RungeKutta,
 )
+from greybox.modeling.integrators import Integrator as Integrator, RungeKutta as RungeKutta
 from greybox.modeling.linear_response import frequency_response as frequency_response
 from greybox.modeling.linearization import LinearSystem as LinearSystem, linearize as linearize
 from greybox.modeling.model import Model as Model

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, sum_of_squares
-from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list
+from greybox.modeling.traced_once import once
 
 Formula = Callable[[Any, Any, Any], Any]
 """A term as a function of states, inputs and parameters, ``lambda x, u, p: ...``."""

@@ -7,9 +7,9 @@ from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.files.printed import one_line
-from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_column
+from greybox.modeling.traced_once import once
 from greybox.modeling.trim import trim_of
 
 

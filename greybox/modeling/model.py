@@ -4,182 +4,24 @@ import inspect
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from types import CodeType, MappingProxyType
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, Self, SupportsIndex
 
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Interval
 from greybox.files.named_values import Values
-from greybox.files.spelling import alternatives, nearest
+from greybox.files.spelling import alternatives
 from greybox.files.wording import listed
-from greybox.modeling.parameter import Parameter, Parameters
+from greybox.modeling.declaration import declared_parameters, require_effect, require_usable
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.parameter import Parameters
 
 PACKAGE = __name__.rpartition(".")[0]  # whose classes' attributes no parameter may hide
 
+ParameterFormula = Callable[[Any], Any]  # a user's function of parameters by name
 
-class Names(Mapping[str, Any]):
-    """Values by name, ``p.a1`` or ``p["a1"]``: the arguments of a formula."""
-
-    def __init__(self, values: Mapping[str, Any], what: str = "it") -> None:
-        self.__dict__.update(values)
-        self.__dict__["_what"] = what
-
-    def __getattr__(self, name: str) -> Any:
-        # `copy` and `pickle` look for special methods before there are any values.
-        if name.startswith("__"):
-            raise AttributeError(name)
-        try:
-            return self[name]
-        except KeyError as error:
-            raise AttributeError(*error.args) from None
-
-    def __getitem__(self, name: str) -> Any:
-        # A mapping raises KeyError. The values have no numbers, only names.
-        if name not in self.__dict__:
-            raise KeyError(f"{self._what} has no {name!r}; it has {alternatives(name, self)}")
-        return self.__dict__[name]
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        raise AttributeError(f"{name!r} cannot be set: these values are read-only.")
-
-    def __iter__(self) -> Iterator[str]:
-        return (name for name in self.__dict__ if name != "_what")
-
-    def __len__(self) -> int:
-        return len(self.__dict__) - 1
-
-    def __repr__(self) -> str:
-        return f"Names({dict(self)!r})"
-
-
-ParameterFormula = Callable[[Any], Any]
-"""A user's function of parameters by name."""
-
-
-def require_usable(names: Iterable[str], owner: str, *bases: type) -> None:
-    """Raise ValueError for a name that would hide an attribute of `Names` or of these `bases`."""
-    for name in names:
-        if any(hasattr(base, name) for base in (Names, *bases)):
-            raise ValueError(
-                f"{owner} cannot have a parameter or signal called {name!r}: choose another name."
-            )
-
-
-def require_signal_names(cls: type, *attributes: str) -> None:
-    """Raise ValueError for attributes of a class that are not tuples of distinct, usable names."""
-    for attribute in attributes:
-        names = getattr(cls, attribute)
-        if isinstance(names, str) or len(set(names)) != len(names):
-            raise ValueError(
-                f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names."
-            )
-        require_usable(names, cls.__name__)
-
-
-def declared_parameters(cls: type) -> dict[str, Parameter]:
-    """Return the parameters of a class body and of the classes above it, by name."""
-    parameters: dict[str, Parameter] = {}
-    # Base classes first, so that a subclass can declare a parameter anew.
-    for owner in reversed(cls.__mro__):
-        for name in parameters.keys() & vars(owner).keys():
-            if not isinstance(vars(owner)[name], Parameter):
-                raise TypeError(
-                    f"{cls.__name__}.{name} is {vars(owner)[name]!r} where a Parameter was "
-                    "declared: use gb.Parameter(...)."
-                )
-        parameters |= {
-            name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
-        }
-    return parameters
-
-
-DATA = str | tuple | list | Mapping
-
-KINDS: dict[Any, str] = {
-    Callable: "a function",
-    str: "a name",
-    tuple | list: "a tuple of names",
-    Mapping: "a dictionary",
-}
-"""Kinds of attributes of a model, and how a message asks for them."""
-
+# How a model declares what it must have.
 FORMULAS = {"output": "output(self, x, u, p)", "response": "response(self, s, p)"}
-"""How a model declares what it must have."""
-
-_SMOOTH = (
-    "split the record where states jump, and give the pieces as one problem, gb.several(model, "
-    "pieces), which estimates the states at the beginning of each; a formula may switch with "
-    "gb.where."
-)
-_BEGINNING = (
-    "give initial={state: value} to the criterion or to gb.simulate; state_starts says where the "
-    "search begins."
-)
-_NOISE = "give process_noise=[...] or noise=... to the criterion, such as gb.PredictionError."
-NO_EFFECT = {
-    "algebraic": "write it into the formulas.",
-    "delays": "multiply the response by gb.exp(-p.T * s).",
-    "parameters": "declare each by its name, a1 = gb.Parameter(2.0).",
-    **dict.fromkeys(("event", "events", "guards", "jumps", "resets"), _SMOOTH),
-    **dict.fromkeys(("initial", "initial_state", "initial_states", "x0"), _BEGINNING),
-    **dict.fromkeys(("noise", "process_noise", "measurement_noise"), _NOISE),
-    **dict.fromkeys(
-        ("bounds", "starts", "priors"), "give each to its parameter, gb.Parameter(2.0, bounds=...)."
-    ),
-    "constraints": "give constraints=[lambda p: ...] to the problem.",
-}
-"""Attributes that a user may expect and that nothing reads, with what has their effect."""
-
-
-def require_effect(cls: type, base: type) -> None:
-    """Raise TypeError for attributes of another kind than in `base`, or that nothing reads.
-
-    Of those that `base` does not have, only names that nearly are those of a declaration, or that
-    declare something in other tools, are refused: others are a user's own.
-    """
-    declared = {name: getattr(base, name) for name in dir(base) if not name.startswith("_")}
-    data = [name for name, value in declared.items() if isinstance(value, DATA)]
-    functions = [name for name in ("derivative", "response", "trim") if name in declared]
-    declared |= declared_parameters(cls)
-    for name, value in vars(cls).items():
-        for kind, words in KINDS.items():
-            if isinstance(declared.get(name), kind):
-                require_kind(f"{cls.__name__}.{name}", value, kind | property, words)
-        # The class body cannot give `parameters`, which are collected from it.
-        is_unread = name == "parameters" or (name not in declared and name not in _read_by(cls))
-        if not is_unread or not (isinstance(value, DATA) or callable(value)):
-            continue
-        near = _nearly(name, data if isinstance(value, DATA) else functions)
-        if near or (name in NO_EFFECT and base is not Model):
-            cure = NO_EFFECT.get(name, f"did you mean {near!r}?")
-            raise TypeError(f"{cls.__name__}.{name} has no effect: {cure}")
-
-
-def _nearly(name: str, known: Iterable[str]) -> str | None:
-    """Return the name of a declaration that is misspelled, if any."""
-    # Names such as input2, limits_of_u or delay_s are a user's own.
-    words = name.count("_")
-    alike = [candidate for candidate in known if candidate.count("_") == words]
-    is_word = name.replace("_", "").isalpha() and not name.startswith("_")
-    return nearest(name, alike, likeness=0.85) if is_word else None
-
-
-def _read_by(cls: type) -> set[str]:
-    """Return the names of attributes that the functions of a class body read."""
-    functions: list[Any] = []
-    for value in vars(cls).values():
-        functions += value.values() if isinstance(value, Mapping) else [value]
-    functions = [getattr(f, "fget", None) or getattr(f, "__func__", f) for f in functions]
-    codes = [f.__code__ for f in functions if hasattr(f, "__code__")]
-
-    names: set[str] = set()
-    while codes:
-        code = codes.pop()
-        names.update(code.co_names)
-        codes += [inner for inner in code.co_consts if isinstance(inner, CodeType)]
-    return names
 
 
 class Model(ABC):
@@ -209,7 +51,7 @@ class Model(ABC):
         parameters = declared_parameters(cls)
         bases = [base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE)]
         require_usable(parameters, cls.__name__, *bases)
-        require_effect(cls, bases[0])
+        require_effect(cls, bases[0], declares_formulas=bases[0] is not Model)
         cls.parameters = MappingProxyType(parameters)
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
@@ -364,51 +206,6 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
     return known[0]
 
 
-def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
-    """Merge two declarations with the same name: bounds and start boxes intersect.
-
-    Raises
-    ------
-    ValueError
-        If the units differ, one is fixed and the other free, or the bounds do not overlap.
-    """
-    if a == b:
-        return a
-    conflict = ""
-    if a.unit != b.unit:
-        conflict = f"has the unit {a.unit!r} in one part and {b.unit!r} in the other"
-    elif a.fixed != b.fixed:
-        conflict = "is fixed in one part and free in the other"
-    # Two constants with the same name and different values are two quantities.
-    elif a.fixed and a.start != b.start:
-        conflict = f"is fixed at {a.start:g} in one part and at {b.start:g} in the other"
-    if conflict:
-        raise ValueError(
-            f"{name!r} {conflict}: they are one unknown only if alike in both; else give one "
-            f"another name, rename={{{name!r}: ...}}."
-        )
-
-    low, high = _intersect(name, "bounds", a.bounds, b.bounds)
-    first, last = _intersect(name, "start boxes", a.box, b.box)
-    first, last = max(first, low), min(last, high)
-    boxed = a.starts is not None or b.starts is not None
-    return replace(
-        a,
-        bounds=(low, high),
-        start=min(max(a.start, low), high),
-        starts=(first, last) if boxed and first <= last else None,
-    )
-
-
-def merged_parameters(owners: Iterable[Any]) -> dict[str, Parameter]:
-    """Merge the `parameters` of several models or problems; a common name is one unknown."""
-    result: dict[str, Parameter] = {}
-    for owner in owners:
-        for name, parameter in owner.parameters.items():
-            result[name] = merge(name, result.setdefault(name, parameter), parameter)
-    return result
-
-
 AnyModel = Model | type[Model]
 
 
@@ -420,13 +217,3 @@ def equation(model: AnyModel) -> str:
 def class_of(model: AnyModel) -> type[Model]:
     """Return the class of a model, or the class itself."""
     return model if isinstance(model, type) else type(model)
-
-
-def _intersect(name: str, what: str, a: Interval, b: Interval) -> Interval:
-    low, high = max(a[0], b[0]), min(a[1], b[1])
-    if low > high or (low == high and what == "bounds"):
-        raise ValueError(
-            f"the {what} of {name!r}, ({a[0]:g}, {a[1]:g}) and ({b[0]:g}, {b[1]:g}), do not "
-            f"overlap: widen them, or give one another name, rename={{{name!r}: ...}}."
-        )
-    return low, high

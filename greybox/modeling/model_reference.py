@@ -12,12 +12,13 @@ import numpy as np
 
 from greybox.files.control_characters import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
+from greybox.modeling.formula_arguments import Names
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
-from greybox.modeling.model import AnyModel, Model, Names, class_of
+from greybox.modeling.model import AnyModel, Model, class_of
 from greybox.modeling.model_file import models_of
-from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list, derivative_function
+from greybox.modeling.traced_once import once
 from greybox.modeling.transfer_function import (
     FeedbackLoop,
     RenamedParameters,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.checked_array import number_pair
+from greybox.data.frequency_band import number_pair
 from greybox.files.argument_checks import is_finite_number, require_kind
 from greybox.files.arrays import Array, Interval
 from greybox.files.numbers_in_text import number

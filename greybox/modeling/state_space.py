@@ -6,12 +6,8 @@ from types import MappingProxyType
 from typing import Any
 
 from greybox.files.argument_checks import is_finite_number
-from greybox.modeling.model import (
-    Model,
-    ParameterFormula,
-    require_known,
-    require_signal_names,
-)
+from greybox.modeling.declaration import require_signal_names
+from greybox.modeling.model import Model, ParameterFormula, require_known
 
 
 class StateSpace(Model):

@@ -11,10 +11,11 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.wording import counted
+from greybox.modeling.formula_arguments import Names
 from greybox.modeling.formula_structure import with_finite_slopes
-from greybox.modeling.model import Model, Names, ParameterFormula
-from greybox.modeling.one_thread import once
+from greybox.modeling.model import Model, ParameterFormula
 from greybox.modeling.state_space import StateSpace
+from greybox.modeling.traced_once import once
 
 CURE = (
     "write it with p.NAME for parameters, + - * / **, gb.exp, gb.where, gb.maximum and the like, "

@@ -5,7 +5,9 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.modeling.model import Model, Names, ParameterFormula, merged_parameters, require_known
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.merged_parameters import merged_parameters
+from greybox.modeling.model import Model, ParameterFormula, require_known
 
 
 class TransferFunction(Model):

@@ -10,8 +10,8 @@ from greybox.files.argument_checks import is_finite_number
 from greybox.files.arrays import Array, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
-from greybox.modeling.model import Model, Names, require_operating_point
-from greybox.modeling.one_thread import once
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.model import Model, require_operating_point
 from greybox.modeling.parameter import start_values
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -23,6 +23,7 @@ from greybox.modeling.symbolic_reading import (
     symbols,
     traced,
 )
+from greybox.modeling.traced_once import once
 
 TOLERANCE = 1e-9  # on the derivative at a trim, relative to the states and inputs there
 

@@ -13,7 +13,7 @@ from greybox.files.numbers_in_text import p_text
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit, with_unit
-from greybox.statistics.metrics import CorrelationTest, whiteness
+from greybox.statistics.correlation_statistics import CorrelationTest, whiteness
 
 PARTS = 10  # of the range of a signal, and of a record
 

@@ -27,7 +27,7 @@ from greybox.files.printed import Printed
 from greybox.files.text_table import text_table
 from greybox.files.wording import counted
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
-from greybox.modeling.rational import factored, upper_half
+from greybox.modeling.factored_form import factored, upper_half
 from greybox.regression.poles_and_zeros import NearPair, near_pairs, root_text
 
 # Singular values smaller than this share of the largest are rounding errors: 1e-16 in the columns,

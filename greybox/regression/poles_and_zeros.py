@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from greybox.files.numbers_in_text import number
-from greybox.modeling.rational import upper_half
+from greybox.modeling.factored_form import upper_half
 
 
 @dataclass(frozen=True)

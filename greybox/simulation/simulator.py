@@ -26,7 +26,8 @@ from greybox.files.arrays import (
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import places_of
 from greybox.files.wording import counted
-from greybox.modeling.integrators import Integrator, Radau, RungeKutta, repeated
+from greybox.modeling.implicit_integrators import Radau
+from greybox.modeling.integrators import Integrator, RungeKutta, repeated
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (
     MOST_SUBSTEPS,

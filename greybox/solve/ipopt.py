@@ -9,7 +9,8 @@ import numpy as np
 
 from greybox.compiled.response_programs import CostProgram
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.cached_property import cached_property
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import STAGNATED

@@ -11,7 +11,8 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.cached_property import cached_property
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.settings import settings

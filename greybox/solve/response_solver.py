@@ -20,7 +20,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.response_programs import CostProgram, fits_a_batch, instructions
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property
+from greybox.modeling.cached_property import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.constraints import Limits, limits_of
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested

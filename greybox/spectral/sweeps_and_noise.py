@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.checked_array import finite_numbers, require_band
+from greybox.data.checked_array import finite_numbers
+from greybox.data.frequency_band import require_band
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD, SPACING, response_of_hold
 from greybox.data.record import Record

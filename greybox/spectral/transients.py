@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.data.checked_array import require_band
+from greybox.data.frequency_band import require_band
 from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum

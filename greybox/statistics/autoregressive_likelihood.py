@@ -28,8 +28,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from greybox.files.arrays import Array, IntArray
+from greybox.statistics.beta_share import chance
 from greybox.statistics.column_space import column_basis, outside
-from greybox.statistics.score_statistics import chance
 
 ORDER = 20
 # Samples of an output for each order. With 8, right models of 60 samples were called wrong in 7 %

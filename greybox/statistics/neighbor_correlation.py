@@ -24,8 +24,6 @@ Raftery and Volinsky (1999), Bayesian Model Averaging: A Tutorial, Statistical S
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -37,22 +35,14 @@ from greybox.files.arrays import (
 )
 from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import column_basis
+from greybox.statistics.neighbor_spectra import error_kinds
+from greybox.statistics.student_average import student_of_average
 
 # Probability of independent errors below which a correlation is reported: in simulated fits of 10
 # to 100 points it is reported in at most 1 % of those with independent errors.
 UNLIKELY = 0.1
-# Lengths of a slow correlation in points, the longest of which is mostly an error common to all
-# points, and variances over that of the white errors above it. Parameters take most of a slow
-# effect beneath noise: where two thirds of the variance of 40 points are a random walk, intervals
-# cover 78 % (66 % with white errors beside means of neighbors alone).
-LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
-VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)
-
-# Levels at which the intervals of an average of distributions and of Student's t must agree: those
-# of a standard error, and of the printed interval.
-LEVELS = (0.6827, 0.95)
 
 
 @frozen
@@ -183,41 +173,6 @@ def judged_together(
     ]
 
 
-@lru_cache(4)  # members of a study mostly have equal numbers of points
-def error_kinds(n: int) -> tuple[Array, Array]:
-    """Return the correlations (m, n) of n errors, and the variances (m, n) of their cosines.
-
-    Independent errors come first.
-    """
-    omega = np.pi * np.arange(n + 1) / n
-    # Means of two to eight neighbors, and means of such means. With slow correlations alone,
-    # intervals of 60 points were 1.4 to 1.8 times too wide for means of two and four neighbors and
-    # for a Hann window of three.
-    count = np.arange(2, 9)
-    power = np.abs(np.tri(8)[1:] @ np.exp(-1j * np.outer(np.arange(8), omega))) ** 2
-    # Errors that are alike over half of the points look like a gain.
-    means = np.vstack([power, power**2])[np.append(count, 2 * count - 1) <= max(n / 2, 2)]
-    # Few points smear the frequencies that a mean takes out.
-    means += means.mean(axis=1, keepdims=True) / n
-    # A longer correlation is an error of all points, which looks like a gain.
-    slow = slow_errors(omega, LENGTHS[LENGTHS[:, 0] <= n])
-    variances = np.vstack([slow, means])[:, :n]
-    # The mean counts as one of the cosines, and as half of one in a Fourier series.
-    slow[1:, 0] *= 2
-    powers = np.fft.irfft(np.vstack([slow, means]))[:, :n]
-    return powers / powers[:, :1], variances / variances.mean(axis=1, keepdims=True)
-
-
-def slow_errors(omega: Array, lengths: Array = LENGTHS) -> Array:
-    """Return the spectra (kinds, n) of white errors above slow ones.
-
-    White errors alone come first. Frequencies `omega` are in rad for a point.
-    """
-    slow = 1 / (np.cosh(1 / lengths) - np.cos(omega))
-    slow /= slow.mean(axis=1, keepdims=True)
-    return np.vstack([np.ones_like(omega), *(1 + VARIANCES * slow)])
-
-
 def averaged_meat(
     scores: ComplexArray,
     known: NeighborCorrelation,
@@ -245,41 +200,3 @@ def averaged_meat(
     meat = (transform.conj().T * (known.weight @ spectra) @ transform).real
     variance, dof = student_of_average(known.weight, variances, dof)
     return meat * (variance / (known.weight @ variances or 1.0)), dof
-
-
-def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
-    """Return variance and degrees of freedom of a Student's t that replaces an average of several.
-
-    These have variances (m,) and the same degrees of freedom; the result has the same intervals as
-    their average at `LEVELS`. With infinite degrees of freedom, the result is normal and has the
-    same interval at the first level, that of a standard error. The variance of the average would be
-    mostly that of the slowest errors, which few residuals exclude: standard errors of ten responses
-    with correlations of 0.3 and 0.6 were 1.6 and 1.8 times the scatter, now 1.3 and 1.5.
-    """
-    from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
-    from scipy.special import stdtr, stdtrit  # noqa: PLC0415
-
-    if not variance.min() > 0:
-        return float(weight @ variance), dof
-
-    deviation = np.sqrt(variance)
-    tails = (1 - np.array(LEVELS)) / 2
-    half_widths: Any = (
-        brentq(
-            lambda size, tail=tail: stdtr(dof, -size / deviation) @ weight - tail,
-            0,
-            -1.01 * stdtrit(dof, tail) * deviation.max(),  # that of the widest
-        )
-        for tail in tails
-    )
-    inner, outer = half_widths
-    if math.isinf(dof):
-        return float((inner / stdtrit(dof, tails[0])) ** 2), dof
-
-    # The ratio of both intervals falls as the degrees of freedom rise.
-    few, most = 1 / dof, 1.0
-    for _ in range(40):
-        middle = (few + most) / 2
-        narrow, wide = stdtrit(1 / middle, tails)
-        few, most = (middle, most) if wide / narrow < outer / inner else (few, middle)
-    return float((outer / stdtrit(1 / few, 1 - tails[1])) ** 2), 1 / few

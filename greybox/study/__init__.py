@@ -17,7 +17,8 @@ Begin with `batch`.
 | `ownership` | the mark of the user on stored runs and answers |
 | `running` | whether a process is working on a study |
 | `bootstrap` | repeat one fit on data that are drawn anew |
-| `replicates` | drawn responses and records, and their refits |
+| `replicates` | data that are drawn anew, and their refits |
+| `record_replicates`, `response_replicates` | those of records, and of responses |
 """
 
 from greybox.study.batch import Member as Member, batch as batch

@@ -29,7 +29,7 @@ from greybox.files.progress import bar
 from greybox.files.wording import counted
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
-from greybox.modeling.one_thread import unchanged, unchanged_in
+from greybox.modeling.traced_once import unchanged, unchanged_in
 from greybox.solve.executors import (
     ExecutorLostError,
     pickled,

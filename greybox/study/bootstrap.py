@@ -33,20 +33,16 @@ from greybox.files.progress import bar
 from greybox.files.spelling import alternatives
 from greybox.files.text_table import text_table, titled
 from greybox.files.wording import counted, some
-from greybox.modeling.one_thread import cached_property
+from greybox.modeling.cached_property import cached_property
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import ProgressReport, multistart, solver_for
 from greybox.solve.runs import Memory, Outcomes
-from greybox.study.replicates import (
-    RecordReplicates,
-    Replicates,
-    ResponseReplicates,
-    record_draws,
-    response_draws,
-)
+from greybox.study.record_replicates import RecordReplicates, record_draws
+from greybox.study.replicates import Replicates
+from greybox.study.response_replicates import ResponseReplicates, response_draws
 from greybox.study.store import StoredRuns, locked
 
 

@@ -11,7 +11,8 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.files.delimited_text import heading, read_delimited
+from greybox.files.column_headings import heading
+from greybox.files.delimited_text import read_delimited
 from greybox.files.escapes import in_sentences
 from greybox.files.grouping import unique
 from greybox.files.safe_files import require_file

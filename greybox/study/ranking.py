@@ -15,7 +15,7 @@ from greybox.estimate.result import Fit, Fits
 from greybox.files.grouping import unique
 from greybox.files.numbers_in_text import percent
 from greybox.files.wording import counted, some
-from greybox.modeling.one_thread import unchanged
+from greybox.modeling.traced_once import unchanged
 from greybox.simulation.prediction import default_length
 from greybox.simulation.simulate import predict
 from greybox.statistics.metrics import rms

@@ -36,9 +36,9 @@ from typing import Any, Literal
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
 from greybox.files.arrays import Array
+from greybox.files.bounded_json import parsed
 from greybox.files.control_characters import printable
 from greybox.files.frozen_values import frozen
-from greybox.files.json_numbers import parsed
 from greybox.files.packed import packed, unpacked
 from greybox.files.printed import one_line
 from greybox.files.wording import counted, listed

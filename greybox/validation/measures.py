@@ -20,7 +20,8 @@ from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood,
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.simulation.prediction import Prediction
 from greybox.solve.multistart import multistart
-from greybox.statistics.metrics import fit_percent, rms, whiteness
+from greybox.statistics.correlation_statistics import whiteness
+from greybox.statistics.metrics import fit_percent, rms
 from greybox.validation.comparison import Row
 from greybox.validation.held_out import Predictions
 from greybox.validation.same_data import count_unknowns, is_likelihood

@@ -12,7 +12,7 @@ from greybox.files.arrays import Array
 from greybox.files.numbers_in_text import number, p_text
 from greybox.files.wording import counted, listed
 from greybox.simulation.prediction import Prediction
-from greybox.statistics.metrics import mean_test, whiteness
+from greybox.statistics.correlation_statistics import mean_test, whiteness
 from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT
 from greybox.validation.held_out import Predictions
 from greybox.validation.measures import Likelihoods

@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from unit_directions import by_parameters
 
 from greybox.compiled.colored_errors import colored_errors, independent_numbers
-from greybox.statistics.residual_spectrum import colored_information
+from greybox.statistics.colored_information import colored_information
 
 
 def regression(n, seed):

@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 import greybox as gb
 from greybox.compiled.sample_step import sample_step
 from greybox.compiled.segments import Course, Segments
-from greybox.modeling.one_thread import traced_once
 from greybox.modeling.realization import dynamics
+from greybox.modeling.traced_once import traced_once
 
 CELLS = 16
 

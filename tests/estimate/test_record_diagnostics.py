@@ -16,7 +16,7 @@ from greybox.estimate.checks import colored_predictions as module
 from greybox.estimate.checks.colored_predictions import colored_predictions
 from greybox.estimate.checks.feedback import feedback
 from greybox.estimate.checks.unexplained_outputs import unexplained_outputs
-from greybox.statistics.metrics import cross_correlation, whiteness
+from greybox.statistics.correlation_statistics import cross_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")

@@ -10,7 +10,8 @@ from sampled_sines import amplitude
 
 import greybox as gb
 from greybox.experiment.controller import connected, updated
-from greybox.modeling.model import Names, equation
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.model import equation
 from greybox.models.controller import AttitudeController
 
 

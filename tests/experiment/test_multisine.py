@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from greybox.experiment.excitation import multisine
+from greybox.experiment.multisines import multisine
 
 
 @pytest.mark.parametrize("signals", [["u"], ["p", "q", "r"]])

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.experiment.excitation import multisine, sine_schedule, sweep
+from greybox.experiment.multisines import multisine
 from greybox.experiment.scripts import ardupilot_script, systemid_parameters, write_excitation
+from greybox.experiment.sine_schedules import sine_schedule
+from greybox.experiment.sweeps import sweep
 
 HZ = 2 * math.pi
 

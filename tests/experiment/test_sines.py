@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from greybox.experiment.excitation import sine_schedule
+from greybox.experiment.sine_schedules import sine_schedule
 
 
 def test_sine_schedule_repeats_the_simulated_flight():

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from greybox.experiment.excitation import sweep
+from greybox.experiment.sweeps import sweep
 
 HZ = 2 * math.pi
 

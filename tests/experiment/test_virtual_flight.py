@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 import greybox as gb
 from greybox.data.intersample import Intersample, intersample
-from greybox.modeling.model import Names
+from greybox.modeling.formula_arguments import Names
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawAngle

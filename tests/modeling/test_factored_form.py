@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from rational_functions import OMEGA, evaluated, polynomial, table
 
-from greybox.modeling.rational import factored
+from greybox.modeling.factored_form import factored
 from greybox.regression.levy import levy
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from spring_lag_tilt import HELD, SPRING, Spring, fit, spring
 
 import greybox as gb
-from greybox.modeling.integrators import Radau
+from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.realization import dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian
 

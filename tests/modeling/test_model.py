@@ -8,7 +8,9 @@ import pytest
 from gain_and_lag import Gain, Lag
 
 import greybox as gb
-from greybox.modeling.model import Names, equation, merge, merged_parameters, pick_signals
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.merged_parameters import merge, merged_parameters
+from greybox.modeling.model import equation, pick_signals
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt

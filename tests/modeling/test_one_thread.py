@@ -7,7 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox.modeling.linearization import jacobians
-from greybox.modeling.one_thread import traced_once
+from greybox.modeling.traced_once import traced_once
 
 OMEGA = np.geomspace(0.5, 20, 10)
 

@@ -7,7 +7,7 @@ from scipy.signal import butter, iirnotch, lfilter
 
 import greybox as gb
 from greybox.experiment.sampled_loop import linear_controller
-from greybox.modeling.model import Names
+from greybox.modeling.formula_arguments import Names
 from greybox.models import betaflight, px4
 from greybox.models.ardupilot import (
     AngleController,

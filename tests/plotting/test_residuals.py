@@ -10,7 +10,7 @@ from hardening_spring import Spring, driven
 
 import greybox as gb
 from greybox.plotting.residuals import residual_figures
-from greybox.statistics.metrics import whiteness
+from greybox.statistics.correlation_statistics import whiteness
 
 
 @pytest.fixture(scope="module")

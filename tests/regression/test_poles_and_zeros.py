@@ -3,7 +3,7 @@
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.modeling.rational import upper_half
+from greybox.modeling.factored_form import upper_half
 from greybox.regression.poles_and_zeros import NearPair, near_pairs
 
 

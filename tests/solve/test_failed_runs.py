@@ -16,7 +16,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.local_solver import Runner
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome
-from greybox.study.replicates import RecordReplicates
+from greybox.study.record_replicates import RecordReplicates
 from greybox.study.store import StoredRuns
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")

@@ -7,7 +7,7 @@ from scipy.signal import freqz, lfilter
 
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record
-from greybox.experiment.excitation import multisine
+from greybox.experiment.multisines import multisine
 from greybox.spectral.multisine_lines import periodic_response, whole_periods
 from greybox.spectral.uniform_stretches import UniformStretch
 

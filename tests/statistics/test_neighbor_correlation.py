@@ -14,11 +14,11 @@ import greybox as gb
 from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,
     averaged_meat,
-    error_kinds,
     judged_together,
     neighbor_correlation,
-    student_of_average,
 )
+from greybox.statistics.neighbor_spectra import error_kinds
+from greybox.statistics.student_average import student_of_average
 
 
 def autoregression(random, rho, n):

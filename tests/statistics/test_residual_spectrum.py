@@ -16,13 +16,12 @@ from scipy.linalg import (
 from scipy.signal import lfilter
 from unit_directions import by_parameters, of_unit_variance, with_states
 
+from greybox.statistics.averaged_spectrum import AveragedSpectrum, aicc_penalty
+from greybox.statistics.colored_information import colored_information
 from greybox.statistics.frequency_grid import FrequencyGrid, fast_length
 from greybox.statistics.residual_spectrum import (
     BLOCKS,
-    AveragedSpectrum,
     ResidualSpectra,
-    aicc_penalty,
-    colored_information,
     remaining_products,
     unmasked,
 )

@@ -5,12 +5,9 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.stats import f
 
-from greybox.statistics.score_statistics import (
-    chance,
-    correlated_fits,
-    p_values_of_fits,
-    score_tests,
-)
+from greybox.statistics.beta_share import chance
+from greybox.statistics.restricted_likelihoods import Remainder, correlated_fits, p_values_of_fits
+from greybox.statistics.score_statistics import score_tests
 
 
 def blocks():
@@ -49,27 +46,27 @@ def test_parts_with_columns_of_their_own_are_one_block_diagonal_matrix():
         sum((lengths for *_, lengths in parts), ()),
     )
     # Errors that are larger in a band are so in each run of neighbors, in both forms.
-    squares, _, remaining = fits = correlated_fits(parts)
-    assert squares == pytest.approx(correlated_fits([whole])[0], rel=1e-9)
-    assert remaining == 132 - 10
+    fits = correlated_fits(parts)
+    assert fits.squares == pytest.approx(correlated_fits([whole]).squares, rel=1e-9)
+    assert fits.numbers == 132 - 10
     assert p_values_of_fits(fits, fits) == pytest.approx([1.0])
 
 
 def test_white_errors_and_larger_ones_at_the_end_are_weighted_least_squares():
     residuals, columns, lengths = next(blocks())
     term = np.random.default_rng(1).normal(size=(40, 1))
-    squares, scores, remaining = correlated_fits([(residuals, columns, lengths)], term)
+    fits = correlated_fits([(residuals, columns, lengths)], term)
     logs = []
     for kind, size in ((0, np.ones(40)), (-1, np.where(np.arange(40) % 20 < 18, 1.0, 50**0.5))):
         basis = np.linalg.qr(columns)[0]
         weighted = np.hstack([basis, term]) / size[:, None]
         y = residuals[:, 0] / size
         left = y - weighted @ np.linalg.lstsq(weighted, y)[0]
-        assert squares[kind, 1] == pytest.approx(left @ left, rel=1e-9)
+        assert fits.squares[kind, 1] == pytest.approx(left @ left, rel=1e-9)
         information = np.linalg.slogdet(weighted.T @ weighted)[1] + 2 * np.sum(np.log(size))
         logs.append(information + 36 * np.log(left @ left))
-    assert remaining.tolist() == [37, 36]
-    assert scores[0, 1] - scores[-1, 1] == pytest.approx(logs[0] - logs[1], rel=1e-9)
+    assert fits.numbers.tolist() == [37, 36]
+    assert fits.scores[0, 1] - fits.scores[-1, 1] == pytest.approx(logs[0] - logs[1], rel=1e-9)
 
 
 def test_each_of_several_terms_is_judged_as_if_it_were_the_only_one():
@@ -78,7 +75,8 @@ def test_each_of_several_terms_is_judged_as_if_it_were_the_only_one():
     together = correlated_fits([block], terms)
     for k in range(3):
         alone = correlated_fits([block], terms[:, [k]])
-        for value, expected in zip(together, alone, strict=True):
+        for name in ("squares", "scores", "numbers"):
+            value, expected = getattr(together, name), getattr(alone, name)
             assert value[..., [0, 1 + k]] == pytest.approx(expected, rel=1e-9)
 
 
@@ -99,8 +97,8 @@ def test_a_term_explains_what_errors_that_walk_do_not(walks, size, is_likely):
 
 def test_white_errors_are_as_likely_as_all_other_kinds_before_the_data():
     """With equal likelihoods, half of the mean is the probability in white errors."""
-    before = np.ones((3, 1)), np.zeros((3, 1)), np.array([20.0])
+    before = Remainder(np.ones((3, 1)), np.zeros((3, 1)), np.array([20.0]))
     left = np.array([[0.4], [1.0], [1.0]])
-    beside = left, np.zeros((3, 1)), np.array([19.0])
+    beside = Remainder(left, np.zeros((3, 1)), np.array([19.0]))
     white = chance(0.4, 19.0)
     assert p_values_of_fits(before, beside) == pytest.approx([(white + 1) / 2])

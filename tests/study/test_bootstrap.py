@@ -23,7 +23,7 @@ from greybox.estimate.covariance import accuracy_at
 from greybox.estimate.result import Quantity
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
-from greybox.study.replicates import response_draws
+from greybox.study.response_replicates import response_draws
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

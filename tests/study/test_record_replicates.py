@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import accuracy_at
-from greybox.study.replicates import RecordReplicates, record_draws
+from greybox.study.record_replicates import RecordReplicates, record_draws
 
 VALUES = 2 + 0.1 * np.random.default_rng(1).normal(size=12)
 

@@ -13,7 +13,8 @@ from greybox.estimate.covariance import accuracy_at
 from greybox.solve.interruption import limited
 from greybox.solve.runs import SEARCH_OVER
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
-from greybox.study.replicates import DrawnResponse, Draws, ResponseReplicates, response_draws
+from greybox.study.replicates import Draws
+from greybox.study.response_replicates import DrawnResponse, ResponseReplicates, response_draws
 
 
 def draws(*, points=3, constants=(), root=(), **changes):

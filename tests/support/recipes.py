@@ -9,7 +9,7 @@ from huber import Huber
 
 import greybox as gb
 from greybox.compiled.transcription.method import Transcribed
-from greybox.modeling.integrators import ImplicitIntegrator
+from greybox.modeling.implicit_integrators import ImplicitIntegrator
 
 
 class Spring(gb.StateSpace):

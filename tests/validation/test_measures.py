@@ -5,7 +5,7 @@ import pytest
 from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
-from greybox.statistics.metrics import LAGS, whiteness
+from greybox.statistics.correlation_statistics import LAGS, whiteness
 from greybox.validation.measures import information_rows
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")

@@ -10,7 +10,7 @@ from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.transcription.method import Transcribed, Transcription
 from greybox.files.argument_checks import require_whole
-from greybox.modeling.integrators import ImplicitIntegrator, Radau
+from greybox.modeling.implicit_integrators import ImplicitIntegrator, Radau
 
 # What CasADi tabulates.
 MOST_POINTS = 9

@@ -13,7 +13,8 @@ from greybox.files.argument_checks import require_kind, require_whole
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.wording import counted
-from greybox.modeling.integrators import Integrator, Radau, RungeKutta
+from greybox.modeling.implicit_integrators import Radau
+from greybox.modeling.integrators import Integrator, RungeKutta
 
 
 @frozen

@@ -13,7 +13,7 @@ from greybox.estimate.checks.records import (
 )
 from greybox.files.wording import some
 from greybox.modeling.colored_disturbance import ColoredDisturbance
-from greybox.statistics.metrics import whiteness
+from greybox.statistics.correlation_statistics import whiteness
 
 
 def colored_predictions(evidence: Evidence) -> Findings:

@@ -4,7 +4,8 @@ from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.checks.records import FALSE_ALARMS, by_piece, in_time, place_of
 from greybox.files.wording import some
-from greybox.statistics.metrics import cross_correlation, is_resolved, whiteness
+from greybox.statistics.correlation_statistics import cross_correlation, whiteness
+from greybox.statistics.metrics import is_resolved
 
 
 def feedback(evidence: Evidence) -> Findings:

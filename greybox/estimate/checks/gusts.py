@@ -4,7 +4,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.checks.records import gust_criterion
-from greybox.statistics.residual_spectrum import VERY_STRONG
+from greybox.statistics.colored_information import VERY_STRONG
 
 # Degrees of freedom below which residuals hardly have a spectrum: with at most four, 4 to 12 % of
 # 80 right models in white noise had "gusts", with six and more 1 to 4 %.

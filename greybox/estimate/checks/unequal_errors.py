@@ -10,7 +10,7 @@ from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.largest_deviation import ROUNDING, SIZE
 from greybox.files.arrays import Array
 from greybox.files.numbers_in_text import p_text
-from greybox.statistics.metrics import size_test
+from greybox.statistics.error_growth import size_test
 
 
 def unequal_errors(evidence: Evidence) -> Findings:

@@ -7,10 +7,12 @@ loads neither pymavlink nor h5py nor scipy.
 | file | contents |
 | --- | --- |
 | `dataflash` | ArduPilot logs, binary |
-| `dataflash_index` | positions, layouts and units of the messages in an ArduPilot log |
+| `dataflash_index` | positions of the messages in an ArduPilot log |
+| `dataflash_layout`, `dataflash_units` | layouts and units of its messages |
 | `dataflash_text` | ArduPilot logs, text |
 | `ardupilot_metadata` | vehicle, firmware, parameters and modes of ArduPilot logs |
-| `telemetry` | MAVLink telemetry logs: packets, clocks, vehicle, parameters and modes |
+| `telemetry` | MAVLink telemetry logs |
+| `telemetry_packets`, `telemetry_metadata` | their packets; vehicle, parameters and modes |
 | `ulog` | PX4 logs |
 | `csv_table` | tables as text |
 | `betaflight` | tables of Betaflight's blackbox |

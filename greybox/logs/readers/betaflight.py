@@ -17,7 +17,8 @@ from greybox.data.clock import median_step
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 from greybox.files.arrays import Array
-from greybox.files.delimited_text import Heading, are_numbers
+from greybox.files.column_headings import Heading
+from greybox.files.decimal_marks import are_numbers
 from greybox.files.named_values import Values
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)

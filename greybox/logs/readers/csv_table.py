@@ -13,18 +13,10 @@ from greybox.data.response_columns import find_column
 from greybox.data.time_column import TIMES, seconds
 from greybox.data.units import with_units_in_header
 from greybox.files.arrays import Array
+from greybox.files.column_headings import Heading, heading
 from greybox.files.control_characters import printable
-from greybox.files.delimited_text import (
-    MISSING,
-    DelimitedText,
-    Heading,
-    are_numbers,
-    has_decimal_comma,
-    heading,
-    number_in,
-    numbered,
-    read_delimited,
-)
+from greybox.files.decimal_marks import are_numbers, has_decimal_comma, number_in
+from greybox.files.delimited_text import MISSING, DelimitedText, numbered, read_delimited
 from greybox.files.progress import bar
 from greybox.files.wording import counted, some
 from greybox.logs.readers.betaflight import completed, with_units, without_settings

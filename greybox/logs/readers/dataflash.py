@@ -16,16 +16,9 @@ from greybox.files.progress import bar
 from greybox.files.wording import counted
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.dataflash_index import (
-    Bytes,
-    Index,
-    Layout,
-    Units,
-    UnitTables,
-    index,
-    text,
-    with_usual_units,
-)
+from greybox.logs.readers.dataflash_index import Bytes, Index, index, text
+from greybox.logs.readers.dataflash_layout import Layout
+from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
 from greybox.logs.readers.messages import (
     MessageNames,
     Messages,

@@ -9,7 +9,8 @@ import numpy as np
 from greybox.data.record import Recording
 from greybox.files.numbers_in_text import is_number
 from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, is_wanted, recording
-from greybox.logs.readers.dataflash_index import Layout, Units, UnitTables, sound_layout
+from greybox.logs.readers.dataflash_layout import Layout, sound_layout
+from greybox.logs.readers.dataflash_units import Units, UnitTables
 from greybox.logs.readers.messages import MessageNames, Messages, bare
 
 TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property
+from greybox.modeling.cached_property import cached_property
 from greybox.solve.constraints import Limits, limits_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import CONVERGED, EXACT, Iterate, Nodes, Progress, relaxed

@@ -12,7 +12,7 @@ from greybox.data.checked_array import within_range
 from greybox.logs.readers import read
 from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.dataflash import clock_column
-from greybox.logs.readers.dataflash_index import Layout
+from greybox.logs.readers.dataflash_layout import Layout
 
 CUT = Path(__file__).parents[2] / "data" / "sitl_sweep_cut.BIN"
 QUICK = settings(

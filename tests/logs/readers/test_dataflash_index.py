@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from synthetic_logs import Log
 
-from greybox.logs.readers import dataflash_index
-from greybox.logs.readers.dataflash_index import index, sound_layout, text
+from greybox.logs.readers.dataflash_index import index, text
+from greybox.logs.readers.dataflash_layout import Layout, sound_layout
 
 
 def log(count=600):
@@ -142,7 +142,7 @@ def test_padding_is_told_by_a_page_of_it(length, damage):
 )
 def test_letters_of_scaled_integers_imply_a_divisor(letter, divisor):
     """ArduPilot's list of format characters: hundredths, and degrees times ten million."""
-    layout = dataflash_index.Layout(1, "X", 3, letter, ("x",))
+    layout = Layout(1, "X", 3, letter, ("x",))
     assert layout.scale(0) == (None if divisor is None else pytest.approx(divisor))
 
 
@@ -162,9 +162,9 @@ def test_letters_of_scaled_integers_imply_a_divisor(letter, divisor):
 )
 def test_letters_are_as_long_as_their_numbers(letters, size):
     columns = tuple(f"x{k}" for k in range(len(letters)))
-    layout = dataflash_index.Layout(1, "X", size + 3, letters, columns)
+    layout = Layout(1, "X", size + 3, letters, columns)
     assert layout.dtype.itemsize == size
-    assert sound_layout(1, "X_1", size + 3, letters, columns) == dataflash_index.Layout(
+    assert sound_layout(1, "X_1", size + 3, letters, columns) == Layout(
         1, "X_1", size + 3, letters, columns
     )
     assert sound_layout(1, "X", size + 2, letters, columns) is None

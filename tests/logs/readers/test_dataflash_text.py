@@ -7,7 +7,7 @@ import pytest
 from synthetic_logs import Log
 
 from greybox.logs.readers import read
-from greybox.logs.readers.dataflash_index import with_usual_units
+from greybox.logs.readers.dataflash_units import with_usual_units
 from greybox.logs.readers.messages import Messages
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.files.delimited_text import Heading, heading
+from greybox.files.column_headings import Heading, heading
 from greybox.logs.readers.table_columns import WIDEST, seconds, table
 
 TIME = np.arange(5) * 20.0  # ms

@@ -6,7 +6,7 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from greybox.logs.readers.telemetry import Packets
+from greybox.logs.readers.telemetry_packets import Packets
 
 START = 1_700_000_000_000_000  # µs since 1970
 STAMP = struct.pack(">Q", START)
