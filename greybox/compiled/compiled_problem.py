@@ -21,11 +21,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    ComplexArray,
-)
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.frozen_values import frozen
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem

@@ -17,13 +17,7 @@ import numpy as np
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    all_finite,
-    diagonal,
-    positive_or_one,
-)
+from greybox.files.arrays import Array, BoolArray, all_finite, diagonal, positive_or_one
 
 # Curvature, relative to that of the outputs, that holds first states which no output shows.
 RIDGE = 1e-10

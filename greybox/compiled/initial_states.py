@@ -11,13 +11,7 @@ import numpy as np
 
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    ComplexArray,
-    IntArray,
-    positive_or_one,
-)
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, positive_or_one
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.statistics.noise_ratio import SMOOTH, noise_ratio

@@ -20,10 +20,7 @@ from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
-from greybox.files.arrays import (
-    Array,
-    positive_or_one,
-)
+from greybox.files.arrays import Array, positive_or_one
 from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.cached_property import cached_property

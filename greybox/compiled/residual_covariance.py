@@ -6,13 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.files.arrays import (
-    Array,
-    IntArray,
-    all_finite,
-    diagonal,
-    positive_or_one,
-)
+from greybox.files.arrays import Array, IntArray, all_finite, diagonal, positive_or_one
 from greybox.files.frozen_values import frozen
 from greybox.files.wording import listed
 from greybox.formulation.time_criteria import TimeCriterion

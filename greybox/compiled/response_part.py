@@ -8,21 +8,10 @@ import numpy as np
 
 from greybox.compiled.data_input import INCLUDED, data_numbers
 from greybox.compiled.information import Information
-from greybox.compiled.part import (
-    NO_NODES,
-    SMOOTHING,
-    Elsewhere,
-    Part,
-    Trajectory,
-)
+from greybox.compiled.part import NO_NODES, SMOOTHING, Elsewhere, Part, Trajectory
 from greybox.compiled.response_information import response_information
 from greybox.compiled.shared_response import SharedSystem
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    complex_array,
-    real_and_imaginary,
-)
+from greybox.files.arrays import Array, ComplexArray, complex_array, real_and_imaginary
 from greybox.files.frozen_values import frozen
 from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood
@@ -30,10 +19,7 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.cached_property import cached_property
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
-from greybox.statistics.neighbor_correlation import (
-    NeighborCorrelation,
-    neighbor_correlation,
-)
+from greybox.statistics.neighbor_correlation import NeighborCorrelation, neighbor_correlation
 
 
 @frozen

@@ -14,13 +14,7 @@ import numpy as np
 
 from greybox.compiled.record_model import RecordModel
 from greybox.compiled.sample_step import SampleStep
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    IntArray,
-    all_finite,
-    diagonal,
-)
+from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, diagonal
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import places_of
 from greybox.modeling.symbolic_reading import dense_jacobian

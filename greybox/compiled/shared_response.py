@@ -21,13 +21,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    ComplexArray,
-    IntArray,
-    real_and_imaginary,
-)
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, real_and_imaginary
 from greybox.files.frozen_values import frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex

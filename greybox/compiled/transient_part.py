@@ -30,11 +30,7 @@ import numpy as np
 
 from greybox.compiled.information import ColoredErrors, Information
 from greybox.compiled.part import NO_NODES, Part, Trajectory
-from greybox.compiled.residual_covariance import (
-    FEWEST,
-    ResidualCovariance,
-    residual_covariance_of,
-)
+from greybox.compiled.residual_covariance import FEWEST, ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Array,

@@ -12,14 +12,7 @@ from greybox.data.checksum import checksum_of
 from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
-from greybox.files.arrays import (
-    AnyArray,
-    Array,
-    BoolArray,
-    ComplexArray,
-    IntArray,
-    all_finite,
-)
+from greybox.files.arrays import AnyArray, Array, BoolArray, ComplexArray, IntArray, all_finite
 from greybox.files.control_characters import printable, write_out
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import attributes

@@ -17,23 +17,11 @@ from greybox.data.checked_array import (
     within_range,
 )
 from greybox.data.checksum import checksum_of
-from greybox.data.clock import (
-    Clock,
-    Gaps,
-    clock_of,
-    described_gaps,
-    lost_rows,
-    require_gaps,
-)
+from greybox.data.clock import Clock, Gaps, clock_of, described_gaps, lost_rows, require_gaps
 from greybox.data.dates import seconds_from_first
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    IntArray,
-    Interval,
-)
+from greybox.files.arrays import Array, BoolArray, IntArray, Interval
 from greybox.files.control_characters import all_printable, write_out
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique

@@ -6,12 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
-from greybox.data.response_columns import (
-    OMEGA,
-    assembled,
-    columns_by_role,
-    written_columns,
-)
+from greybox.data.response_columns import OMEGA, assembled, columns_by_role, written_columns
 from greybox.data.units import with_units_in_header
 from greybox.files.column_headings import heading
 from greybox.files.delimited_text import DelimitedText, numbered, read_delimited, write_delimited

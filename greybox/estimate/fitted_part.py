@@ -12,11 +12,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import NOT_STORED, Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.stored_values import require
-from greybox.files.arrays import (
-    AnyArray,
-    Array,
-    ComplexArray,
-)
+from greybox.files.arrays import AnyArray, Array, ComplexArray
 from greybox.files.named_values import Values
 from greybox.files.printed import one_line
 from greybox.files.wording import counted

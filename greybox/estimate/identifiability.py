@@ -10,13 +10,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    real_root,
-    sum_of_squares,
-    unit_length,
-)
+from greybox.files.arrays import Array, BoolArray, real_root, sum_of_squares, unit_length
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.numbers_in_text import number, with_error

@@ -18,12 +18,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    IntArray,
-    positive_or_one,
-)
+from greybox.files.arrays import Array, ComplexArray, IntArray, positive_or_one
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number

@@ -17,11 +17,7 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import NOT_STORED, Record
 from greybox.estimate.at_estimate import at_estimate, part_index
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.identifiability import (
-    Identifiability,
-    KnownDirections,
-    identifiability,
-)
+from greybox.estimate.identifiability import Identifiability, KnownDirections, identifiability
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import details, summary, text
 from greybox.estimate.profile_result import Profiles
@@ -33,11 +29,7 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import (
-    AnyArray,
-    Array,
-    Interval,
-)
+from greybox.files.arrays import AnyArray, Array, Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values, attributes, places_of

@@ -19,12 +19,7 @@ from greybox.estimate.identifiability import (
     invisible_groups,
 )
 from greybox.files.argument_checks import as_names, require_kind
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    all_finite,
-    positive_or_one,
-)
+from greybox.files.arrays import Array, BoolArray, all_finite, positive_or_one
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values, array_of
 from greybox.files.printed import Printed

@@ -11,13 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.experiment.sampled_loop import SampledLoop
-from greybox.files.arrays import (
-    AnyArray,
-    Array,
-    BoolArray,
-    ComplexArray,
-    IntArray,
-)
+from greybox.files.arrays import AnyArray, Array, BoolArray, ComplexArray, IntArray
 from greybox.files.frozen_values import frozen
 
 POINTS = 400  # in four decades below the Nyquist frequency

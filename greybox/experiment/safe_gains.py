@@ -24,11 +24,7 @@ from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
 from greybox.experiment.todays_loop import TodaysLoop, todays_loop
 from greybox.files.argument_checks import checked_items
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    Interval,
-)
+from greybox.files.arrays import Array, BoolArray, Interval
 from greybox.files.frozen_values import frozen
 from greybox.files.json_numbers import plain
 from greybox.files.named_values import Values

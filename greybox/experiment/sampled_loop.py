@@ -23,12 +23,7 @@ from greybox.experiment.controller import (
     run_controllers,
     sensors_of,
 )
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    ComplexArray,
-    IntArray,
-)
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values, places_of

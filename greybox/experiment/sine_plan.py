@@ -18,13 +18,7 @@ from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sine_schedules import sine_schedule
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    IntArray,
-    Interval,
-    positive_or_one,
-)
+from greybox.files.arrays import Array, BoolArray, IntArray, Interval, positive_or_one
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values, array_of
 from greybox.files.text_table import text_table

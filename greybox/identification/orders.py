@@ -18,13 +18,7 @@ from greybox.files.arrays import Array, ComplexArray, sum_of_squares
 from greybox.files.named_values import Values, selected
 from greybox.files.wording import counted
 from greybox.formulation.starts import Sobol
-from greybox.identification.selection import (
-    UNSTABLE,
-    Candidate,
-    Selection,
-    held_by_bounds,
-    select,
-)
+from greybox.identification.selection import UNSTABLE, Candidate, Selection, held_by_bounds, select
 from greybox.identification.structure_fit import fit_within_far_bounds, stated_for
 from greybox.modeling.factored_form import upper_half
 from greybox.modeling.linear_response import frequency_response

@@ -14,10 +14,7 @@ from greybox.data.excited_segment import Segment, Segments
 from greybox.data.record import Record, Recording, require_time
 from greybox.data.units import known_unit
 from greybox.files.argument_checks import as_names
-from greybox.files.arrays import (
-    Array,
-    IntArray,
-)
+from greybox.files.arrays import Array, IntArray
 from greybox.files.named_values import Values
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES

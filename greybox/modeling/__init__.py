@@ -9,8 +9,8 @@ Begin with `model`.
 | `parameter`, `functions` | what formulas are written with |
 | `formula_arguments` | the arguments of a formula, values by name |
 | `merged_parameters` | parameters of the same name as one unknown |
-| `symbolic_reading`, `traced_once` | a formula traced with CasADi, once while the model stays the same |
-| `one_thread`, `cached_property` | the lock for derivatives and solvers; properties without a lock |
+| `symbolic_reading`, `traced_once` | a formula traced with CasADi, once for an unchanged model |
+| `one_thread`, `cached_property` | the lock for derivatives and solvers, and values without it |
 | `fingerprint` | keys of values, equal in every process |
 | `complex_arithmetic` | real and imaginary part of a function of s |
 | `rational`, `factored_form` | numerator, denominator and delay, and their print |

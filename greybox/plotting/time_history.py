@@ -12,13 +12,7 @@ from greybox.files.grouping import unique
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, require_drawable, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
-from greybox.plotting.signals import (
-    chosen,
-    distinct_labels,
-    shown_unit,
-    signal_label,
-    with_unit,
-)
+from greybox.plotting.signals import chosen, distinct_labels, shown_unit, signal_label, with_unit
 from greybox.simulation.prediction import Prediction
 
 BANDS = (

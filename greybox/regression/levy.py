@@ -14,12 +14,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.argument_checks import require_whole
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    positive_or_one,
-    real_and_imaginary,
-)
+from greybox.files.arrays import Array, ComplexArray, positive_or_one, real_and_imaginary
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values
 from greybox.files.numbers_in_text import number

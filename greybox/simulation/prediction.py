@@ -16,11 +16,7 @@ from greybox.compiled.sampled_data import SampledData, Stretch, gapless
 from greybox.data.clock import JITTER, off_uniform
 from greybox.data.record import Record
 from greybox.files.argument_checks import is_finite_number
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    IntArray,
-)
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import places_of
 from greybox.files.numbers_in_text import number

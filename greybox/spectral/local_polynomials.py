@@ -34,14 +34,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.files.arrays import (
-    AnyArray,
-    Array,
-    ComplexArray,
-    IntArray,
-    all_finite,
-    sum_of_squares,
-)
+from greybox.files.arrays import AnyArray, Array, ComplexArray, IntArray, all_finite, sum_of_squares
 from greybox.spectral.estimated_points import HZ, STRONG, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
 

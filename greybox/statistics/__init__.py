@@ -6,7 +6,7 @@ time.
 | file | contents |
 | --- | --- |
 | `metrics` | measures of fit |
-| `correlation_statistics` | whether residuals are white, or follow an input; means of correlated series |
+| `correlation_statistics` | whether residuals are white, or follow an input |
 | `error_growth` | whether errors are larger in a part of the band |
 | `huber` | large errors bounded, for robust estimates |
 | `noise_ratio` | whether a signal is smooth or noise |

@@ -27,12 +27,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.files.arrays import (
-    Array,
-    ComplexArray,
-    all_finite,
-    real_and_imaginary,
-)
+from greybox.files.arrays import Array, ComplexArray, all_finite, real_and_imaginary
 from greybox.files.frozen_values import frozen
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.neighbor_spectra import error_kinds

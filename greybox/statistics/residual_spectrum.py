@@ -37,17 +37,9 @@ from greybox.statistics.averaged_spectrum import (
     stacked,
 )
 from greybox.statistics.error_spectrum import ROUNDING
-from greybox.statistics.frequency_grid import (
-    FrequencyGrid,
-    filtered,
-    products,
-)
+from greybox.statistics.frequency_grid import FrequencyGrid, filtered, products
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER, levinson
-from greybox.statistics.variance_components import (
-    LEAST,
-    variance_components,
-    whittle_score,
-)
+from greybox.statistics.variance_components import LEAST, variance_components, whittle_score
 
 # Samples above which the spectrum is not corrected for what the fit took from the errors. That part
 # is then far below the uncertainty of the spectrum, and a count of parameters suffices, as for

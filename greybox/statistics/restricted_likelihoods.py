@@ -5,9 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.files.arrays import (
-    Array,
-)
+from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.statistics.beta_share import TINY, chance
 from greybox.statistics.column_space import column_basis

@@ -30,13 +30,7 @@ from greybox.files.wording import counted
 from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.traced_once import unchanged, unchanged_in
-from greybox.solve.executors import (
-    ExecutorLostError,
-    pickled,
-    require_executor,
-    run_all,
-    unpickled,
-)
+from greybox.solve.executors import ExecutorLostError, pickled, require_executor, run_all, unpickled
 from greybox.solve.interruption import (
     Interrupted,
     Response,

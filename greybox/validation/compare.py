@@ -7,13 +7,7 @@ from greybox.data.record import Record
 from greybox.estimate.result import Fits
 from greybox.files.argument_checks import checked_items
 from greybox.simulation.prediction import require_lengths
-from greybox.validation.comparison import (
-    HELD_OUT,
-    IDENTIFICATION,
-    SIGNIFICANT,
-    Comparison,
-    Row,
-)
+from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, SIGNIFICANT, Comparison, Row
 from greybox.validation.held_out import (
     Predictions,
     not_held_out,

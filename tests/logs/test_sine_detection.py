@@ -8,9 +8,7 @@ from hypothesis import given, settings, strategies as st
 from sine_schedules import STEP, schedule
 
 from greybox.data.excited_segment import segment_table
-from greybox.logs.sine_detection import (
-    sines_and_sweeps,
-)
+from greybox.logs.sine_detection import sines_and_sweeps
 
 
 def assert_found(runs, plan, starts, within=1.0):

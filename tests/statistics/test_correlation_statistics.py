@@ -10,7 +10,10 @@ from scipy.stats import chi2, kstest, norm
 
 from greybox.statistics.correlation_statistics import cross_correlation, mean_test, whiteness
 from greybox.statistics.residual_autocorrelation import autoregression
-from tests.statistics.test_metrics import colored
+
+
+def colored(values, random, count=400):
+    return lfilter([1], [1, -values], random.normal(size=count + 50))[50:]
 
 
 def test_whiteness_of_white_noise_is_rejected_as_often_as_said():

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from greybox.statistics.metrics import fit_percent, rms
 
@@ -29,7 +28,3 @@ def test_measures_of_nothing_are_not_known():
     assert math.isnan(rms(nothing))
     with pytest.raises(ValueError, match="3 measured and 2 predicted values"):
         fit_percent(np.ones(3), np.ones(2))
-
-
-def colored(values, random, count=400):
-    return lfilter([1], [1, -values], random.normal(size=count + 50))[50:]

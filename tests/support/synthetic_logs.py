@@ -10,11 +10,10 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from pymavlink.DFReader import FORMAT_TO_STRUCT
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from scipy.io import savemat
 from scipy.signal import cont2discrete
-
-from greybox.logs.readers.dataflash_index import FORMAT_TO_STRUCT
 
 FMT_FORMAT = ("BBnNZ", "Type,Length,Name,Format,Columns")
 UNITS = {

@@ -11,10 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.files.arrays import (
-    Array,
-    IntArray,
-)
+from greybox.files.arrays import Array, IntArray
 from greybox.files.named_values import without
 from greybox.logs.readers import time_stamps
 from greybox.logs.readers.ardupilot_metadata import unit

@@ -8,10 +8,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.mavutil import interpret_px4_mode
 
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-)
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.named_values import Values, non_empty
 from greybox.logs.readers.ardupilot_metadata import mode_name, vehicle_in
 from greybox.logs.readers.telemetry_packets import Kind

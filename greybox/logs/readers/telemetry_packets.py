@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from greybox.files.arrays import (
-    Array,
-)
+from greybox.files.arrays import Array
 from greybox.files.progress import bar
 
 STAMP = 8  # bytes of time before a packet

@@ -25,12 +25,7 @@ from greybox.solve.gauss_newton.iterate import (
 from greybox.solve.gauss_newton.kinks import status_at_kink
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import exact_step, gauss_newton_step
-from greybox.solve.gauss_newton.stability import (
-    are_stable,
-    best_gains,
-    predictors,
-    simulate_stable,
-)
+from greybox.solve.gauss_newton.stability import are_stable, best_gains, predictors, simulate_stable
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE, TOO_COARSE
 from greybox.solve.stationarity import ROUNDING
