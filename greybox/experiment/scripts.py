@@ -16,6 +16,79 @@ AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first t
 # Those that inject into an attitude loop or the mixer.
 FLOWN_AXES: Sequence[str] = SYSTEMID_AXES[:13]
 
+# The Lua program that flies the sines; the script sets AXIS, OFFSET, PAUSE and SINES before it.
+_SINE_TEST = """local PERIOD_MS = 10 -- between two setpoints
+local SWITCH = 300   -- RCx_OPTION: Scripting1
+local GUIDED, HIGH, INFO = 4, 2, 6
+local W, ETA, SECONDS = 1, 2, 3 -- columns of SINES: rad/s, degrees, s
+
+local segment = 0   -- 0 while waiting
+local resting       -- at the operating point, before a sine
+local started       -- of the rest or of the sine
+local heading = 0   -- kept during the test, degrees
+local spent = true  -- the switch has to be low once before a test can start
+
+local function finish(text)
+  gcs:send_text(INFO, 'sine test: ' .. text)
+  segment = 0
+  spent = true
+end
+
+local function yaw()
+  local known, angle = pcall(function() return ahrs:get_yaw_rad() end) -- named get_yaw before 4.7
+  return math.deg(known and angle or ahrs:get_yaw())
+end
+
+local function command(angle)
+  local target = {0, 0, heading}
+  target[AXIS] = target[AXIS] + angle
+  return vehicle:set_target_angle_and_climbrate(target[1], target[2], target[3], 0, false, 0)
+end
+
+local function enter(number)
+  segment, resting, started = number, true, micros()
+end
+
+local function fly()
+  local t = (micros() - started):tofloat() * 1e-6
+  if resting and t >= PAUSE then
+    resting, started, t = false, micros(), 0
+    if segment > #SINES then return finish('done') end
+  end
+  if not resting and t >= SINES[segment][SECONDS] then
+    enter(segment + 1)
+  end
+  local sine = 0
+  if not resting then
+    sine = SINES[segment][ETA] * math.sin(SINES[segment][W] * t)
+    logger:write('SINE', 'Seg,Ax,W,Eta,Th0,T,Ref', 'BBfffff', segment, AXIS, SINES[segment][W],
+      SINES[segment][ETA], OFFSET, t, sine)
+  end
+  if not command(OFFSET + sine) then finish('setpoint refused') end
+end
+
+local function update()
+  local ready = arming:is_armed() and vehicle:get_mode() == GUIDED
+  local high = rc:get_aux_cached(SWITCH) == HIGH
+  if segment > 0 and not (ready and high) then
+    finish('stopped')
+  elseif segment > 0 then
+    fly()
+  elseif not high then
+    spent = false
+  elseif not spent and ready then
+    heading = yaw()
+    gcs:send_text(INFO, 'sine test: ' .. #SINES .. ' frequencies')
+    enter(1)
+  elseif not spent then
+    finish('arm and enter GUIDED, then switch again')
+  end
+  return update, PERIOD_MS
+end
+
+return update, 1000
+"""
+
 
 def write_excitation(excitation: Record, path: str | Path) -> None:
     """Write a test signal, or another record, to a CSV file, atomically.
@@ -135,76 +208,3 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
         "T_FADE_OUT": settings["fade_out"],
     }
     return "".join(f"SID_{name},{value:.7g}\n" for name, value in values.items())
-
-
-_SINE_TEST = """local PERIOD_MS = 10 -- between two setpoints
-local SWITCH = 300   -- RCx_OPTION: Scripting1
-local GUIDED, HIGH, INFO = 4, 2, 6
-local W, ETA, SECONDS = 1, 2, 3 -- columns of SINES: rad/s, degrees, s
-
-local segment = 0   -- 0 while waiting
-local resting       -- at the operating point, before a sine
-local started       -- of the rest or of the sine
-local heading = 0   -- kept during the test, degrees
-local spent = true  -- the switch has to be low once before a test can start
-
-local function finish(text)
-  gcs:send_text(INFO, 'sine test: ' .. text)
-  segment = 0
-  spent = true
-end
-
-local function yaw()
-  local known, angle = pcall(function() return ahrs:get_yaw_rad() end) -- named get_yaw before 4.7
-  return math.deg(known and angle or ahrs:get_yaw())
-end
-
-local function command(angle)
-  local target = {0, 0, heading}
-  target[AXIS] = target[AXIS] + angle
-  return vehicle:set_target_angle_and_climbrate(target[1], target[2], target[3], 0, false, 0)
-end
-
-local function enter(number)
-  segment, resting, started = number, true, micros()
-end
-
-local function fly()
-  local t = (micros() - started):tofloat() * 1e-6
-  if resting and t >= PAUSE then
-    resting, started, t = false, micros(), 0
-    if segment > #SINES then return finish('done') end
-  end
-  if not resting and t >= SINES[segment][SECONDS] then
-    enter(segment + 1)
-  end
-  local sine = 0
-  if not resting then
-    sine = SINES[segment][ETA] * math.sin(SINES[segment][W] * t)
-    logger:write('SINE', 'Seg,Ax,W,Eta,Th0,T,Ref', 'BBfffff', segment, AXIS, SINES[segment][W],
-      SINES[segment][ETA], OFFSET, t, sine)
-  end
-  if not command(OFFSET + sine) then finish('setpoint refused') end
-end
-
-local function update()
-  local ready = arming:is_armed() and vehicle:get_mode() == GUIDED
-  local high = rc:get_aux_cached(SWITCH) == HIGH
-  if segment > 0 and not (ready and high) then
-    finish('stopped')
-  elseif segment > 0 then
-    fly()
-  elseif not high then
-    spent = false
-  elseif not spent and ready then
-    heading = yaw()
-    gcs:send_text(INFO, 'sine test: ' .. #SINES .. ' frequencies')
-    enter(1)
-  elseif not spent then
-    finish('arm and enter GUIDED, then switch again')
-  end
-  return update, PERIOD_MS
-end
-
-return update, 1000
-"""

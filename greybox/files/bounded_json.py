@@ -5,7 +5,8 @@ from typing import Any
 
 # Values of JSON for every byte that they take in a file, and of small files. Fits that are stored
 # compressed have at most 0.3. An object takes 250 bytes of memory at most, see SECURITY.md.
-DENSITY, FEW = 1.0, 1000
+DENSITY = 1.0
+FEW = 1000
 
 
 def parsed(text: bytes, stored: int) -> Any:

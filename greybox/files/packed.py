@@ -4,7 +4,8 @@ import zlib
 
 # Bytes from a stranger may expand no further. Answers and fits expand 2 to 5 times; zlib reaches
 # 1030 where one byte is repeated, as in a short text with a long word.
-EXPANSION, SMALL = 30, 20_000
+EXPANSION = 30
+SMALL = 20_000  # bytes that any value may have
 
 
 def packed(value: bytes, like: bytes = b"") -> bytes:

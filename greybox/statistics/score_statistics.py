@@ -3,8 +3,8 @@
 The residuals are regressed on what each term would add to the model, after both have lost what the
 fitted parameters can take. All are whitened before, so that colored noise is not called misfit.
 The share of the residuals that a term takes has a beta distribution if they are noise. These tests
-rank the terms. For records `autoregressive_likelihood` has their probabilities; for responses these
-are means over the kinds of errors that there may be.
+rank the terms. Their probabilities are those of `autoregressive_likelihood` for records, and those
+of `restricted_likelihoods` for responses.
 
 Sources: Rao (1948), Large sample tests of statistical hypotheses, Mathematical Proceedings of the
 Cambridge Philosophical Society 44; Breusch and Pagan (1980), The Lagrange multiplier test and its

@@ -153,7 +153,7 @@ def locked(folder: Path, *, trust: bool = False) -> Iterator[None]:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             for name in (LOCK, DATABASE):
-                _require_plain(folder / name)
+                require_plain(folder / name)
             lock.acquire()
         except Timeout:
             raise BlockingIOError(
@@ -249,11 +249,11 @@ class StudyMember:
         from greybox.estimate.storage import from_bytes  # noqa: PLC0415  (slow import)
 
         query = "SELECT checksum, answer, fit, name, mark FROM members WHERE id = ?"
-        with _reading(self.folder) as database:
+        with reading(self.folder) as database:
             row = database.execute(query, (self.number,)).fetchone()
         if row is None:
             raise DamagedStudyError(self.folder)
-        _require_whole(self.folder, *row)
+        require_undamaged(self.folder, *row)
         place = f"the fit of {self.name!r} in {self.folder / DATABASE}"
         try:
             text = unpacked(row[2], unpacked(row[1]))
@@ -294,8 +294,8 @@ def read_members(folder: Path) -> list[StudyMember]:
             f"{folder} is not a study, since it has no file {DATABASE}: give the folder that a "
             "batch wrote."
         )
-    with _reading(folder) as database:
-        _require_tree(folder, database)
+    with reading(folder) as database:
+        require_tree(folder, database)
         rows = database.execute(
             "SELECT id, name, answer, fit, checksum, mark, "
             "(SELECT COUNT(*) FROM runs WHERE member = id) FROM members ORDER BY id"
@@ -313,7 +313,7 @@ def _member(folder: Path, row: Any) -> StudyMember:
     shown = printable(name)
     stored: Mapping[str, Any] = {}
     if has_answer:
-        _require_whole(folder, checksum, answer, fit, name, marked)
+        require_undamaged(folder, checksum, answer, fit, name, marked)
         stored = _StoredAnswer(answer, f"the answer of {shown!r} in {folder / DATABASE}")
     return StudyMember(folder, number, shown, stored, count)
 
@@ -359,7 +359,7 @@ def _unpacked_values(answer: bytes) -> dict[str, Any]:
 
 def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     """Add the names that a study does not have, and return its members by name."""
-    with _database(folder, create=True) as database:
+    with writing(folder, create=True) as database:
         rows = [(name,) for name in names]
         database.executemany("INSERT OR IGNORE INTO members (name) VALUES (?)", rows)
     return {member.name: member for member in read_members(folder)}
@@ -403,11 +403,11 @@ class StoredRuns(RunStorage):
             "WHERE member = id AND name = ?"
         )
         try:
-            with _reading(self._folder) as database:
+            with reading(self._folder) as database:
                 rows = database.execute(query, (self._name,)).fetchall()
             runs = {}
             for number, text, checksum, marked, key in rows:
-                _require_whole(self._folder, checksum, text, self._name, number, key, marked)
+                require_undamaged(self._folder, checksum, text, self._name, number, key, marked)
                 start, outcome = read(parsed(text.encode(), len(text)), tuple[Array, Outcome])
                 is_sound = outcome.stage in (SCREENED, IMPROVED, POLISHED)
                 if not (is_sound and start.ndim == outcome.estimate.ndim == 1):
@@ -467,7 +467,7 @@ class StoredRuns(RunStorage):
         if not self.changes:
             return
         try:
-            with responding(Response.FINISH), _database(self._folder, create=True) as database:
+            with responding(Response.FINISH), writing(self._folder, create=True) as database:
                 for change in self.changes:  # marked here: in a worker the user is another
                     database.execute(*change)
         except OSError as error:
@@ -521,7 +521,7 @@ def folder_beside(path: Path) -> Path:
     return path.with_name(f"{path.name}.runs")
 
 
-def _require_whole(folder: Path, checksum: int, *values: Any) -> None:
+def require_undamaged(folder: Path, checksum: int, *values: Any) -> None:
     """Raise ValueError if values are damaged, which end with the place where they are stored."""
     # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
     if checksum != _checksum(*values):
@@ -534,21 +534,21 @@ def _checksum(*values: bytes | str | float | None) -> int:
 
 
 @contextmanager
-def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connection]:
+def writing(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connection]:
     """Open the database of a study to write one transaction; refuse that of another program."""
     path = folder / DATABASE
-    _require_safe(path)
-    if _names_a_file(_journal(path)):
+    require_safe(path)
+    if names_a_file(journal_of(path)):
         raise ValueError(
-            f"{_journal(path)} names another file, which SQLite would delete: no journal of a "
+            f"{journal_of(path)} names another file, which SQLite would delete: no journal of a "
             "study does so. Do not use this folder."
         )
     with (
         _sentences(folder, "written", "free space or choose another folder"),
-        _opened(path, "rwc" if create else "rw") as connection,
+        opened(path, "rwc" if create else "rw") as connection,
         connection,
     ):
-        if create and not _tables(connection):
+        if create and not tables_of(connection):
             # A small member fills one and a half of the usual pages; the rest would be empty.
             connection.execute("PRAGMA page_size = 1024")
             connection.execute("BEGIN")
@@ -559,27 +559,27 @@ def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connect
 
 
 @contextmanager
-def _reading(folder: Path) -> Iterator[sqlite3.Connection]:
+def reading(folder: Path) -> Iterator[sqlite3.Connection]:
     """Open the database of a study, possibly of a stranger, without writing anything."""
     path = folder / DATABASE
-    _require_safe(path)
+    require_safe(path)
     with _sentences(folder, "read", "try again once nobody writes to it"):
         try:
             # SQLite looks whether a journal is that of a process which writes now, and refuses to
             # read before it has rolled back that of one which was killed.
-            with _opened(path, "ro") as connection:
+            with opened(path, "ro") as connection:
                 connection.execute("SELECT 1 FROM sqlite_master").fetchone()
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
                 raise
             with suppress(FileNotFoundError):  # the next writer has rolled it back by now
-                path = _rolled_back(path, _stamp(path), _stamp(_journal(path)))
-        with _opened(path, "ro") as connection:
+                path = _rolled_back(path, _stamp(path), _stamp(journal_of(path)))
+        with opened(path, "ro") as connection:
             _require_study(folder, connection)
             yield connection
 
 
-def _journal(path: Path) -> Path:
+def journal_of(path: Path) -> Path:
     return path.with_name(f"{path.name}-journal")
 
 
@@ -599,13 +599,13 @@ def _rolled_back(path: Path, *stamps: tuple[int, ...]) -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     copy = Path(folder) / DATABASE
     shutil.copyfile(path, copy)
-    names_a_file = _names_a_file(_journal(path))
+    names_a_file = names_a_file(journal_of(path))
     if not names_a_file:
-        shutil.copyfile(_journal(path), _journal(copy))
-    if (_stamp(path), _stamp(_journal(path))) != stamps:
+        shutil.copyfile(journal_of(path), journal_of(copy))
+    if (_stamp(path), _stamp(journal_of(path))) != stamps:
         raise BlockingIOError(f"another process began to write to {path}: read it again.")
     if not names_a_file:
-        with _opened(copy) as connection:
+        with opened(copy) as connection:
             connection.execute("SELECT 1 FROM sqlite_master").fetchone()
     # The journal of a stranger may ask for a file of any size.
     if copy.stat().st_size > sum(size for _, size, _ in stamps):
@@ -613,29 +613,29 @@ def _rolled_back(path: Path, *stamps: tuple[int, ...]) -> Path:
     return copy
 
 
-def _require_plain(path: Path) -> None:
+def require_plain(path: Path) -> None:
     """Raise ValueError for a link, a pipe or the like; what does not exist is fine."""
     with suppress(FileNotFoundError):
         if not stat.S_ISREG(path.lstat().st_mode):
             raise ValueError(f"{path} is a link, or no file: no study has such a thing.")
 
 
-def _require_safe(path: Path) -> None:
+def require_safe(path: Path) -> None:
     """Raise ValueError for a database beside which something lies that SQLite would follow.
 
     A write-ahead log is one: SQLite would write to it even to read, and studies have none.
     """
-    _require_plain(path)
-    _require_plain(_journal(path))
+    require_plain(path)
+    require_plain(journal_of(path))
     for ending in ("-wal", "-shm"):
         other = path.with_name(f"{path.name}{ending}")
         if os.path.lexists(other):
             raise ValueError(f"{other} is not a file of a study: do not use this folder.")
-    if _has_write_ahead_log(path):
+    if has_write_ahead_log(path):
         raise DamagedStudyError(path.parent)
 
 
-def _has_write_ahead_log(path: Path) -> bool:
+def has_write_ahead_log(path: Path) -> bool:
     """Return whether the header of a database asks for a write-ahead log."""
     if not path.exists():
         return False
@@ -643,7 +643,7 @@ def _has_write_ahead_log(path: Path) -> bool:
         return 2 in file.read(20)[18:]
 
 
-def _names_a_file(journal: Path) -> bool:
+def names_a_file(journal: Path) -> bool:
     """Return whether a journal ends with the name of another one, as no journal of ours does."""
     if not journal.exists():
         return False
@@ -658,16 +658,16 @@ def _sentences(folder: Path, what: str, cure: str) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        if _is_damage(error):
+        if is_damage(error):
             raise DamagedStudyError(folder) from error
         raise OSError(f"{folder / DATABASE} cannot be {what} ({error}): {cure}.") from error
 
 
 def _require_study(folder: Path, connection: sqlite3.Connection) -> None:
     """Raise ValueError for the database of another program or version, or without its tables."""
-    if _tables(connection) == TABLES[:2]:
+    if tables_of(connection) == TABLES[:2]:
         return
-    if _is_ours(connection):
+    if is_ours(connection):
         raise DamagedStudyError(folder)
     raise ValueError(
         f"{folder / DATABASE} is not a study, or was made by another version of greybox: update "
@@ -675,7 +675,7 @@ def _require_study(folder: Path, connection: sqlite3.Connection) -> None:
     )
 
 
-def _require_tree(folder: Path, connection: sqlite3.Connection) -> None:
+def require_tree(folder: Path, connection: sqlite3.Connection) -> None:
     """Raise ValueError for a database of which a page is used twice."""
     # In a crafted database, many rows could share the same pages, and pages lead in circles:
     # whoever reads it would need any time and memory. Here, SQLite looks at every page once.
@@ -684,7 +684,7 @@ def _require_tree(folder: Path, connection: sqlite3.Connection) -> None:
 
 
 @contextmanager
-def _opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
+def opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
     # Whoever reads a large study lets the writer wait.
     with closing(
         sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", timeout=30, uri=True)
@@ -698,7 +698,7 @@ def _opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
         yield connection
 
 
-def _is_damage(error: sqlite3.Error) -> bool:
+def is_damage(error: sqlite3.Error) -> bool:
     """Return whether the contents are at fault, and not the disk or another process."""
     # SQLITE_ERROR is, for example, a table that does not exist.
     return (
@@ -707,26 +707,23 @@ def _is_damage(error: sqlite3.Error) -> bool:
     )
 
 
-def _is_ours(connection: sqlite3.Connection) -> bool:
+def is_ours(connection: sqlite3.Connection) -> bool:
     return connection.execute("PRAGMA application_id").fetchone() == (APPLICATION,)
 
 
-def _tables(connection: sqlite3.Connection) -> tuple[str, ...]:
+def tables_of(connection: sqlite3.Connection) -> tuple[str, ...]:
     """Return the statements that made the tables of a database."""
     query = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rootpage"
     return tuple(sql for (sql,) in connection.execute(query))
 
 
-# --- damage
-
-
 def require_own(folder: Path) -> None:
     """Raise ValueError for a study with runs or answers that this user has not made."""
-    if not is_study(folder) or _has_write_ahead_log(folder / DATABASE):
+    if not is_study(folder) or has_write_ahead_log(folder / DATABASE):
         return
     try:
-        with _reading(folder) as database:
-            _require_tree(folder, database)
+        with reading(folder) as database:
+            require_tree(folder, database)
             rows = [(what, database.execute(query).fetchone()) for what, query in UNMARKED.items()]
     except DamagedStudyError:
         return  # `mend` sets it aside
@@ -752,10 +749,10 @@ def mend(folder: Path, *, trust: bool = False) -> list[str]:
         damaged = path.with_suffix(".damaged")
         path.replace(damaged)
         # SQLite would apply the journal of the damaged database to the new one.
-        _journal(path).unlink(missing_ok=True)
+        journal_of(path).unlink(missing_ok=True)
         return [f"the database was damaged and is kept as {damaged.name}"]
 
-    with _database(folder) as database:
+    with writing(folder) as database:
         for what, (rows, cure) in DAMAGES.items():
             counts = database.execute(f"SELECT name, COUNT(*) FROM {rows} GROUP BY name")
             damage += [f"{name}: removed {counted(count, what)}" for name, count in counts]
@@ -767,15 +764,15 @@ def mend(folder: Path, *, trust: bool = False) -> list[str]:
 
 def _is_sound(path: Path) -> bool:
     """Return whether SQLite can read all of a database, and all tables of a study are there."""
-    if _has_write_ahead_log(path):
+    if has_write_ahead_log(path):
         return False
-    _require_safe(path)
-    if _names_a_file(_journal(path)):
+    require_safe(path)
+    if names_a_file(journal_of(path)):
         return True  # whoever writes refuses it
     try:
-        with _opened(path) as database:
+        with opened(path) as database:
             whole = database.execute("PRAGMA integrity_check(1)").fetchone() == ("ok",)
             # Others belong to another program, or to a later version: they are refused, not mended.
-            return whole and (not _is_ours(database) or _tables(database) == TABLES[:2])
+            return whole and (not is_ours(database) or tables_of(database) == TABLES[:2])
     except sqlite3.Error as error:
-        return not _is_damage(error)
+        return not is_damage(error)

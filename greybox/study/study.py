@@ -31,6 +31,15 @@ from greybox.study.ranking import ranking
 from greybox.study.store import FACTORS, Status, StudyMember, read_members
 from greybox.validation.comparison import Comparison
 
+FAILURES = ("failed", "members", "reason and cure")  # columns of the table of failures
+# Fits of a structure that are alike in these can be compared by their costs.
+ALIKE = ("data", "checksum", "criterion", "bounds")
+# Columns of the table of members.
+OVERVIEW = (
+    *("member", "explains", "status", "criterion", "delay", "starts"),
+    *("converged", "agreeing", "minima", "cost", "warnings"),
+)
+
 
 @frozen
 class Study(Printed):
@@ -239,15 +248,6 @@ def progress(study: Study) -> str:
             f"member; the last one ended {number(time.time() - ends[-1], 2)} s ago."
         )
     return "\n\n".join(filter(None, [*lines, study.failures]))
-
-
-FAILURES = ("failed", "members", "reason and cure")
-# Fits of a structure that are alike in these can be compared by their costs.
-ALIKE = ("data", "checksum", "criterion", "bounds")
-OVERVIEW = (
-    *("member", "explains", "status", "criterion", "delay", "starts"),
-    *("converged", "agreeing", "minima", "cost", "warnings"),
-)
 
 
 def _overview(members: Sequence[StudyMember]) -> str:
