@@ -24,7 +24,9 @@ import greybox as gb
 from greybox.estimate.fit import fingerprint
 from greybox.models.tilt import LinearTilt
 from greybox.problems import pitch_hover, rotors
-from greybox.study.store import DATABASE, StoredRuns, is_study, read_members
+from greybox.study.database import DATABASE, is_study
+from greybox.study.members import read_members
+from greybox.study.stored_runs import StoredRuns
 
 # Of the time of the study in one process, after which it is killed once it has written: thirty
 # kills go through all of it on two workers.

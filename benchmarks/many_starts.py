@@ -18,7 +18,8 @@ from pathlib import Path
 
 import greybox as gb
 from greybox.problems import pitch_hover
-from greybox.study.store import DATABASE, read_members
+from greybox.study.database import DATABASE
+from greybox.study.members import read_members
 
 
 def peak():

@@ -20,9 +20,11 @@ from greybox.files.wording import counted, some
 from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Interrupted
 from greybox.study.batch import Member, batch
+from greybox.study.damage import require_own
+from greybox.study.database import DATABASE, is_study
 from greybox.study.running import is_running
-from greybox.study.store import DATABASE, is_study, locked, require_own
 from greybox.study.study import Study, progress, read_study
+from greybox.study.study_lock import locked
 
 EXAMPLES = (
     "study.toml --out results --workers 2",

@@ -28,7 +28,8 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.multistart import BATCHED, SEARCHES
 from greybox.solve.runs import RunStorageError
-from greybox.study.store import StoredRuns, folder_beside, is_study, runs_beside
+from greybox.study.database import is_study
+from greybox.study.stored_runs import StoredRuns, folder_beside, runs_beside
 
 EXAMPLES = (
     "pitch_hover",

@@ -26,7 +26,7 @@ from greybox.html_report.comparison_section import comparison_section, overview,
 from greybox.html_report.elements import Child, figure_grid, html, tag
 from greybox.html_report.fit_section import Entry, fit_section
 from greybox.plotting.loops import loop_figures
-from greybox.study.store import StudyMember
+from greybox.study.members import StudyMember
 from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of

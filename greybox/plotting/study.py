@@ -17,8 +17,8 @@ from greybox.files.wording import some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series, require_drawable
 from greybox.plotting.matplotlib_figure import draw
 from greybox.plotting.signals import distinct_labels, with_unit
+from greybox.study.members import StudyMember
 from greybox.study.ranking import EVIDENCE
-from greybox.study.store import StudyMember
 from greybox.study.study import Study, names_by_difference, shown
 from greybox.validation.comparison import Comparison
 

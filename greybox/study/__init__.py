@@ -12,7 +12,11 @@ Begin with `batch`.
 | `study` | members and answers of a study, also while it runs |
 | `ranking` | which structure describes the data sets best |
 | `latex` | tables for a paper |
-| `store` | a study on disk: one SQLite database |
+| `members` | the members of a study on disk |
+| `stored_runs` | the runs of a member, stored as they are made |
+| `database` | the SQLite database of a study, opened safely |
+| `damage` | what is damaged in it, or was not made by this user |
+| `study_lock` | the lock of the process that writes |
 | `answer` | what a study stores of a fit, checked when it is read |
 | `ownership` | the mark of the user on stored runs and answers |
 | `running` | whether a process is working on a study |
@@ -24,5 +28,5 @@ Begin with `batch`.
 from greybox.study.batch import Member as Member, batch as batch
 from greybox.study.bootstrap import Bootstrap as Bootstrap, bootstrap as bootstrap
 from greybox.study.grid import grid as grid
-from greybox.study.store import StudyMember as StudyMember
+from greybox.study.members import StudyMember as StudyMember
 from greybox.study.study import Study as Study, read_study as read_study

@@ -47,9 +47,12 @@ from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome, RunStorageError
 from greybox.study.data_file import UnreadableError
+from greybox.study.database import is_study
+from greybox.study.members import StudyMember, add_members
 from greybox.study.ranking import held_out_error
-from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, is_study, locked
+from greybox.study.stored_runs import UNWRITTEN, StoredRuns
 from greybox.study.study import Study, read_study
+from greybox.study.study_lock import locked
 
 
 @frozen
@@ -126,7 +129,7 @@ def batch(
     ----------
     members : sequence of Member, Problem or sums of problems
     folder : str or Path
-        Created if it does not exist; `greybox.study.store` describes its files.
+        Created if it does not exist; `greybox.study.database` describes its files.
     executor : concurrent.futures.Executor, optional
         Makes the runs, as in `greybox.fit`.
     seconds : float, optional

@@ -43,7 +43,8 @@ from greybox.solve.runs import Memory, Outcomes
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.replicates import Replicates
 from greybox.study.response_replicates import ResponseReplicates, response_draws
-from greybox.study.store import StoredRuns, locked
+from greybox.study.stored_runs import StoredRuns
+from greybox.study.study_lock import locked
 
 
 @frozen

@@ -5,7 +5,7 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
-from greybox.study.store import LOCK
+from greybox.study.study_lock import LOCK
 
 
 def is_running(folder: Path) -> bool | None:

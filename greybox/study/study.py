@@ -27,8 +27,8 @@ from greybox.files.text_table import text_table
 from greybox.files.wording import counted, some
 from greybox.modeling.model import require_known
 from greybox.study.latex import latex_number, latex_symbol, latex_table
+from greybox.study.members import FACTORS, Status, StudyMember, read_members
 from greybox.study.ranking import ranking
-from greybox.study.store import FACTORS, Status, StudyMember, read_members
 from greybox.validation.comparison import Comparison
 
 FAILURES = ("failed", "members", "reason and cure")  # columns of the table of failures

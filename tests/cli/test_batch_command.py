@@ -15,7 +15,8 @@ import pytest
 
 from greybox.cli.main import main
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.store import StoredRuns, locked
+from greybox.study.stored_runs import StoredRuns
+from greybox.study.study_lock import locked
 
 STUDY = """
 starts = 4

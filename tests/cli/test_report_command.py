@@ -10,7 +10,7 @@ import pytest
 from command_line import OWN, RECORD, refused, run
 
 import greybox as gb
-from greybox.study.store import StudyMember
+from greybox.study.members import StudyMember
 
 QUICK = "--starts", "4"
 

@@ -11,7 +11,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from numpy.testing import assert_array_equal
 
 import greybox as gb
-from greybox.study.store import StoredRuns
+from greybox.study.stored_runs import StoredRuns
 
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)

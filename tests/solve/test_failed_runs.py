@@ -17,7 +17,7 @@ from greybox.solve.local_solver import Runner
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome
 from greybox.study.record_replicates import RecordReplicates
-from greybox.study.store import StoredRuns
+from greybox.study.stored_runs import StoredRuns
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

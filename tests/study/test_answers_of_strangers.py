@@ -18,7 +18,8 @@ from greybox.estimate.storage import to_bytes
 from greybox.files.packed import packed
 from greybox.plotting.study import estimates_figure, structures_figure
 from greybox.study.answer import Answer
-from greybox.study.store import StoredRuns, add_members
+from greybox.study.members import add_members
+from greybox.study.stored_runs import StoredRuns
 from greybox.study.study import progress
 
 PAYLOADS = (

@@ -22,8 +22,10 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_with_storage
+from greybox.study.members import read_members
 from greybox.study.running import is_running
-from greybox.study.store import StoredRuns, locked, read_members
+from greybox.study.stored_runs import StoredRuns
+from greybox.study.study_lock import locked
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 
@@ -299,7 +301,7 @@ import sys, time
 sys.path[:0] = {paths!r}
 import greybox as gb
 from greybox.solve.response_solver import ResponseSolver
-from greybox.study import store
+from greybox.study import stored_runs
 from test_batch import members
 
 run = ResponseSolver.run
@@ -307,7 +309,7 @@ def slow(self, start, *others):
     time.sleep(0.3)
     return run(self, start, *others)
 ResponseSolver.run = slow
-store.UNWRITTEN = 0.2
+stored_runs.UNWRITTEN = 0.2
 
 if __name__ == "__main__":
     workers = gb.solve.WorkerPool(2) if {workers} else None
@@ -335,7 +337,7 @@ def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path, monkeypatc
     folder = tmp_path / "study"
     with at_work(tmp_path, folder, workers=False):
         with monkeypatch.context() as hasty:
-            hasty.setattr("greybox.study.store.PATIENCE", 0.1)
+            hasty.setattr("greybox.study.study_lock.PATIENCE", 0.1)
             with pytest.raises(BlockingIOError, match="another process is writing to"):
                 gb.batch(members(), folder, progress=False)
         assert len(gb.study.read_study(folder).members) == 3  # reading is free

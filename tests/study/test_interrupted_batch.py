@@ -18,7 +18,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.multistart import solver_for
 from greybox.solve.shared_solver import SharedSolver
-from greybox.study.store import StoredRuns
+from greybox.study.stored_runs import StoredRuns
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

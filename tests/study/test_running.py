@@ -7,7 +7,7 @@ import pytest
 from filelock import FileLock
 
 from greybox.study.running import is_running
-from greybox.study.store import locked
+from greybox.study.study_lock import locked
 
 
 def test_the_lock_is_seen_as_long_as_it_is_held(tmp_path):

@@ -11,17 +11,10 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from greybox.solve.runs import IMPROVED, Outcome, RunStorageError
-from greybox.study.store import (
-    DATABASE,
-    LOCK,
-    UNWRITTEN,
-    StoredRuns,
-    add_members,
-    folder_beside,
-    locked,
-    read_members,
-    runs_beside,
-)
+from greybox.study.database import DATABASE
+from greybox.study.members import add_members, read_members
+from greybox.study.stored_runs import UNWRITTEN, StoredRuns, folder_beside, runs_beside
+from greybox.study.study_lock import LOCK, locked
 
 START = np.array([0.1, 1 / 3])
 NODES = (np.array([[0.1, -0.0, np.nan], [np.inf, 1e-320, 2.0]]), np.ones((2, 0)))
@@ -81,7 +74,7 @@ def test_a_run_that_is_made_again_replaces_the_first(tmp_path):
 
 def test_runs_that_took_long_or_are_old_are_written(tmp_path, monkeypatch):
     now = [100.0]
-    monkeypatch.setattr("greybox.study.store.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("greybox.study.stored_runs.time", SimpleNamespace(monotonic=lambda: now[0]))
     runs = stored(tmp_path)
     runs.add(0, START, replace(PLAIN, seconds=0.6 * UNWRITTEN))
     now[0] += 0.9 * UNWRITTEN
@@ -253,7 +246,7 @@ def test_names_are_printed_without_control_characters(tmp_path):
 
 
 def test_a_folder_is_written_to_by_one_process_at_a_time(tmp_path, monkeypatch):
-    monkeypatch.setattr("greybox.study.store.PATIENCE", 0.01)
+    monkeypatch.setattr("greybox.study.study_lock.PATIENCE", 0.01)
     with (
         locked(tmp_path),
         pytest.raises(BlockingIOError, match="another process is writing to"),

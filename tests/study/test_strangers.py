@@ -27,15 +27,11 @@ import greybox as gb
 from greybox.cli.main import main
 from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study import ownership
+from greybox.study.database import DATABASE
+from greybox.study.members import read_members
 from greybox.study.ownership import key_path
-from greybox.study.store import (
-    DATABASE,
-    LOCK,
-    StoredRuns,
-    folder_beside,
-    locked,
-    read_members,
-)
+from greybox.study.stored_runs import StoredRuns, folder_beside
+from greybox.study.study_lock import LOCK, locked
 
 FAILED = {"error": "no start"}
 VICTIMS = (
@@ -160,7 +156,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from greybox.solve.runs import IMPROVED, Outcome
-from greybox.study.store import StoredRuns
+from greybox.study.stored_runs import StoredRuns
 runs = StoredRuns(Path(sys.argv[1]), "fit")
 runs.fingerprint = "a problem"
 for k in range(5, 45):
@@ -292,7 +288,7 @@ def test_a_key_is_readable_by_its_user_alone_and_stays(another_user):
 def test_a_run_that_a_stranger_changed_is_not_resumed(tmp_path, column):
     stored(tmp_path)
     with closing(sqlite3.connect(tmp_path / DATABASE)) as database, database:
-        database.create_function("crc", -1, gb.study.store._checksum)
+        database.create_function("crc", -1, gb.study.database._checksum)
         change = {
             "run": "run = replace(run, '3', '4')",
             "mark": "mark = zeroblob(16)",

@@ -7,7 +7,8 @@ import pytest
 
 from greybox.solve.runs import Outcome
 from greybox.study.batch import require_distinct
-from greybox.study.store import StoredRuns, StudyMember, add_members
+from greybox.study.members import StudyMember, add_members
+from greybox.study.stored_runs import StoredRuns
 from greybox.study.study import Study, read_study
 
 ANSWER = {

@@ -11,7 +11,7 @@ from small_study import Broken, data
 
 import greybox as gb
 from greybox.study.latex import latex_number, latex_symbol, latex_text
-from greybox.study.store import StudyMember
+from greybox.study.members import StudyMember
 from greybox.study.study import Study, progress
 
 
