@@ -199,7 +199,7 @@ def _judged(measurement: Measurement) -> Measurement:
         text += "no basis for a model."
         refusals.append(Finding("spread", "refusal", high / low, text))
     coherence = 1.0 if response.coherence is None else float(np.median(response.coherence))
-    if coherence < COHERENCE[0]:
+    if coherence < COHERENCE.warning:
         text = f"half of the points have a coherence below {coherence:.2f}: no basis for a model."
         refusals.append(Finding("coherence", "refusal", coherence, text))
     return replace(measurement, quality=measurement.quality.with_findings(*refusals))

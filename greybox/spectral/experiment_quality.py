@@ -10,40 +10,47 @@ import numpy as np
 from greybox.data.excited_segment import Segments
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, Interval
+from greybox.files.arrays import Array
 from greybox.files.printed import Printed
 from greybox.files.wording import counted, some
 from greybox.spectral.saturation import at_limit
 
 Severity = Literal["note", "warning", "refusal"]
 
-# Limits of a warning and, where there are two, of a refusal.
+
+@dataclass(frozen=True)
+class Limits:
+    """Where a number leads to a warning, and where to a refusal of the test."""
+
+    warning: float
+    refusal: float
+
 
 # Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of
 # 1.2 % and loses as much of its fundamental; at 1 %, both are 2e-6.
-SATURATED = (0.01, 0.2)
+SATURATED = Limits(warning=0.01, refusal=0.2)
 
 # Distinct values of a signal. Steps of the resolution have an rms error of step/√12: 12 % of a sine
 # across eight values, 27 % of one across four.
-LEVELS = (8, 4)
+LEVELS = Limits(warning=8, refusal=4)
 
 # Periods of the lowest frequency. With two periods, the variance has two degrees of freedom and
 # Student's t is 4.3; in less than one, a sine looks like a drift.
-PERIODS = (3, 1)
+PERIODS = Limits(warning=3, refusal=1)
 
 # Samples per period of the highest frequency. Linear interpolation between ten samples takes 3 %
 # off the amplitude, and half a sample is 18° of phase; 2.5 samples are 0.4 of the sampling rate,
 # where the frequencies of `spectral_response` end.
-SAMPLES = (10, 2.5)
+SAMPLES = Limits(warning=10, refusal=2.5)
 ROUNDING = 1e-3  # a frequency may exceed the highest one by this share
 
 # Coherence: 0.6 is Tischler and Remple's limit (section 5.5). At 0.2, eight averages leave a
 # standard deviation of √((1 - 0.2) / (2 · 0.2 · 8)) = 50 % of the magnitude.
-COHERENCE = (0.6, 0.2)
+COHERENCE = Limits(warning=0.6, refusal=0.2)
 
 # Standard deviation of one component over the magnitude: at 0.1, the 95 % interval is ±20 % or
 # 1.7 dB; at 0.5, it reaches zero.
-ERROR = (0.1, 0.5)
+ERROR = Limits(warning=0.1, refusal=0.5)
 
 
 @dataclass(frozen=True)
@@ -141,12 +148,11 @@ def check(
     return Quality(()).with_findings(*findings)
 
 
-def graded(about: str, value: float, limits: Interval, text: str) -> Findings:
-    """Yield a warning beyond the first limit, and a refusal beyond the second."""
-    warning, refusal = limits
-    sign = 1 if refusal > warning else -1  # too much, or too little
-    if sign * value > sign * warning:
-        severity = "refusal" if sign * value > sign * refusal else "warning"
+def graded(about: str, value: float, limits: Limits, text: str) -> Findings:
+    """Yield a warning or a refusal if a number is beyond these limits."""
+    sign = 1 if limits.refusal > limits.warning else -1  # too much, or too little
+    if sign * value > sign * limits.warning:
+        severity = "refusal" if sign * value > sign * limits.refusal else "warning"
         yield Finding(about, severity, value, text)
 
 
@@ -279,7 +285,7 @@ def _rate(
     response: FrequencyResponse | None,
     segments: Segments,
 ) -> Findings:
-    reach = math.tau * record.rate / SAMPLES[1]
+    reach = math.tau * record.rate / SAMPLES.refusal
     bands = [segment.band for segment in segments]
     if response is None and any(low < reach for low, _ in bands):
         # Sweeps are cut off at this frequency, and sines above it are left out.
@@ -298,7 +304,7 @@ def _rate(
     yield from graded(
         "rate",
         samples,
-        (SAMPLES[0], SAMPLES[1] * (1 - ROUNDING)),
+        Limits(SAMPLES.warning, SAMPLES.refusal * (1 - ROUNDING)),
         text + "rad/s: log faster, or leave out the highest frequencies.",
     )
 
@@ -320,10 +326,10 @@ def _noise(response: FrequencyResponse) -> Findings:
         f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or "
         "longer.",
     )
-    useless = response.omega[errors > ERROR[1]]
-    if useless.size and error <= ERROR[1]:
+    useless = response.omega[errors > ERROR.refusal]
+    if useless.size and error <= ERROR.refusal:
         text = (
-            f"the standard deviation is above {100 * ERROR[1]:.0f} % of the magnitude at "
+            f"the standard deviation is above {100 * ERROR.refusal:.0f} % of the magnitude at "
             f"{frequencies(useless)}: these points hardly count in a fit."
         )
         yield Finding("noise", "note", float(useless.size), text)
@@ -332,10 +338,10 @@ def _noise(response: FrequencyResponse) -> Findings:
 def _coherence(response: FrequencyResponse) -> Findings:
     if response.coherence is None:
         return
-    weak = response.omega[response.coherence < COHERENCE[0]]
+    weak = response.omega[response.coherence < COHERENCE.warning]
     if 0 < weak.size < response.omega.size:
         text = (
-            f"the coherence is below {COHERENCE[0]} at {frequencies(weak)}: "
+            f"the coherence is below {COHERENCE.warning} at {frequencies(weak)}: "
             "leave out these points, whose errors are understated."
         )
         yield Finding("coherence", "warning", float(weak.size), text, tuple(weak.tolist()))

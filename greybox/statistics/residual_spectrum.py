@@ -59,6 +59,28 @@ GUSTS = (0.78, 0.94, 0.984, 0.996)
 
 
 @frozen
+class StretchSensitivities:
+    """Sensitivities of a stretch, those to the initial states after those to the parameters.
+
+    Attributes
+    ----------
+    values : (k, q, n) array
+    transform : (k, q, f) complex array
+        Their Fourier transforms.
+    noise_transform, noise_values : (k, q, f) and (k, q, n) arrays
+        The given noise times both; the first over the square root of the counts.
+    present : (k, 1, n) array
+        One over the square root of the counts where a sample is measured, else zero.
+    """
+
+    values: Array
+    transform: ComplexArray
+    noise_transform: ComplexArray
+    noise_values: Array
+    present: Array
+
+
+@frozen
 class ResidualSpectra:
     """Spectra that the residuals may have, in units of every output's deviation.
 
@@ -142,8 +164,8 @@ class ResidualSpectra:
         stretches are not stored: all have as many frequencies as the longest stretch.
         """
         if self.is_short:
-            for _, transform, *_ in self._stretches:
-                yield transform[:, : self.directions.shape[1]]
+            for stretch in self._stretches:
+                yield stretch.transform[:, : self.directions.shape[1]]
         elif len(self.weighted) == 1:
             yield self._only_transform
         else:
@@ -389,44 +411,55 @@ class ResidualSpectra:
         the autocovariances up to this order.
         """
         grid, p = self.grid, self.directions.shape[1]
-        # White errors have no memory, and need no transform.
         is_white = np.all(spectrum == spectrum[..., :1])
-        colored = [
-            filtered(np.real(spectrum[..., :1]), A)
-            if is_white
-            else np.fft.irfft(filtered(spectrum, transform), grid.size)[..., : A.shape[2]]
-            for A, transform, *_ in self._stretches
-        ]
-        covariances = [products(A, C) for (A, *_), C in zip(self._stretches, colored, strict=True)]
-        meat = sum(covariance[:p, :p] for covariance in covariances)
-        bread = sum(products(A, taken)[:p, :p] for A, _, _, taken, _ in self._stretches)
+
+        colored, covariances = [], []
+        meat: Any = 0
+        bread: Any = 0
+        for stretch in self._stretches:
+            A = stretch.values
+            if is_white:
+                # White errors have no memory, and need no transform.
+                filtered_by_errors = filtered(np.real(spectrum[..., :1]), A)
+            else:
+                transform = filtered(spectrum, stretch.transform)
+                filtered_by_errors = np.fft.irfft(transform, grid.size)[..., : A.shape[2]]
+            colored.append(filtered_by_errors)
+            covariances.append(products(A, filtered_by_errors))
+            meat = meat + covariances[-1][:p, :p]
+            bread = bread + products(A, stretch.noise_values)[:p, :p]
         middle = meat + np.trace(meat) / max(np.trace(bread), TINY) * (np.eye(p) - bread)
 
         # The errors of a stretch's initial states are correlated with those of the parameters,
         # which other stretches determine, too.
         for covariance in covariances:
             covariance[:p, :p] = middle
-        stretches = zip(self._stretches, colored, covariances, strict=True)
-        pairs = (
-            (first, np.fft.rfft((C - covariance.T / 2 @ taken) * present, grid.size))
-            for (_, _, first, taken, present), C, covariance in stretches
-        )
-        return grid.covariances(pairs, order)
+
+        def factors() -> Iterator[tuple[ComplexArray, ComplexArray]]:
+            # One after the other: the transforms of all stretches would fill the memory.
+            for stretch, C, covariance in zip(self._stretches, colored, covariances, strict=True):
+                left = (C - covariance.T / 2 @ stretch.noise_values) * stretch.present
+                yield stretch.noise_transform, np.fft.rfft(left, grid.size)
+
+        return grid.covariances(factors(), order)
 
     @cached_property
-    def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array, Array]]:
-        """Sensitivities (k, q, n) of every stretch, with products of their transforms and of them.
-
-        Those of the initial states follow those of the parameters. The last are the samples that
-        are present. Records that are corrected are short enough to store them.
-        """
+    def _stretches(self) -> list[StretchSensitivities]:
+        """Sensitivities of every stretch: records that are corrected are short enough for them."""
         noise, root = self.white[..., 0], np.sqrt(self.counts)[:, None]
         stretches = []
         for J, X, e in zip(self.weighted, self.initial, self.residuals, strict=True):
             A = np.hstack([self.directions.T @ J, X]) * self.deviation[:, None, None]
             transform = np.fft.rfft(A, self.grid.size)
-            first, taken = np.tensordot(noise / root, transform, 1), np.tensordot(noise, A, 1)
-            stretches.append((A, transform, first, taken, ((e != 0) / root)[:, None]))
+            stretches.append(
+                StretchSensitivities(
+                    values=A,
+                    transform=transform,
+                    noise_transform=np.tensordot(noise / root, transform, 1),
+                    noise_values=np.tensordot(noise, A, 1),
+                    present=((e != 0) / root)[:, None],
+                )
+            )
         return stretches
 
 
