@@ -88,7 +88,7 @@ def few_draws(monkeypatch):
     """
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
     # By their paths: `greybox.experiment.margins` is the function.
-    modules = ("drawn_loops", "margins", "safe_gains")
+    modules = ("drawn_loops", "margins", "measured_loop_margins", "safe_gains")
     for path in (*(f"experiment.{name}" for name in modules), "plotting.loops"):
         module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():

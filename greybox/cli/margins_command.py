@@ -9,7 +9,8 @@ from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.data.response_file import read_response
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
-from greybox.experiment.margins import margin_table, margins
+from greybox.experiment.margin_values import margin_table
+from greybox.experiment.margins import margins
 from greybox.files.named_values import attributes, selected
 from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module

@@ -11,8 +11,10 @@ test).
 | `controller` | sampled control laws |
 | `sampled_loop` | the loop of a plant and its controllers, as linear equations |
 | `drawn_loops` | that loop at an estimate and at draws from its distribution |
-| `loop_numbers` | margins and closed-loop numbers of such loops |
-| `margins` | these numbers with their errors, and those of measured loops |
+| `crossings` | where curves of many plants change their sign |
+| `loop_numbers`, `closed_loop` | margins of such loops; numbers of the closed ones |
+| `margins`, `margin_values` | these numbers with their errors, and how they are printed |
+| `measured_loop_margins` | margins of measured loops, with their errors |
 | `control_check` | whether a controller computes the control of a log |
 | `measured_loop` | broken loops from measured responses |
 | `gain_comparison` | whether gains are worse than today's |
@@ -37,13 +39,10 @@ from greybox.experiment.expected_errors import (
 )
 from greybox.experiment.gain_comparison import GainComparison as GainComparison
 from greybox.experiment.gain_file import write_gains as write_gains
-from greybox.experiment.margins import (
-    Margins as Margins,
-    margin_table as margin_table,
-    margins as margins,
-    measured_margins as measured_margins,
-)
+from greybox.experiment.margin_values import Margins as Margins, margin_table as margin_table
+from greybox.experiment.margins import margins as margins
 from greybox.experiment.measured_loop import broken_loop as broken_loop
+from greybox.experiment.measured_loop_margins import measured_margins as measured_margins
 from greybox.experiment.multisines import multisine as multisine
 from greybox.experiment.safe_gains import SafeGains as SafeGains, safe_gains as safe_gains
 from greybox.experiment.scripts import (

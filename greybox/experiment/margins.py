@@ -1,13 +1,12 @@
-"""Margins and closed-loop numbers, with their errors: of a plant with its controllers, or measured.
+"""Margins and closed-loop numbers of a plant with its controllers, with their errors.
 
 Begin with `margins`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -16,202 +15,19 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
+from greybox.experiment.closed_loop import closed_loop_numbers, follows
 from greybox.experiment.controller import Controller, Controllers
-from greybox.experiment.drawn_loops import BESIDE, DRAWN, DRAWS, drawn_loops
-from greybox.experiment.loop_numbers import (
-    LoopNumbers,
-    closed_loop_numbers,
-    follows,
-    loop_frequencies,
-    margin_numbers,
-    refined,
-)
-from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import Array, ComplexArray
-from greybox.files.frozen_values import frozen
-from greybox.files.json_numbers import plain
-from greybox.files.named_values import Values, attributes
-from greybox.files.numbers_in_text import number
-from greybox.files.printed import Printed
-from greybox.files.text_table import text_table
+from greybox.experiment.drawn_loops import BESIDE, DRAWN, drawn_loops
+from greybox.experiment.loop_numbers import LoopNumbers, loop_frequencies, margin_numbers, refined
+from greybox.experiment.margin_values import ORDER, UNITS, Margin, Margins
+from greybox.experiment.measured_loop_margins import measured_margins
+from greybox.experiment.sampled_loop import DOT
+from greybox.files.arrays import Array
+from greybox.files.named_values import Values
 from greybox.files.wording import listed
 from greybox.modeling.model import Model
 
-UNITS = {
-    "phase margin": "deg",
-    "gain margin": "dB",
-    "gain reduction margin": "dB",
-    "delay margin": "s",
-    "modulus margin": "",
-    "crossover": "rad/s",
-    "disturbance rejection bandwidth": "rad/s",
-    "disturbance rejection peak": "dB",
-    "bandwidth": "rad/s",
-    "-180 deg frequency": "rad/s",
-    "ADS-33 gain bandwidth": "rad/s",
-    "ADS-33 phase bandwidth": "rad/s",
-    "ADS-33 bandwidth": "rad/s",
-    "phase delay": "s",
-    "bandwidth above the boundary": "rad/s",
-    "overshoot": "%",
-    "rise time": "s",
-    "settling time": "s",
-    "damping ratio": "",
-    "natural frequency": "rad/s",
-}
-# Noise makes the least distance from -1 too small, and draws from a noisy response make it smaller
-# still. So the draws show the bias, and their quantiles are reflected about the value.
-LEAST = ("modulus margin", "disturbance rejection peak")
-
-ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
-MAIN = ("phase margin", "gain margin", "delay margin", "crossover")  # of a table of many loops
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
-
-
-@dataclass(frozen=True)
-class Margin:
-    """One number of a loop.
-
-    Attributes
-    ----------
-    name, unit : str
-    value : float
-        Infinite if no change of this kind makes the loop unstable.
-    low, high : float
-        Ends of the confidence interval; NaN where there is none.
-    omega : float, rad/s
-        Where it is found.
-    is_extrapolated : bool
-        Whether that is outside the frequencies of the fitted data.
-    group : str
-        The loop or the response that it describes.
-    """
-
-    name: str
-    unit: str
-    value: float
-    low: float
-    high: float
-    omega: float
-    is_extrapolated: bool = False
-    group: str = ""
-
-
-@frozen
-class Margins(Printed):
-    """The margins of a loop broken at one signal. It prints itself, the verdict first.
-
-    Attributes
-    ----------
-    plant, signal : str
-        The name of the fit or of the model, and where its loop is broken.
-    setpoint, response : str
-        Input and output of the closed loop.
-    margins : tuple of Margin
-        Every number, in groups. Empty for a loop that is not stable.
-    is_stable : bool
-        At the estimate.
-    instability : float
-        Probability that the loop is unstable, from the errors of the parameters.
-        NaN without errors.
-    level : float
-        NaN without errors.
-    loop : SampledLoop
-        At the estimate, and at the draws.
-    notes : tuple of str
-        Why an interval is missing, and what the fit warns of.
-    points : tuple of FrequencyResponse
-        The same loop as it was measured, for figures.
-    """
-
-    plant: str
-    signal: str
-    setpoint: str
-    response: str
-    margins: tuple[Margin, ...]
-    is_stable: bool
-    instability: float
-    level: float
-    loop: SampledLoop | None
-    notes: tuple[str, ...] = ()
-    points: tuple[FrequencyResponse, ...] = ()
-
-    def __getitem__(self, name: str) -> Margin:
-        """Return a margin by its name, such as "phase margin"."""
-        for margin in self.margins:
-            if margin.name == name:
-                return margin
-        raise KeyError(
-            f"there is no {name!r}; there are {', '.join(m.name for m in self.margins)}."
-        )
-
-    @property
-    def is_safe(self) -> bool:
-        """Whether the loop is stable, at the estimate and at this level."""
-        return self.is_stable and not self.instability > (1 - self.level) / 2
-
-    @property
-    def verdict(self) -> str:
-        """The answer in one sentence."""
-        loop = f"the loop of {self.plant}{f', broken at {self.signal},' if self.signal else ''}"
-        if not self.is_stable:
-            return f"{loop} is unstable: no margin exists."
-        if not self.is_safe:
-            return (
-                f"{loop} is unstable with a probability of {100 * self.instability:.1f} %: "
-                "the data do not show that it is safe."
-            )
-        beyond = "; the crossover is extrapolated" if self["crossover"].is_extrapolated else ""
-        phase, gain = (_stated(self[name]) for name in MAIN[:2])
-        return f"{loop} has {phase} and {gain}{beyond}."
-
-    def require_loop(self) -> SampledLoop:
-        """Return the loop; ValueError for margins of a measured response."""
-        if self.loop is None:
-            raise ValueError(
-                f"the margins of {self.plant} are measured, and cannot be evaluated elsewhere: "
-                "use those of a model."
-            )
-        return self.loop
-
-    def uncertainty(self, omega: Array) -> Array:
-        """Return the relative error (n,) of the broken loop at `omega` (n,), rad/s.
-
-        It is the radius of the disk around the estimate that holds the share `level` of the draws:
-        a multiplicative weight for robust design. NaN without errors.
-        """
-        gain = self.require_loop().broken_at(self.signal, omega)
-        if len(gain) == 1:
-            return np.full(len(omega), np.nan)
-        return np.quantile(np.abs(gain[DRAWN] / gain[0] - 1), self.level, axis=0)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers as plain values; None where unknown or infinite."""
-        return plain(
-            attributes(self, "verdict", "plant", "setpoint", "response", "level", "notes")
-            | {
-                "broken_at": self.signal,
-                "stable": self.is_stable,
-                "probability_unstable": self.instability,
-                "margins": {m.name: m for m in self.margins},
-            }
-        )
-
-    def __str__(self) -> str:
-        rows, group = [], ""
-        for m in self.margins:
-            # Every group begins with its name.
-            if m.group != group:
-                group = m.group
-                rows.append((f"{group}:", "", "", "", ""))
-            ends = f"{number(m.low, 4)} to {number(m.high, 4)}" if math.isfinite(m.low) else "-"
-            place = number(m.omega, 4) + (" *" if m.is_extrapolated else "")
-            rows.append((m.name, number(m.value, 4), ends, m.unit, place))
-        interval = "" if math.isnan(self.level) else f"{100 * self.level:g} % interval"
-        header = ("", "value", interval, "unit", "at rad/s")
-        table = [text_table(header, rows)] if rows else []
-        return "\n".join([self.verdict[0].upper() + self.verdict[1:], *table, *self.notes])
 
 
 def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
@@ -393,17 +209,6 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     return _with_rows(answer, groups, band)
 
 
-def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
-    """Return a table of the main margins of loops with labels, such as operating points."""
-    rows = []
-    for label, answer in answers:
-        numbers = {margin.name: _with_interval(margin) for margin in answer.margins}
-        risk = number(100 * answer.instability, 2) if answer.is_stable else "100"
-        rows.append((label, answer.signal, *(numbers.get(name, "-") for name in MAIN), risk))
-    header = ("", "broken at", *(f"{name}, {UNITS[name]}" for name in MAIN), "unstable, %")
-    return text_table(header, rows)
-
-
 def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array | None) -> Margins:
     """Return an answer with its rows, whose intervals are quantiles over the draws."""
     tail = (1 - answer.level) / 2
@@ -450,117 +255,3 @@ def _unit(signal: str, model: Model, controllers: Sequence[Controller]) -> str:
     if signal not in units and signal.endswith(DOT):
         return units.get(signal.removesuffix(DOT), "") + "/s"
     return units.get(signal, "")
-
-
-def _stated(margin: Margin) -> str:
-    if math.isnan(margin.value):
-        return f"an unmeasured {margin.name}"
-    return f"a {margin.name} of {_with_interval(margin)} {margin.unit}"
-
-
-def _with_interval(margin: Margin) -> str:
-    if not math.isfinite(margin.value):
-        return "infinity" if margin.value > 0 else "unknown"
-    if not math.isfinite(margin.high - margin.low):
-        return number(margin.value, 3)
-    return f"{number(margin.value, 3)} ({number(margin.low, 3)} to {number(margin.high, 3)})"
-
-
-def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins:
-    """Return the margins of a measured broken loop, with negative feedback.
-
-    They are read between the measured points, where magnitude and phase are straight lines over the
-    logarithm of frequency, and never beyond them: a note names the margins that do not occur there.
-    The intervals come from draws from the errors of the points, which also correct the bias of the
-    modulus margin, and are wider by the error of the interpolation, a third of what leaving out
-    every second point changes. The loop is taken as stable, because it flew.
-
-    Parameters
-    ----------
-    loop : FrequencyResponse
-        With a variance, as `broken_loop` and `greybox.spectral` give it; without one, there are no
-        intervals.
-    level : float
-
-    Returns
-    -------
-    Margins
-
-    Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
-    intervals).
-    """
-    require_kind(
-        "loop",
-        loop,
-        FrequencyResponse,
-        "the FrequencyResponse of a broken loop; gb.margins takes a fit with its controller",
-    )
-    require_level(level)
-    loop = loop.by_frequency
-    points, drawn = np.log(loop.omega), _drawn(loop)
-    has_errors = len(drawn) > 1
-    gain, omega = _between(points, drawn)
-    numbers = margin_numbers(gain, omega)
-    fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]))
-    ends = [(1 - level) / 2, 0.5, (1 + level) / 2]
-    rows, unmeasured = [], []
-    for name, (values, places) in numbers.items():
-        value = low = high = place = math.nan
-        if values[0] and omega[0] < places[0] < omega[-1]:
-            value = values[0]
-            if has_errors:
-                drawn_ends = np.quantile(values[1:], ends, method=ORDER)
-                low, _, high = drawn_ends
-                if name in LEAST:
-                    high, value, low = 2 * value - drawn_ends
-            # Straight lines between twice as distant points are four times as wrong.
-            change = abs(fewer[name].value[0] - values[0]) / 3 if name in fewer else 0.0
-            error = np.nan_to_num(change, posinf=0)
-            value, low, high, place = map(float, (value, low - error, high + error, places[0]))
-        else:
-            unmeasured.append(name)
-        unit = UNITS[name.rstrip(" 0123456789")]
-        rows.append(Margin(name, unit, value, low, high, place, group="measured"))
-
-    notes = [] if has_errors else ["No intervals: the response has no variance."]
-    if unmeasured:
-        notes.append(
-            f"The measurement, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a loop gain of "
-            f"{abs(gain[0, 0]):.2g} to {abs(gain[0, -1]):.2g}, does not reach: "
-            f"{listed(unmeasured)}. Fly other frequencies; nothing is extrapolated."
-        )
-    if "phase margin 2" in numbers:
-        notes.append("The gain is one at several frequencies; the smallest margin counts.")
-    widest = math.exp(np.diff(points).max(initial=0.0))
-    # Sines at 0.6, 1.7 and 4.5 rad/s stay below this ratio.
-    if widest > 3.0:
-        notes.append(
-            f"Neighboring points differ by up to a factor of {number(widest, 2)} in frequency, and "
-            "lines are assumed between them: measure more of them near the crossings."
-        )
-    plant = loop.name or "the measured response"
-    # A measured response has no controller and no draws, so those fields are empty.
-    level = level if has_errors else math.nan
-    return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
-
-
-def _drawn(loop: FrequencyResponse) -> ComplexArray:
-    """Return the response and draws from its errors (1 + draws, n), none without a variance."""
-    if loop.variance is None:
-        return loop.response[None]
-    random = np.random.default_rng(0)
-    errors = random.normal(size=(2, DRAWS, len(loop)))
-    if loop.dof is not None:
-        errors *= np.sqrt(loop.dof / random.chisquare(loop.dof, errors.shape[1:]))
-    size = np.sqrt(loop.variance * loop.independent_share / 2)
-    drawn = loop.response + size * (errors[0] + 1j * errors[1])
-    if loop.common_errors is not None:
-        drawn += random.normal(size=(DRAWS, len(loop.common_errors))) @ loop.common_errors
-    return np.vstack([loop.response, drawn])
-
-
-def _between(points: Array, response: ComplexArray) -> tuple[ComplexArray, Array]:
-    """Return gains (m, k) interpolated between points (n,) of log omega, and omega (k,)."""
-    x = np.unique([*points, *np.linspace(points[0], points[-1], 300)])
-    logarithm = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response), axis=1)
-    return np.exp([np.interp(x, points, row) for row in logarithm]), np.exp(x)

@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
+from greybox.experiment.closed_loop import samples_to_settle
 from greybox.experiment.controller import Controller, outside_names, sensors_of
 from greybox.experiment.gain_comparison import ROUNDING, SENSITIVITY, GainChange
-from greybox.experiment.loop_numbers import REST, loop_frequencies, samples_to_settle
+from greybox.experiment.loop_numbers import REST, loop_frequencies
 from greybox.experiment.sampled_loop import DOT, LinearController, SampledLoop
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen

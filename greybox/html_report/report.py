@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.experiment.margins import Margins
+from greybox.experiment.margin_values import Margins
 from greybox.files.argument_checks import checked_items, require_kind
 from greybox.files.grouping import grouped
 from greybox.files.numbers_in_text import number

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
-from greybox.experiment.margins import Margins
+from greybox.experiment.margin_values import Margins
 from greybox.files.argument_checks import as_names
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values

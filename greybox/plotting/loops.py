@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from greybox.data.frequency_response import decibels_of
+from greybox.experiment.closed_loop import step_responses
 from greybox.experiment.drawn_loops import DRAWN
-from greybox.experiment.loop_numbers import loop_frequencies, step_responses
-from greybox.experiment.margins import Margins
+from greybox.experiment.loop_numbers import loop_frequencies
+from greybox.experiment.margin_values import Margins
 from greybox.experiment.safe_gains import SafeGains
 from greybox.files.arrays import Array
 from greybox.plotting.bode import BARS, error_bars
