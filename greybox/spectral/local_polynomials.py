@@ -30,7 +30,7 @@ Noise
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,9 +67,10 @@ NEIGHBORHOOD = 12
 # octave on either side, by least squares on logarithms, with a prior of this standard deviation.
 STEEP = 1.0
 
-# Points by which the gain from instrument to input is expected, and standard deviations of noise
-# in it that count as noise.
-BESIDE, LIKELY = 6, 2
+# Points by which the gain from instrument to input is expected.
+BESIDE = 6
+# Standard deviations of noise in that gain that count as noise.
+LIKELY = 2
 
 # Largest half-width of a band over its frequency: 0.15 decades on either side.
 WIDEST = 0.35
@@ -97,6 +98,36 @@ class Lines(NamedTuple):
     stretch: IntArray
     spacing: float
     direct: bool
+
+
+class BandLines(NamedTuple):
+    """The lines in a band, with m conditioned inputs.
+
+    Attributes
+    ----------
+    rows : (n,) array of int
+        Their indices.
+    x : (n,) array
+        Their positions in the band, -1 to 1.
+    output : (n,) complex array
+    inputs, instruments : (1 + m, n) complex arrays
+    transients : (n, t) array
+        An orthonormal basis of the transients.
+    """
+
+    rows: IntArray
+    x: Array
+    output: ComplexArray
+    inputs: ComplexArray
+    instruments: ComplexArray
+    transients: Array
+
+
+class Solution(NamedTuple):
+    """Coefficients of n lines by instruments: an orthonormal basis Z (n, m), and (ZᴴX)⁻¹Zᴴ."""
+
+    basis: ComplexArray
+    coefficients: ComplexArray
 
 
 class Fitted(NamedTuple):
@@ -289,22 +320,34 @@ def fit_band(
     and is left out.
     """
     order, transient_order = ORDER + extra, TRANSIENT_ORDER + extra
-    rows, x, _, *signals, transients = _in_band(lines, center, half, transient_order)
-    powers = np.vander(x, order + 1, increasing=True)
-    if rows.size - (order + 1) * len(signals[0]) - transients.shape[1] < residuals:
+    band = _in_band(lines, center, half, transient_order)
+    transients = band.transients
+    powers = np.vander(band.x, order + 1, increasing=True)
+    if band.rows.size - (order + 1) * len(band.inputs) - transients.shape[1] < residuals:
         return None
 
     # Least squares is the special case in which the regressors are their own instruments.
-    regressors, instruments = (
-        _without(transients, np.hstack([row[:, None] * powers for row in rows_of_signals]))
-        for rows_of_signals in signals
-    )
+    regressors = np.hstack([signal[:, None] * powers for signal in band.inputs])
+    regressors = _without(transients, regressors)
+    instruments = np.hstack([signal[:, None] * powers for signal in band.instruments])
+    instruments = _without(transients, instruments)
+
     solved = _solved(regressors, instruments)
     alone = solved if lines.direct else _solved(instruments, instruments)
     if solved is None or alone is None:
         return None
     return Fitted(
-        center, half, rows, x, regressors, instruments, *solved, transients, order, alone[1]
+        center=center,
+        half=half,
+        rows=band.rows,
+        x=band.x,
+        regressors=regressors,
+        instruments=instruments,
+        basis=solved.basis,
+        solution=solved.coefficients,
+        transients=transients,
+        order=order,
+        alone=alone.coefficients,
     )
 
 
@@ -313,14 +356,8 @@ def _without(basis: AnyArray, columns: ComplexArray) -> ComplexArray:
     return columns - basis @ (basis.conj().T @ columns)
 
 
-def _in_band(
-    lines: Lines, center: float, half: float, order: int
-) -> tuple[IntArray, Array, ComplexArray, ComplexArray, ComplexArray, Array]:
-    """Return the lines in a band, and an orthonormal basis (n, t) of their transients.
-
-    The lines are their indices, positions from -1 to 1, and the outputs, inputs (1 + m, n) and
-    instruments (1 + m, n) there, with m conditioned inputs.
-    """
+def _in_band(lines: Lines, center: float, half: float, order: int) -> BandLines:
+    """Return the lines in a band, with a basis of their transients of this order."""
     ends = [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)]
     rows = np.arange(*np.searchsorted(lines.omega, ends))
     numbers, counts = np.unique(lines.stretch[rows], return_counts=True)
@@ -336,13 +373,11 @@ def _in_band(
     u, y, r, *conditioned = lines.values[:, rows]
     m = len(conditioned) // 2
     inputs, instruments = np.array([u, *conditioned[:m]]), np.array([r, *conditioned[m:]])
-    return rows, (omega - center) / half, y, inputs, instruments, transients
+    return BandLines(rows, (omega - center) / half, y, inputs, instruments, transients)
 
 
-def _solved(
-    regressors: ComplexArray, instruments: ComplexArray
-) -> tuple[ComplexArray, ComplexArray] | None:
-    """Return an orthonormal basis Z of the instruments and (ZᴴX)⁻¹Zᴴ; None if ill conditioned."""
+def _solved(regressors: ComplexArray, instruments: ComplexArray) -> Solution | None:
+    """Return the solution for regressors X by their instruments; None if ill conditioned."""
     x_length, z_length = (np.linalg.norm(columns, axis=0) for columns in (regressors, instruments))
     if not (np.all(x_length > 0) and np.all(z_length > 0)):
         return None
@@ -353,7 +388,7 @@ def _solved(
     # Rounding errors of the solution reach this condition number times 2e-16.
     if not np.linalg.cond(square) < 1e6:
         return None
-    return basis, np.linalg.solve(square, basis.conj().T) / x_length[:, None]
+    return Solution(basis, np.linalg.solve(square, basis.conj().T) / x_length[:, None])
 
 
 def _halved(lines: Lines, low: float, high: float, narrowest: float) -> list[Band]:
@@ -455,13 +490,16 @@ def _with_pole(lines: Lines, band: Band) -> Band | None:
     fitted, omega = band.fitted, band.omega
     center = fitted.center
     half = DOUBLED * fitted.half
-    rows, x, y, inputs, signals, transients = _in_band(lines, center, half, TRANSIENT_ORDER)
+    wide = _in_band(lines, center, half, TRANSIENT_ORDER)
+    rows, x, y, transients = wide.rows, wide.x, wide.output, wide.transients
+
     # Divided by the frequency, the numerator allows for an integrator beside the pole.
     powers = np.vander(x, ORDER + 2, increasing=True) * (center / lines.omega[rows])[:, None]
     lower = powers[:, :-1]
-    regressors = np.hstack([*(u[:, None] * lower for u in inputs), -(x * y)[:, None]])
+    regressors = np.hstack([*(u[:, None] * lower for u in wide.inputs), -(x * y)[:, None]])
+    instrument, *conditioned = wide.instruments
     instruments = np.hstack(
-        [signals[0][:, None] * powers, *(r[:, None] * lower for r in signals[1:])]
+        [instrument[:, None] * powers, *(signal[:, None] * lower for signal in conditioned)]
     )
     number = rows.size - regressors.shape[1] - transients.shape[1]
     if number < LEAST_RESIDUALS:
@@ -473,7 +511,7 @@ def _with_pole(lines: Lines, band: Band) -> Band | None:
     # The correction compares both models on the lines of the narrow band, a part of the wide one.
     places = np.searchsorted(rows, fitted.rows)
 
-    coefficients = solved[1] @ y
+    coefficients = solved.coefficients @ y
     pole = coefficients[-1]
     transient = transients @ (transients.T @ (y - regressors @ coefficients))
     # Without the column of the pole, the regressors give the numerator times the input.
@@ -491,18 +529,40 @@ def _with_pole(lines: Lines, band: Band) -> Band | None:
 
 def _estimates(lines: Lines, bands: Sequence[Band]) -> EstimatedPoints:
     """Return the estimates of bands at their frequencies."""
-    rows: list[Any] = [np.zeros((10, 0))]
+    # Arrays (k,) for the k points of every band.
+    responses, spreads, spreads_alone = [], [], []
+    # Numbers that all points of a band have in common.
+    noises, numbers, coherences, input_noises = [], [], [], []
     for band in bands:
         fitted = band.fitted
-        noise, dof = _noise(band, bands)
         weights = fitted.weights(band.omega)
-        response = weights @ lines.values[1, fitted.rows] - band.correction
-        alone = fitted._replace(solution=fitted.alone).weights(band.omega)
-        spreads = (np.sum(np.abs(w) ** 2, axis=1) for w in (weights, alone))
-        known = band.omega, *spreads, band.squared_error, noise, dof, band.number
-        rows.append(np.broadcast_arrays(response, *known, *_coherence(lines, fitted, noise)))
-    response, *others = np.hstack(rows)
-    omega, spread, alone, error, noise, dof, own, coherence, input_noise = np.real(others)
+        responses.append(weights @ lines.values[1, fitted.rows] - band.correction)
+        spreads.append(np.sum(np.abs(weights) ** 2, axis=1))
+        weights_alone = fitted._replace(solution=fitted.alone).weights(band.omega)
+        spreads_alone.append(np.sum(np.abs(weights_alone) ** 2, axis=1))
+
+        density, number = _noise(band, bands)
+        noises.append(density)
+        numbers.append(number)
+        coherence_of_band, input_noise_of_band = _coherence(lines, fitted, density)
+        coherences.append(coherence_of_band)
+        input_noises.append(input_noise_of_band)
+
+    omega, response, error, spread, alone = (
+        np.concatenate([np.zeros(0), *arrays])
+        for arrays in (
+            [band.omega for band in bands],
+            responses,
+            [band.squared_error for band in bands],
+            spreads,
+            spreads_alone,
+        )
+    )
+    points = np.array([band.omega.size for band in bands], dtype=int)
+    noise, dof, own, coherence, input_noise = (
+        np.repeat(np.array(values, dtype=float), points)
+        for values in (noises, numbers, [band.number for band in bands], coherences, input_noises)
+    )
 
     change = _change(omega, spread, alone, input_noise)
     weak = STRONG * input_noise * spread * np.exp(change) > 1
