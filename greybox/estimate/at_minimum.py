@@ -7,16 +7,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from greybox.estimate.accuracy import Accuracy
 from greybox.estimate.checks.evidence import Evidence
-from greybox.estimate.covariance import (
-    Accuracy,
-    accuracy_at,
-    directions_beside,
-    known_directions,
-    prior_shares,
-)
+from greybox.estimate.covariance import accuracy_at, directions_beside, known_directions
 from greybox.estimate.fitted_values import fitted_part
-from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.known_directions import KnownDirections
+from greybox.estimate.prior_shares import prior_shares
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, by_name

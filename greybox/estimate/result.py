@@ -17,11 +17,8 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import NOT_STORED, Record
 from greybox.estimate.at_estimate import at_estimate, part_index
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.identifiability import (
-    Identifiability,
-    KnownDirections,
-    identifiability,
-)
+from greybox.estimate.identifiability import Identifiability, identifiability
+from greybox.estimate.known_directions import KnownDirections
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import details, summary, text
 from greybox.estimate.profile_result import Profiles

@@ -3,10 +3,10 @@
 import math
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.estimate.accuracy import Accuracy
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.estimate.covariance import Accuracy
-from greybox.estimate.identifiability import Combination
+from greybox.estimate.combinations import Combination
 from greybox.files.text_table import counted, listed
 from greybox.modeling.symbolic_reading import switching_parameters
 
