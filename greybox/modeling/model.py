@@ -265,6 +265,15 @@ class Model(ABC):
         """The name of the structure, for tables."""
         return type(self).__name__
 
+    def contains(self, other: "Model") -> Values | None:
+        """State where this model is the `other` one: values of the parameters that it has more.
+
+        None, by default, leaves that to a comparison, which looks whether the formulas are the same
+        where these parameters are zero. A class may state other values, such as one for an
+        exponent; those that it does not name are zero.
+        """
+        return None
+
     def _repr_markdown_(self) -> str:
         return f"**{self.label}**\n\n{equation(self)}"
 
