@@ -266,11 +266,11 @@ class Model(ABC):
         return type(self).__name__
 
     def contains(self, other: "Model") -> Values | None:
-        """State where this model is the `other` one: values of the parameters that it has more.
+        """Return the values of the parameters that only this model has, at which it is the other.
 
-        None, by default, leaves that to a comparison, which looks whether the formulas are the same
-        where these parameters are zero. A class may state other values, such as one for an
-        exponent; those that it does not name are zero.
+        By default None, which leaves that to the comparison of two fits: it looks whether the
+        formulas are the same where these parameters are zero. A class may state other values, such
+        as one for an exponent; parameters that it does not name are zero.
         """
         return None
 

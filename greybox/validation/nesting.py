@@ -1,4 +1,4 @@
-"""Whether one fit contains another: the values of its further parameters that make it the smaller.
+"""Whether one fit contains another, and at which values of its further parameters.
 
 The criterion says whether it contains the other one, and so may the class of the model. Where the
 class leaves it open, the formulas must be the same where the further parameters are zero.
@@ -160,7 +160,11 @@ def _removing_values(
 def _values_of_model(
     pair: _Pair, small: Fit, large: Fit, labels: StringPair, at: Values
 ) -> dict[str, float]:
-    """Return the values, by name in the model, at which the larger model is the smaller one."""
+    """Return the values, by name in the model, at which the larger model is the smaller one.
+
+    Further parameters are zero, or as the larger fit holds them, unless the user or the class of
+    the model states other values.
+    """
     outside = {name: pair.large.outside(name) for name in pair.further}
     usual = {n: 0.0 if o in large.free else large.estimate[o] for n, o in outside.items()}
     if at:
