@@ -10,7 +10,7 @@ from greybox.estimate.identifiability import Combination
 from greybox.estimate.result import Fit
 from greybox.files.arrays import unique
 from greybox.files.text_table import Sentences, counted, listed, number, with_error
-from greybox.modeling.symbolic_reading import switching_parameters
+from greybox.modeling.symbolic_reading import RAMP, switching_parameters
 
 
 def not_determined(accuracy: Accuracy) -> Sentences:
@@ -25,8 +25,7 @@ def not_determined(accuracy: Accuracy) -> Sentences:
             yield (
                 f"{combination.names[0]} is not determined: it enters the model only through a "
                 "switch or a rounding, which has no slope that a solver could follow, so its value "
-                "is that of a start. Write the switch as a ramp one sample wide: "
-                "gb.maximum(gb.minimum((a - b) / step + 0.5, 1), 0) in place of a > b."
+                f"is that of a start. {RAMP}"
             )
         elif math.isinf(combination.index):
             yield _not_determined(combination)
