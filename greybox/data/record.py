@@ -148,9 +148,14 @@ class Record(Printed):
             steps = np.diff(time)
         back = np.flatnonzero(steps <= 0)
         if back.size and self.has_time:
+            cure = "sort the samples"
+            if not steps[back].any():
+                cure = (
+                    "two samples have one time. Remove samples that are stored twice; give "
+                    "replicates as one record each, gb.several(model, [first, second])"
+                )
             raise ValueError(
-                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): sort the "
-                "samples and remove duplicates."
+                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): {cure}."
             )
         if self.has_time and out_of_range(steps).any():
             step = steps[np.argmax(out_of_range(steps))]

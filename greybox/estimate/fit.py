@@ -31,7 +31,7 @@ from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.misfit_assessment import assessed_misfit
 from greybox.estimate.profile import with_profiles_where_misleading
-from greybox.estimate.quantities import quantities
+from greybox.estimate.quantities import parameter_values, quantities
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import wrapped
 from greybox.files.arrays import Named, by_name, frozen
@@ -57,7 +57,7 @@ from greybox.solve.interruption import (
     take_interrupt,
 )
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Multistart, agreeing_runs
+from greybox.solve.minima import Multistart, agreeing_runs, best_unfinished
 from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, multistart, solver_for
 from greybox.solve.robust_fit import with_robust_errors
 from greybox.solve.runs import SEARCH_OVER, RunStorage
@@ -403,8 +403,12 @@ def assemble(
     )
 
     if not search.minima:
-        failures = warnings_of_failure(search, solver)
-        return replace(answer, warnings=(*wrapped(answer), *failures))
+        run = best_unfinished(search.runs)
+        return replace(
+            answer,
+            warnings=(*wrapped(answer), *warnings_of_failure(search, solver)),
+            best_effort=None if run is None else parameter_values(nlp, run.estimate),
+        )
     return replace(
         answer,
         warnings=warnings(search, accuracy, answer, error),
