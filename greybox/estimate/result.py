@@ -43,7 +43,6 @@ from greybox.files.arrays import (
     Strings,
     Values,
     attributes,
-    by_name,
     frozen,
     places_of,
     unique,

@@ -60,7 +60,7 @@ def test_replicates_at_one_time_are_a_record_each():
     """Three tubes at each of six times: as SciPy from all samples together."""
     time = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0])
     tubes = np.exp(-0.4 * time) + 0.03 * np.random.default_rng(3).normal(size=(3, 6))
-    with pytest.raises(ValueError, match="replicates as one record each, gb.several"):
+    with pytest.raises(ValueError, match="replicates as one record each"):
         gb.Record(np.repeat(time, 3), {"x": tubes.T.ravel()})
 
     records = [gb.Record(time, {"x": x}) for x in tubes]
