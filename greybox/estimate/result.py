@@ -40,7 +40,6 @@ from greybox.files.arrays import (
     Strings,
     Values,
     attributes,
-    by_name,
     frozen,
     places_of,
     unique,
@@ -54,7 +53,7 @@ from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.rational import Rational, rational
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.solve.minima import Minimum, Multistart, best_unfinished
+from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Runs
 
 
@@ -152,6 +151,10 @@ class Fit(Printed):
     misfit : Misfit or None
         Whether the model explains the data, and what it may lack; None where that cannot be
         decided.
+    best_effort : mapping of name to float, or None
+        Values of free, fixed and tied parameters at the end of the best run of a failed fit. They
+        are not an estimate and have no errors. None if a run converged, or if no run ended at a
+        finite cost.
     warnings, notes : tuple of str
         Reasons to doubt the estimate; and remarks.
     seed, starts, seconds, versions
@@ -198,6 +201,7 @@ class Fit(Printed):
     priors: Mapping[str, FloatPair] = field(default_factory=dict)
     prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = None
+    best_effort: Values | None = None
     command: Strings = ()
     left_out: Strings = ()
 
@@ -306,24 +310,6 @@ class Fit(Printed):
     def estimate(self) -> dict[str, float]:
         """Values of free, fixed and tied parameters by name."""
         return {q.name: q.value for q in self.quantities if q.kind != "derived"}
-
-    @property
-    def best_effort(self) -> dict[str, float] | None:
-        """Values of free and fixed parameters at the end of the best run of a failed fit, by name.
-
-        They are not an estimate and have no errors. None if a run converged, or if no run ended
-        at a finite cost.
-        """
-        run = None if self.converged else best_unfinished(self.runs)
-        if run is None:
-            return None
-
-        ended = by_name(self.free, run.estimate.tolist())
-        return {
-            q.name: ended.get(q.name, q.value)
-            for q in self.quantities
-            if q.kind in ("free", "fixed")
-        }
 
     @property
     def derived(self) -> dict[str, float]:

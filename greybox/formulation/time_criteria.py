@@ -151,10 +151,11 @@ class TimeCriterion(AnyCriterion):
                         f"noise gives {name!r} the value {sigma!r}: give a standard deviation "
                         "above 0."
                     )
-        elif self.noise not in ("diagonal", "full"):
+        # An array has no truth value, with which a word could be compared.
+        elif not (isinstance(self.noise, str) and self.noise in ("diagonal", "full")):
             raise ValueError(
-                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard "
-                "deviation}."
+                f"noise {self.noise!r:.60} is not known: use 'diagonal', 'full' or {{output: "
+                "standard deviation}."
             )
 
         require_inputs(self.inputs)
