@@ -18,7 +18,8 @@ from greybox.solve.minima import Multistart
 from greybox.solve.multistart import ProgressReport, multistart
 from greybox.solve.not_finite import explained
 from greybox.solve.robust_fit import with_robust_errors
-from greybox.solve.runs import SEARCH_OVER, RunStorage
+from greybox.solve.run_storage import RunStorage
+from greybox.solve.runs import SEARCH_OVER
 
 
 @frozen

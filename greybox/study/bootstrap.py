@@ -42,7 +42,8 @@ from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import ProgressReport, multistart, solver_for
-from greybox.solve.runs import Memory, Outcomes
+from greybox.solve.run_storage import Memory
+from greybox.solve.runs import Outcomes
 from greybox.study.replicates import (
     RecordReplicates,
     Replicates,
