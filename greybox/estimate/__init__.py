@@ -33,6 +33,7 @@ Begin with `fit`.
 | `repeated_inputs` | what repeats in the residuals with the inputs |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
 | `profile` | likelihood profiles, by minima with a quantity held, and where they end |
+| `held_minima` | minima with a quantity held, the points of a profile |
 | `profile_result` | the profiles as values |
 | `largest_deviation` | the point of a response that deviates most |
 | `wrapped_outputs` | outputs that jump by a full turn |
