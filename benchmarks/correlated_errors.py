@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from greybox.compiled.colored_errors import colored_errors
-from greybox.estimate.diagnostics.records import EVIDENCE, FEWEST_LINES
+from greybox.estimate.checks.slow_errors import EVIDENCE, FEWEST_LINES
 from greybox.files.arrays import Array, BoolArray
 
 STEP = 0.05  # s

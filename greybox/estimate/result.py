@@ -17,11 +17,8 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import NOT_STORED, Record
 from greybox.estimate.at_estimate import at_estimate, part_index
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.identifiability import (
-    Identifiability,
-    KnownDirections,
-    identifiability,
-)
+from greybox.estimate.identifiability import Identifiability, identifiability
+from greybox.estimate.known_directions import KnownDirections
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import details, summary, text
 from greybox.estimate.profile_result import Profiles
@@ -43,7 +40,6 @@ from greybox.files.arrays import (
     Strings,
     Values,
     attributes,
-    by_name,
     frozen,
     places_of,
     unique,
@@ -52,12 +48,12 @@ from greybox.files.text_table import Printed, counted, one_line, require_kind, w
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.time_criteria import Inputs
-from greybox.modeling.harmonic_balance import response_of_test
+from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.rational import Rational, rational
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.solve.minima import Minimum, Multistart, best_unfinished
+from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Runs
 
 
@@ -155,12 +151,18 @@ class Fit(Printed):
     misfit : Misfit or None
         Whether the model explains the data, and what it may lack; None where that cannot be
         decided.
+    best_effort : mapping of name to float, or None
+        Values of free, fixed and tied parameters at the end of the best run of a failed fit. They
+        are not an estimate and have no errors. None if a run converged, or if no run ended at a
+        finite cost.
     warnings, notes : tuple of str
         Reasons to doubt the estimate; and remarks.
     seed, starts, seconds, versions
         Seed and rule of the starts, duration of the fit, versions of the packages.
     command : tuple of str
         Arguments of the ``greybox`` command that made the fit; empty from Python.
+    left_out : tuple of str
+        Names of the included checks that were not made, see ``greybox.CHECKS``.
     models, given : tuple of Model or None, tuple of Model or class
         The fitted models, None for a loaded fit; and the models that were given to `load`.
 
@@ -199,7 +201,9 @@ class Fit(Printed):
     priors: Mapping[str, FloatPair] = field(default_factory=dict)
     prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = None
+    best_effort: Values | None = None
     command: Strings = ()
+    left_out: Strings = ()
 
     @cached_property
     def free(self) -> Strings:
@@ -306,24 +310,6 @@ class Fit(Printed):
     def estimate(self) -> dict[str, float]:
         """Values of free, fixed and tied parameters by name."""
         return {q.name: q.value for q in self.quantities if q.kind != "derived"}
-
-    @property
-    def best_effort(self) -> dict[str, float] | None:
-        """Values of free and fixed parameters at the end of the best run of a failed fit, by name.
-
-        They are not an estimate and have no errors. None if a run converged, or if no run ended
-        at a finite cost.
-        """
-        run = None if self.converged else best_unfinished(self.runs)
-        if run is None:
-            return None
-
-        ended = by_name(self.free, run.estimate.tolist())
-        return {
-            q.name: ended.get(q.name, q.value)
-            for q in self.quantities
-            if q.kind in ("free", "fixed")
-        }
 
     @property
     def derived(self) -> dict[str, float]:
@@ -472,9 +458,7 @@ class Fit(Printed):
             If a loaded fit does not know the model.
         """
         response, model, values = self._response_part(part)
-        return response_of_test(
-            model, values, omega, response.sine, response.data.omega, **response.signals
-        )
+        return frequency_response(model, values, omega, **response.signals)
 
     def to_dict(self, level: float = 0.95) -> Fields:
         """Return the numbers as plain values, as ``greybox fit --json`` does; None where unknown.
@@ -575,15 +559,12 @@ class Fit(Printed):
         directions = self.known_directions(names)
         require_level(level)
         if omega is None:
-            curve = None if fitted.sine else fitted.curve
-            omega = curve.omega if curve is not None else fitted.data.omega
+            omega = fitted.curve.omega if fitted.curve is not None else fitted.data.omega
 
         response, slope = response_and_slope(
             model,
             values,
             finite_numbers("omega", omega),
-            fitted.sine,
-            fitted.data.omega,
             **fitted.signals,
         )
         bias = np.array([self.by_name[name].bias for name in names])
