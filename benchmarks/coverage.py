@@ -27,7 +27,8 @@ from scipy.special import stdtrit
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import assess, degrees, propagate
+from greybox.estimate.accuracy import degrees, propagate
+from greybox.estimate.covariance import accuracy_at
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt
@@ -322,7 +323,7 @@ class Cell:
             for part, p in zip(self.nlp.parts, problem.parts, strict=True)
         )
         nlp = replace(self.nlp, problem=problem, parts=parts, constant_values=constants)
-        accuracy = assess(nlp, x)
+        accuracy = accuracy_at(nlp, x)
         value, gradient = (np.asarray(v) for v in self._quantities(nlp.all_values(x)))
         gradient = np.vstack([np.eye(x.size, len(nlp.names)), gradient])
         error = propagate(accuracy, gradient)

@@ -73,7 +73,7 @@ TASKS = {
     "TimeCriterion formulation",
     "Fit it": "fit Fit cost Starts Transcription MultipleShooting SingleShooting Collocation "
     "identify solve regression identification",
-    "Judge the answer": "misfit profile Profiles bootstrap Bootstrap compare "
+    "Judge the answer": "Evidence Finding misfit profile Profiles bootstrap Bootstrap compare "
     "simulate predict stepwise validation simulation",
     "Show it and hand it on": "draws Draws plot report save load plotting interop",
     "Fit many problems": "batch study",

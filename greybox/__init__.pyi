@@ -27,6 +27,9 @@ from greybox.data import (
     Record as Record,
     read_response as read_response,
 )
+from greybox.estimate.checks.evidence import Evidence as Evidence
+from greybox.estimate.checks.finding import Finding as Finding
+from greybox.estimate.checks.included import CHECKS as CHECKS
 from greybox.estimate.draws import Draws as Draws, draws as draws
 from greybox.estimate.fit import fit as fit
 from greybox.estimate.misfit_test import misfit as misfit

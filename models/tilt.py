@@ -114,8 +114,7 @@ class NonlinearTilt(TiltParameters, gb.StateSpace):
     T_\Omega$$
 
     The rotor state represents the torque; `a4` includes the torque gain. In hover the slope of the
-    drag is zero, so `C_x` vanishes from the linearization there. Records identify it, and so do
-    responses with a stated sine amplitude.
+    drag is zero, so `C_x` vanishes from the linearization there. Records identify it.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.21) and (4.23).
     """

@@ -103,8 +103,7 @@ def without_misfit():
 
     For tests of estimates and errors alone: those in tests/estimate assess fits of all kinds.
     """
-    # By its path: `greybox.estimate.fit` is the function.
-    module = import_module("greybox.estimate.fit")
+    module = import_module("greybox.estimate.assessment")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "assessed_misfit", lambda *_: None)
         yield
@@ -129,7 +128,7 @@ def judged(monkeypatch):
     """Make fits with their misfit in a test of a file without."""
     from greybox.estimate.misfit_assessment import assessed_misfit
 
-    module = import_module("greybox.estimate.fit")
+    module = import_module("greybox.estimate.assessment")
     monkeypatch.setattr(module, "assessed_misfit", assessed_misfit)
 
 

@@ -12,7 +12,7 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap Collocation Controller Criterion Draws EquationError Fit FrequencyResponse Integrator MagnitudePhase
+Bootstrap CHECKS Collocation Controller Criterion Draws EquationError Evidence Finding Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 Radau RelativeLikelihood RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
 Transcription TransferFunction batch bootstrap compare cost draws feedback fit frequency_response identify load margins misfit
@@ -35,8 +35,8 @@ NAMESPACES = {
     "identify measure measure_matrix select_orders",
     "interop": "from_control to_casadi to_control",
     "logs": "find_manoeuvres find_segments horizontal_velocity prepare read",
-    "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
-    "TransferFunction feedback frequency_response harmonic_response linearize rational",
+    "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta StateSpace "
+    "TransferFunction feedback frequency_response linearize rational",
     "plotting": "bode estimates gains loop nyquist pairs plot profiles recording residuals "
     "spectrum starts structures time_history traces trend",
     "regression": "EquationErrorEstimate equation_error levy order_path",

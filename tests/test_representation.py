@@ -4,7 +4,6 @@ from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 
-import numpy as np
 from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 
@@ -58,7 +57,6 @@ def values():
         "Recording": gb.data.Recording({f"M{k}": RECORD for k in range(40)}, source="flight.BIN"),
         "Run": fit.runs[0],
         "Segment": gb.data.Segment(1.0, 2.0, "sweep", "pitch", band=(1.0, 10.0)),
-        "Sine": gb.modeling.Sine("u", np.linspace(0.1, 0.2, 40)),
         "Sum": gb.several(Drag(), [RECORD, flight(QUADRATIC, 2, duration=5.0)]),
     }
 

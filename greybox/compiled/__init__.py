@@ -13,6 +13,9 @@ Begin with `compiled_problem`.
 | `transient_part` | the spectrum of a manoeuvre |
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |
+| `information` | what every part says of the values, for the covariance of an estimate |
+| `response_information` | that of a frequency response |
+| `record_information` | that of a record |
 | `record_part` | a record with its information, and as expressions for IPOPT |
 | `steep_bounds` | bounds at which a root is infinitely steep |
 | `step_size` | substeps of a sample and samples of a segment |

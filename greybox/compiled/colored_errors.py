@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.compiled.part import ColoredErrors
+from greybox.compiled.information import ColoredErrors
 from greybox.files.arrays import Array, Arrays, sum_of_squares
 from greybox.statistics.residual_spectrum import colored_information
 

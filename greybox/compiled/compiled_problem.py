@@ -37,7 +37,6 @@ from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import function_key
-from greybox.modeling.harmonic_balance import enough_harmonics
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import Parameter, lower_and_upper
 from greybox.modeling.symbolic_reading import as_column, entries_by_name
@@ -256,28 +255,12 @@ class CompiledProblem(Portable):
 
     def judged(self, x: Array) -> ArrayPair:
         """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
-        sizes = [part.magnitude for part in self.parts_of(ResponsePart)]
         costs, responses = self._judged(self.all_values(x).T)
         # Over the measured magnitudes, so that responses of unlike units can be compared.
-        relative = responses / np.hstack([(), *sizes, *sizes])[:, None]
-        return costs, relative.T
-
-
-def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
-    """Return the problem with as many harmonics as matter at the start values, if left open.
-
-    A fit warns if the estimate needs more, see `greybox.estimate.diagnostics.discretization`.
-    """
-    parts = [*problem.parts]
-    for k, part in enumerate(parts):
-        if part.amplitude is None or part.amplitude.harmonics:
-            continue
-        # The start values, not the estimate: the number of harmonics must not change during a fit.
-        values, omega = part.local_starts, part.response.omega
-        sine = enough_harmonics(part.model, omega, part.amplitude, values, **part.signals)
-        parts[k] = part.with_(amplitude=sine)
-
-    return problem if parts == [*problem.parts] else problem.with_parts(parts)
+        magnitude = np.concatenate(
+            [np.zeros(0), *(p.magnitude for p in self.parts_of(ResponsePart))]
+        )
+        return costs, (responses / np.tile(magnitude, 2)[:, None]).T
 
 
 @one_thread_at_a_time
@@ -292,7 +275,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     require_problem(problem)
     # Priors become parts, so that costs, counts and covariances include them without a special
     # case.
-    problem = with_enough_harmonics(with_priors(problem))
+    problem = with_priors(problem)
     method = method or MultipleShooting()
     parameters = problem.parameters
     free = tuple(name for name, p in parameters.items() if not p.fixed)

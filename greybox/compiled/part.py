@@ -13,19 +13,18 @@ Callers: the Gauss-Newton driver (`trajectory` to `close_gaps`), the grouping of
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
+from greybox.compiled.information import Information
 from greybox.files.arrays import (
     Array,
-    ArrayPair,
     Fields,
     Indices,
     IntArray,
-    NamedArrays,
     StringPair,
     Strings,
     all_finite,
@@ -33,8 +32,6 @@ from greybox.files.arrays import (
 )
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
-from greybox.statistics.error_spectrum import ErrorSpectrum
-from greybox.statistics.neighbor_correlation import NeighborCorrelation
 
 NO_NODES = np.zeros((0, 0))
 # Assumed output error while continuity is a penalty, as a share of the standard deviation of a
@@ -132,101 +129,6 @@ class Condensed:
         """Return the damping term in the cost at a step dz (p,), less its value at dz = 0."""
         moved = self.change_of_nodes(dz)
         return 0.5 * float((self.damping * (moved**2 - self.node_step**2)).sum())
-
-
-@frozen
-class ColoredErrors:
-    """The effect of errors that are correlated in time on the accuracy of an estimate.
-
-    Attributes
-    ----------
-    meat : (r, r) array
-        Middle matrix of the sandwich, for the given directions.
-    dof : float
-        Degrees of freedom of the variances that follow.
-    spectrum : ErrorSpectrum or None
-        Of a record, spectrum of the errors, enlarged for what the fit took from them; None where
-        all residuals are zero.
-    process_noise : function
-        Returns -2 log of the evidence for other errors, less that for process noise: white, or
-        gusts. Of a record only.
-    slow_errors : function
-        Returns 2 log of the evidence for slow errors of every output, not white ones, and the
-        number of frequencies that show the parameters: (2, outputs). Of a record only.
-    """
-
-    meat: Array
-    dof: float
-    spectrum: ErrorSpectrum | None = None
-    process_noise: Callable[[], float] = float
-    slow_errors: Callable[[], Array] = lambda: NO_NODES
-
-
-# What the residuals of a response show of the correlation of its errors along frequency, and a
-# function of such a correlation: the middle matrix (r, r) of the sandwich, for the given
-# directions, and the degrees of freedom of the variances that follow.
-CorrelatedPoints = tuple[NeighborCorrelation, Callable[[NeighborCorrelation], tuple[Array, float]]]
-
-
-@frozen
-class Information:
-    """The information of a part on all values x (k,), for the covariance of the estimate.
-
-    The free values come first.
-
-    Attributes
-    ----------
-    part : Part
-    jacobian : (rows, k) array
-        Derivatives of the real residuals, or a triangular factor of them.
-    numbers : int
-        Real numbers in the data that count as independent, less those that nuisance unknowns use
-        up.
-    spread : function of a correction
-        Returns `bread` (a factor on JᵀJ) and a root L (m, k) of the meat M = LᵀL, with the noise
-        larger by the correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
-        `greybox.formulation.frequency_criteria`. M itself has the squares of the singular values
-        of L: of parameters that are hard to tell apart, it loses the digits that a root keeps.
-    reach : (k,) array
-        Lengths of the columns of the Jacobian before the initial states were fitted too: if
-        initial states compensate for a value, the rest of its column is rounding.
-    initial : mapping of state to (stretches, k) array
-        How the initial states follow the values, in changes that the data notice; empty without
-        states.
-    colored : function of a square root (p, r) of B⁻¹, or None
-        Where errors are taken as correlated in time, so that their size changes over the lines of
-        a spectrum: what that makes of it, for the
-        directions of the root of the covariance of the free parameters for white errors times the
-        weight of the part. `spread` takes them as white. Directions of unit variance keep their
-        digits where parameters are hardly determined.
-    correlated : function of a correction, a root (p, r) of B⁻¹ and degrees of freedom, or None
-        The errors of a frequency response if neighboring points may be correlated; None where
-        nothing is known about that. `spread` takes them as independent.
-    errors : (n,) array, rad/s, and (2 n,) array, or None
-        The residuals of a frequency response in the rows of the Jacobian, and their frequencies;
-        None where errors are independent.
-    offset : function of a correction, or None
-        What noise adds to the residuals (rows,) of a frequency response in the mean, by the
-        `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
-        estimate is its least squares on the Jacobian.
-    disturbed : bool
-        Whether the errors of a manoeuvre look like those of turbulence, or of a missing term.
-    noise_ratio : float or None
-        Squared residuals of a frequency response over its given variances; None without these.
-    """
-
-    part: "Part"
-    jacobian: Array
-    numbers: int
-    spread: Callable[[float], tuple[float, Array]]
-    reach: Array
-    initial: NamedArrays = field(default_factory=dict)
-    colored: Callable[[Array], ColoredErrors] | None = None
-    correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
-    errors: ArrayPair | None = None
-    offset: Callable[[float], Array] | None = None
-    disturbed: bool = False
-    noise_ratio: float | None = None
 
 
 class Elsewhere:

@@ -1,7 +1,6 @@
 """One record of a problem, compiled."""
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -9,11 +8,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.colored_errors import colored_errors
+from greybox.compiled.information import Information
 from greybox.compiled.initial_states import at_samples
-from greybox.compiled.part import ColoredErrors, Information, Trajectory
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_information import record_information
 from greybox.compiled.record_model import RecordModel, longest_delay, record_model
-from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.compiled.riccati import NoiseModel, noise_model
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
@@ -38,7 +37,6 @@ from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
-from greybox.statistics.column_space import triangle_of
 from greybox.statistics.huber import bounded
 
 
@@ -249,70 +247,7 @@ class RecordPart(SegmentedPart):
 
         by_values = np.zeros((len(places), len(values)))
         by_values[range(len(places)), places] = dz_dx
-        return _information(part, trajectory, by_values)
-
-
-def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> Information:
-    """Return the information of a record on all values (k,), the initial states fitted too.
-
-    `by_values` (columns, k) are the derivatives of the part's variables by all values, of which
-    the free ones come first.
-
-    Errors have the autocorrelation of the residuals, unless the criterion assumes white ones.
-    """
-    model, data = part.model, part.data
-    weight = part.residual_weight(trajectory)
-    slopes = sensitivity(part, trajectory, weight)
-    weighted = slopes.weighted
-    score = slopes.triangle
-    unseen, known = slopes.by_covariance, part.covariance.known
-    if known is not None and not model.is_prior:
-        # The residuals show whether the given noise is right, unless there are so few that the
-        # parameters may fit them exactly.
-        counts = part.covariance.counts
-        variances = np.diag(trajectory.products) / np.maximum(counts, 1)
-        given = np.maximum(1 - (counts / 8) ** 2, 0.0)
-        variance = variances + given * (np.square(known) - variances)
-        excess = np.maximum(variance - variances, 0.0)
-        by_output = [triangle_of(J.T) for J in weighted]
-        score = np.vstack([math.sqrt(v) * J for v, J in zip(variance, by_output, strict=True)])
-        rows = [math.sqrt(v) * J for v, J in zip(excess, by_output, strict=True)]
-        unseen = np.vstack([unseen, *rows])
-
-    initial = part.unknown_initial_states
-    # Fitted initial states make residuals smaller than errors, and the covariance too small.
-    independent = max(part.numbers, initial + 0.5)
-    meat = math.sqrt(independent / (independent - initial)) * score @ by_values
-
-    def spread(correction: float) -> tuple[float, Array]:
-        return 1.0, meat * (1.0 if model.is_prior else correction)
-
-    def colored(root: Array) -> ColoredErrors:
-        directions = by_values[:, : len(root)] @ root
-        errors = colored_errors(
-            data.unpadded(weighted),
-            directions,
-            data.unpadded(part.residuals(trajectory)),
-            weight,
-            initial,
-            initial=data.unpadded(slopes.by_initial),
-            shocks=slopes.shocks,
-        )
-        rows = unseen @ directions
-        return replace(errors, meat=errors.meat + rows.T @ rows)
-
-    # Rows without a time have no neighbors with which they could be correlated, nor has a single
-    # sample of an output.
-    in_order = model.has_time and not model.is_prior and part.covariance.counts.max() > 1
-    return Information(
-        part,
-        slopes.triangle @ by_values,
-        part.numbers - initial,
-        spread,
-        reach=slopes.reach @ np.abs(by_values),
-        initial={name: rows @ by_values for name, rows in slopes.initial.items()},
-        colored=colored if in_order else None,
-    )
+        return record_information(part, trajectory, by_values)
 
 
 def compile_records(

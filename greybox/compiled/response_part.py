@@ -7,16 +7,16 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.data_input import INCLUDED, data_numbers
+from greybox.compiled.information import Information
 from greybox.compiled.part import (
     NO_NODES,
     SMOOTHING,
-    CorrelatedPoints,
     Elsewhere,
-    Information,
     Part,
     Trajectory,
 )
-from greybox.compiled.shared_response import SharedSystem, SineTest
+from greybox.compiled.response_information import response_information
+from greybox.compiled.shared_response import SharedSystem
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -25,7 +25,6 @@ from greybox.files.arrays import (
     Indices,
     Strings,
     as_arrays,
-    column_lengths,
     complex_array,
     frozen,
     real_and_imaginary,
@@ -37,7 +36,6 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,
-    averaged_meat,
     neighbor_correlation,
 )
 
@@ -53,14 +51,14 @@ class ResponseFunctions(Rebuilt):
         response, stacked (2 n,).
     response : casadi.Function
         (all values x) -> the same response.
-    system : SharedSystem or SineTest or None
-        The state space of a large problem or the sine test, in numpy, at all values x: it takes a
-        quarter of the time of CasADi's functions, and its derivatives need not be built.
+    system : SharedSystem or None
+        The state space of a large problem, in numpy, at all values x: it takes a quarter of the
+        time of CasADi's functions, and its derivatives need not be built.
     """
 
     objective: ca.Function
     response: ca.Function
-    system: SharedSystem | SineTest | None = None
+    system: SharedSystem | None = None
 
     @cached_property
     @one_thread_at_a_time
@@ -127,7 +125,7 @@ class ResponsePart(Part):
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""
-        return self._latest(False, values).copy()
+        return self._response(values).copy()
 
     def scaled_response(self, z: Any) -> Any:
         """Return real and imaginary parts of the model's response at z (p,), stacked (2 n,)."""
@@ -143,20 +141,30 @@ class ResponsePart(Part):
 
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
-        return self._latest(True, values).reshape(-1, len(values))
+        if self.functions.system is not None:
+            _, (slopes,) = self._of_system(values)
+            return slopes.T.reshape(-1, len(values))
 
-    def _latest(self, is_slope: bool, values: Array) -> ComplexArray:
-        """Return the response at all values x (k,), or its derivatives."""
-        functions = self.functions
-        if (system := functions.system) is not None:
-            results = self.stored("both", values, lambda: system.responses(values[:, None]))
-            return results[is_slope][0].T
-        function = functions.slope if is_slope else functions.response
-        return self.stored(
-            function.name(),
-            values,
-            lambda: complex_array(*function(values).full().reshape(2, -1)),
-        )
+        def compute() -> ComplexArray:
+            return complex_array(*self.functions.slope(values).full().reshape(2, -1))
+
+        return self.stored("slope", values, compute).reshape(-1, len(values))
+
+    def _response(self, values: Array) -> ComplexArray:
+        if self.functions.system is not None:
+            (response,), _ = self._of_system(values)
+            return response.T
+
+        def compute() -> ComplexArray:
+            return complex_array(*self.functions.response(values).full().reshape(2, -1))
+
+        return self.stored("response", values, compute)
+
+    def _of_system(self, values: Array) -> Any:
+        """Return the response of a state space in numpy, and its derivatives, for one column."""
+        system = self.functions.system
+        assert system is not None
+        return self.stored("both", values, lambda: system.responses(values[:, None]))
 
     def stored(self, name: str, values: Array, compute: Callable[[], Any]) -> Any:
         """Return a result at all values x (k,), computed again only at other values."""
@@ -210,66 +218,8 @@ class ResponsePart(Part):
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
-        """Return the information on the values (k,): Jacobian and spread of the criterion."""
-        criterion, data = self.criterion, self.data
-        response = self.response(values)
-        jacobian = criterion.jacobian(response, self.sensitivity(values), data)
-
-        common = np.zeros((len(jacobian), 0))
-        if data.common_errors is not None:
-            common = criterion.jacobian(response, data.common_errors.T, data)
-        # A given variance includes the common errors. A noise estimated from residuals does not,
-        # because the fit follows these errors.
-        independent = np.tile(data.independent_share, 2) if criterion.known_noise else 1.0
-
-        def spread(correction: float) -> tuple[float, Array]:
-            bread, meat = criterion.spread(response, data, correction)
-            own = np.sqrt(independent * meat)[:, None] * jacobian
-            return bread, np.vstack([own, bread * common.T @ jacobian])
-
-        def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
-            if data.has_independent_errors:
-                return None
-            directions = jacobian[:, : len(root)] @ root
-            # The residuals lack errors along the directions that this part determines. With many
-            # parts, each has a small share in most directions, and its residuals keep these errors:
-            # only those count on which it has more than a tenth of the information that it has on
-            # its best one. With half of it, 20 of 90 white responses of a helicopter that are
-            # judged alone count as correlated, with a tenth 17, with all directions 36.
-            _, sizes, turns = np.linalg.svd(directions, full_matrices=False)
-            own = root @ turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
-            neighbors = self.neighbors(values, own, correction)
-
-            def averaged(errors: NeighborCorrelation) -> tuple[Array, float]:
-                order = np.argsort(data.omega, kind="stable")
-                bread, meat = criterion.spread(response, data, correction)
-                # Neighbors in frequency are neighbors in correlation: the order matters here alone.
-                halves = np.split(np.sqrt(independent * meat)[:, None] * directions, 2)
-                middle, remaining_dof = averaged_meat(
-                    complex_array(*halves)[order], errors, criterion.score_correlation, dof
-                )
-                shift = bread * common.T @ directions
-                return self.weight**2 * (middle + shift.T @ shift), remaining_dof
-
-            return neighbors and (neighbors, averaged)
-
-        def offset(correction: float) -> Array:
-            bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
-            return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
-
-        residuals = (data.response - response)[:, None]
-        errors = criterion.jacobian(response, residuals, data)[:, 0]
-        return Information(
-            self,
-            jacobian,
-            len(jacobian),
-            spread,
-            column_lengths(jacobian),
-            correlated=correlated,
-            errors=None if data.has_independent_errors else (data.omega, errors),
-            offset=offset,
-            noise_ratio=criterion.noise_ratio(response, data) if criterion.known_noise else None,
-        )
+        """Return the information on the values (k,)."""
+        return response_information(self, values)
 
     def neighbors(
         self, values: Array, root: Array, correction: float

@@ -25,7 +25,6 @@ from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
     SharedResponses,
     SharedSystem,
-    SineTest,
     response_symbols,
     shared_systems,
 )
@@ -38,7 +37,6 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.fingerprint import function_key, value_fingerprint
-from greybox.modeling.harmonic_balance import compiled_balance
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.one_thread import Stored, cached_property, unchanged_in
 from greybox.modeling.pade_delay import delay_order
@@ -155,7 +153,7 @@ class ResponseCompiler:
         is_included = all(type(part.criterion) in INCLUDED for part in parts)
         if not (study and is_small and is_included) or self.constraint.numel_out():
             return None
-        fields = "model", "signals", "amplitude", "criterion", "rename", "tied"
+        fields = "model", "signals", "criterion", "rename", "tied"
         stated = [[getattr(part, field) for field in fields] for part in parts]
         shapes = [
             (part.response.omega, part.sampled_hold, *columns_of(part.response)) for part in parts
@@ -327,7 +325,7 @@ class ResponseCompiler:
         constants, measured = self.source.at(data)
         return data, self.values_at(self.point, constants), measured
 
-    def systems(self) -> dict[int, SharedSystem | SineTest]:
+    def systems(self) -> dict[int, SharedSystem]:
         """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
         shared = shared_systems(self.parts, x, entries_by_name(self.names, x)) or []
@@ -367,16 +365,12 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
     def place(part: Problem) -> tuple[Any, ...]:
         omega = part.response.omega.tobytes()
         hold = part.sampled_hold
-        return id(part.model), part.at, part.delay, part.amplitude is None, omega, hold
+        return id(part.model), part.at, part.delay, omega, hold
 
     for _, alike in groupby(parts, place):
         members = [*alike]
         first = members[0]
         omega = first.response.omega
-        if first.amplitude is not None:
-            for part in members:
-                yield compiled_balance(part.model, omega, part.amplitude, **part.signals).function()
-            continue
         pairs = [(part.signals["input"], part.signals["output"]) for part in members]
         symbol = ca.SX.sym("omega") if is_large else None
         for formula in response_formulas(

@@ -12,8 +12,7 @@ The Hessian of a criterion φ is composed as Jᵀ φ'' J (Gauss-Newton): the omi
 small where the residuals are, and may be indefinite far away from a minimum.
 """
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -30,15 +29,12 @@ from greybox.files.arrays import (
     ComplexPair,
     IntArray,
     Named,
-    as_arrays,
     frozen,
     real_and_imaginary,
 )
-from greybox.files.rebuilt import Rebuilt
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.fingerprint import function_key
-from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
 from greybox.modeling.held_inputs import first_terms, folded_back
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
@@ -156,98 +152,13 @@ def _at_points(side: ComplexArray, signals: IntArray, at: IntArray) -> ComplexAr
     return rows.reshape(*rows.shape[:2], -1).take(at * count + signals, -1)
 
 
-class SineTest(Rebuilt):
-    """The response to a sine of finite amplitude.
-
-    Newton's method finds a motion from those at the last points or, if it fails, from scratch.
-
-    Attributes
-    ----------
-    pairs : tuple
-        The part, as of `SharedSystem`.
-    last : deque of (z, harmonics, derivatives)
-        The last motions. Near them there may be others than those that are found anew.
-    """
-
-    def __init__(self, part: int, balance: HarmonicBalance, values: ca.Function) -> None:
-        """Take the values of the parameters as a function of z."""
-        self.pairs = ((part, None),)
-        z = ca.MX.sym("z", values.numel_in(0))
-        settings = balance.settings(values(z))
-        slopes = dense_jacobian(settings[:, 0], z)
-        self._settings = ca.Function("settings", [z], [settings, slopes])
-        self._guess = balance.guess.map(balance.omega.size)
-        self._linear = Columns(balance.linear)
-        # Points whose motions are stored: the last and the best one of two searches, and some more.
-        self.last: deque[ArrayTriple] = deque(maxlen=8)
-
-    def of_pairs(self) -> Iterator[tuple[int, "SineTest"]]:
-        """Yield the part with itself."""
-        yield self.pairs[0][0], self
-
-    def responses(self, z: Array) -> ComplexPair:
-        """Return the response at z (p, k), (k, n), and its derivatives, (k, p, n).
-
-        The response is NaN where no motion is found.
-        """
-        rows = np.array([self._response(column) for column in z.T])
-        return rows[..., 0], rows[..., 1:].mT
-
-    def _response(self, z: Array) -> ComplexArray:
-        """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
-        settings, by_z = as_arrays(self._settings(z))
-        rows = is_motion = np.zeros(0, bool)
-        for guess, most in self._guesses(z, settings):
-            harmonics = guess
-            for _ in range(most):
-                harmonics, slopes, rows, is_motion = self._newton(harmonics, settings, by_z)
-                if is_motion.all():
-                    self.last.append((z.copy(), harmonics, slopes))
-                    return rows
-        rows[~is_motion] = np.nan
-        return rows
-
-    def _guesses(self, z: Array, settings: Array) -> Iterator[tuple[Array, int]]:
-        """Yield harmonics (n, u) to begin with, and the number of steps from there."""
-        if self.last:
-            near, harmonics, slopes = min(self.last, key=lambda last: np.linalg.norm(last[0] - z))
-            # From the response without switches it takes four or five steps.
-            yield harmonics + slopes @ (z - near), 4
-        yield self._guess(settings).full().T, 1
-
-    def _newton(
-        self, harmonics: Array, settings: Array, by_z: Array
-    ) -> tuple[Array, Array, ComplexArray, BoolArray]:
-        """Return harmonics (n, u) after a step, their derivatives (n, u, p), and the response.
-
-        The response has its derivatives, (n, 1 + p); the last value is whether it is a motion's.
-        """
-        count = harmonics.shape[1]
-        [linear] = self._linear(harmonics.T, settings)
-        table = linear.T.reshape(len(harmonics), -1, count + 2).mT
-        value, by_harmonics, by_settings = np.split(table, [1, 1 + count], axis=2)
-        value = np.concatenate([value, by_settings @ by_z], axis=2)
-        steps = -_if_regular(np.linalg.solve, by_harmonics[:, :count], value[:, :count])
-        parts = value[:, count:] + by_harmonics[:, count:] @ steps
-        harmonics = harmonics + steps[..., 0]
-        length = np.abs(steps[..., 0]).max(axis=1)
-        # The error is about the square of this share.
-        is_motion = length < 1e-6 * (1 + np.abs(harmonics).max(axis=1))
-        return harmonics, steps[..., 1:], parts[:, 0] + 1j * parts[:, 1], is_motion
-
-
 def resolvents(A: Array, omega: Array) -> ComplexArray:
     """Return (jωI - A)⁻¹ (k, w, n, n); NaN for all if a pole is at a frequency."""
     pencil = 1j * omega[:, None, None] * np.eye(A.shape[-1]) - A[:, None]
-    return _if_regular(np.linalg.inv, pencil)
-
-
-def _if_regular(function: Callable[..., Any], *matrices: Any) -> Any:
-    """Return a function of stacks of matrices; NaN for all if one is singular."""
     try:
-        return function(*matrices)
+        return np.linalg.inv(pencil)
     except np.linalg.LinAlgError:  # such trials are refused
-        return np.full_like(matrices[-1], np.nan)
+        return np.full_like(pencil, np.nan)
 
 
 class SharedResponses:
@@ -263,7 +174,7 @@ class SharedResponses:
     def __init__(
         self,
         parts: Sequence[Problem],
-        systems: Sequence[SharedSystem | SineTest],
+        systems: Sequence[SharedSystem],
         cost: ca.SX,
         symbols: Sequence[ca.SX],
     ) -> None:
@@ -328,8 +239,8 @@ def response_symbols(parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
 
 def shared_systems(
     parts: Sequence[Problem], point: ca.SX, named: Named
-) -> list[SharedSystem | SineTest] | None:
-    """Return the state spaces and sine tests of all parts; None if one is not shared.
+) -> list[SharedSystem] | None:
+    """Return the state spaces of all parts; None if one is not shared.
 
     The values by name are expressions of the `point` (p,). Operating points that Newton's method
     finds and Padé delays are not shared.
@@ -339,11 +250,6 @@ def shared_systems(
     local = [ca.Function("values", [point], [own]) for own in values]
     systems = []
     for k, part in enumerate(parts):
-        if part.amplitude is not None:
-            omega = part.response.omega
-            balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
-            systems.append(SineTest(k, balance, local[k]))
-            continue
         if not part.model.state_names or part.delay != "exact":
             return None
         at = repr(sorted(part.at.items()))

@@ -20,7 +20,7 @@ which depends on the parameters.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -28,7 +28,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.part import NO_NODES, ColoredErrors, Information, Part, Trajectory
+from greybox.compiled.information import ColoredErrors, Information
+from greybox.compiled.part import NO_NODES, Part, Trajectory
 from greybox.compiled.residual_covariance import (
     FEWEST,
     ResidualCovariance,
@@ -424,30 +425,73 @@ class TransientPart(Part):
         steady, by_time = louder_times(in_time(errors), in_time(fitted.reshape(*shape, -1)))
         # Before the data, louder times are as likely as disturbances. Either may be certain.
         louder = calm * (1 - steady) / max(calm + steady - calm * steady, TINY)
-        views = (np.asarray, by_line), (in_time, by_time)
-
-        def colored(root: Array) -> ColoredErrors:
-            rows = (mean[:, : len(root)] @ root).reshape(*shape, -1)
-            certain = variance[:, : len(root)] @ root
-            known = certain.T @ certain
-            (by_lines, dof), (by_times, other) = (
-                uneven_errors(view(errors), view(rows), root, view(taken), known, covariance)
-                for view, covariance in views
-            )
-            meat = by_lines + louder * (by_times - by_lines)
-            inverse_dof = (1 - louder) / dof + louder / other
-            return ColoredErrors(meat, 1 / inverse_dof if inverse_dof else math.inf)
-
-        return Information(
-            self,
-            jacobian,
-            self.numbers - len(self.states),
-            lambda correction: (1.0, jacobian),
-            reach,
-            colored=colored,
+        return ManoeuvreInformation(
+            mean,
+            variance,
+            errors,
+            taken,
+            by_line,
+            by_time,
+            louder,
+            part=self,
+            jacobian=jacobian,
+            numbers=self.numbers - len(self.states),
+            reach=reach,
             # So unlikely with white errors are 1 % of 2500 fits with right models, and 91 % of
             # those in gusts by output error.
             disturbed=calm < 0.2,
+        )
+
+
+@frozen
+class ManoeuvreInformation(Information):
+    """The information of a manoeuvre, whose errors may be larger in a part of the band or the time.
+
+    Attributes
+    ----------
+    mean, variance : (rows, k) arrays
+        The information in the outputs, and in their variances.
+    residuals, taken : (outputs, 2, n) and (outputs, 2, n, columns) arrays
+        Weighted errors, real and imaginary parts, and what the end term takes from them.
+    by_line, by_time : arrays
+        Covariance of the sizes of the errors over the lines, and over the time.
+    louder : float
+        Probability that sizes differ over the time and not over the lines.
+    """
+
+    mean: Array
+    variance: Array
+    residuals: Array
+    taken: Array
+    by_line: Any
+    by_time: Any
+    louder: float
+
+    def spread(self, correction: float) -> tuple[float, Array]:
+        """Return the bread and a root of the meat; variances are estimated, and not corrected."""
+        return 1.0, self.jacobian
+
+    def colored(self, root: Array) -> ColoredErrors:
+        """Return what unequal sizes over the lines, or over the time, make of the errors."""
+        by_lines, dof = self._uneven(root, np.asarray, self.by_line)
+        by_times, other = self._uneven(root, in_time, self.by_time)
+        meat = by_lines + self.louder * (by_times - by_lines)
+        inverse_dof = (1 - self.louder) / dof + self.louder / other
+        return ColoredErrors(meat, 1 / inverse_dof if inverse_dof else math.inf)
+
+    def _uneven(
+        self, root: Array, view: Callable[[Array], Array], covariance: Any
+    ) -> tuple[Array, float]:
+        """Return middle matrix and degrees of freedom with the sizes that one view shows."""
+        rows = (self.mean[:, : len(root)] @ root).reshape(*self.residuals.shape, -1)
+        certain = self.variance[:, : len(root)] @ root
+        return uneven_errors(
+            view(self.residuals),
+            view(rows),
+            root,
+            view(self.taken),
+            certain.T @ certain,
+            covariance,
         )
 
 

@@ -1,66 +1,44 @@
-"""From a problem to its answer: search from many starts, then accuracy, then warnings."""
+"""From a problem to its answer, in three steps: search the minima, estimate there, assess.
 
-import math
-import platform
+Each step can be used without the next: `search_minima` knows no errors, `estimate_at_minimum` no
+checks, and `gb.fit(..., checks=())` ends after the second.
+"""
+
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import field, replace
-from functools import partial
 from types import MappingProxyType
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.covariance import (
-    Accuracy,
-    assess,
-    directions_beside,
-    known_directions,
-    prior_shares,
-)
-from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
-from greybox.estimate.diagnostics.identifiability import determined_together
-from greybox.estimate.diagnostics.noise_level import better_weights, unused_noise
-from greybox.estimate.diagnostics.not_finite import explained
-from greybox.estimate.diagnostics.records import resting_inputs, rounded_outputs
-from greybox.estimate.diagnostics.repeated import once
-from greybox.estimate.fitted_values import fitted_part
-from greybox.estimate.misfit_assessment import assessed_misfit
-from greybox.estimate.profile import with_profiles_where_misleading
-from greybox.estimate.quantities import parameter_values, quantities
+from greybox.estimate.assessment import assess
+from greybox.estimate.at_minimum import estimate_at_minimum
+from greybox.estimate.checks.included import CHECKS, Check, require_checks
 from greybox.estimate.result import Fit
-from greybox.estimate.verdict import wrapped
-from greybox.files.arrays import Named, by_name, frozen
-from greybox.files.progress import DELAY, bar
+from greybox.files.arrays import Named, frozen
 from greybox.files.text_table import counted, require_kind
-from greybox.files.version import __version__
-from greybox.formulation.prior_part import stated_priors
-from greybox.formulation.starts import AnyStarts, as_starts
+from greybox.formulation.starts import AnyStarts
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
-from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import one_blas_thread, require_executor
 from greybox.solve.interruption import (
     Interrupted,
     Response,
     building,
     end_after,
-    is_search_over,
     limited,
     listening,
     responding,
-    stop_requested,
     take_interrupt,
 )
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Multistart, agreeing_runs, best_unfinished
-from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, multistart, solver_for
-from greybox.solve.robust_fit import with_robust_errors
-from greybox.solve.runs import SEARCH_OVER, RunStorage
+from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, solver_for
+from greybox.solve.run_storage import RunStorage
+from greybox.solve.search import search_minima
 
 
 def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
@@ -73,6 +51,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     solver_options: Named = MappingProxyType({}),
     executor: Executor | None = None,
     seconds: float | None = None,
+    checks: Sequence[Check] = CHECKS,
     profiles: bool = True,
     progress: bool | ProgressReport = True,
 ) -> Fit:
@@ -82,7 +61,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     IPOPT polishes every minimum. Large problems of state spaces are searched together, too, with
     one solution of (jωI - A)⁻¹ for all responses; there, all starts but the most promising one of a
     batch, or the first of your own list, first move to a minimum with process noise. Other problems
-    that do not fit into a batch (finite amplitudes, large ones) are solved by IPOPT from every
+    that do not fit into a batch (large ones) are solved by IPOPT from every
     start, as with ``search="multistart"``. For records, ``"multistart"`` is one sparse program for
     IPOPT from every start.
 
@@ -117,6 +96,11 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     seconds : float, optional
         Time limit of the whole search, in s. The best runs until then are judged; the answer
         depends on the speed of the machine, and says so.
+    checks : sequence of functions
+        What the answer is judged by: functions of the `Evidence` that yield `Finding`s, all of
+        `greybox.CHECKS` by default. Add your own with ``checks=[*gb.CHECKS, mine]``. With
+        ``checks=()`` the answer has its estimates and standard errors, and nothing is judged: no
+        misfit, no warnings, no profiles; the verdict says so.
     profiles : bool
         After default starts, look for other minima that the data hardly distinguish from the best
         one; for records, if the model is linear and has more states than outputs. Profile the
@@ -124,7 +108,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         an interval by the standard error, or whose interval leaves the bounds, whose error exceeds
         half the value, or changes by 30 % within one error: `Fit.profiles`. Where that would take
         a second or longer, a note names these parameters. Slow problems (records, trims inside the
-        optimization, finite amplitudes) are not profiled unless you name the parameters in
+        optimization) are not profiled unless you name the parameters in
         `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of
@@ -164,6 +148,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
             seed,
             by=by,
             executor=executor,
+            checks=checks,
             profiles=profiles,
             progress=progress,
         )
@@ -232,7 +217,7 @@ def _interruptible() -> Iterator[None]:
 @traced_once()
 # Bounds may be as wide as numbers are: what overflows there is no minimum, which is checked.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def fit_with_storage(
+def fit_with_storage(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     storage: RunStorage | None,
     problem: AnyProblem,
     starts: AnyStarts | None = None,
@@ -240,53 +225,35 @@ def fit_with_storage(
     *,
     by: SolverChoice,
     executor: Executor | None = None,
+    checks: Sequence[Check] = CHECKS,
     profiles: bool = True,
     progress: bool | ProgressReport = True,
 ) -> Fit:
     """Fit as `fit` does, and store every run at once; stored runs are not repeated."""
     require_executor(executor)
+    require_checks(checks)
     began = time.perf_counter()
     solver = by.solver(problem)
-    nlp = solver.nlp
-    rule = as_starts(solver.starts if starts is None else starts, seed)
 
     with responding(Response.STOP):
-        # SciPy prints a traceback of an interrupt while it loads the numbers of Sobol points.
-        points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
-        run = partial(
-            multistart,
+        search = search_minima(
             solver,
-            points,
+            starts,
+            seed,
             executor=executor,
             storage=storage,
-            promising=solver.promising if starts is None else (),
             beside=profiles,
+            progress=progress,
         )
-        search = _with_progress(run, len(points), progress)
-        if not search.runs:  # Ctrl-C came before the end of the first one
-            raise KeyboardInterrupt
-        # Ask now: a later Ctrl-C does not end the search, which is complete.
-        interrupted = stop_requested()
-        # Explain failures before a refinement replaces the compiled problem in which they happened.
-        search = explained(nlp, search)
-        # Refine before ranking: minima of too coarse an integration may change their order.
-        search, solver, error = refine_discretization(search, solver)
-        # A batch stops at a loose tolerance; IPOPT confirms each minimum once.
-        search = solver.polished(search)
-        search, solver = with_robust_errors(search, solver)
-
     # Ctrl-C no longer ends the work: the search is complete, and judging it takes a moment.
     with responding(Response.FINISH):
-        answer = assemble(search, solver, seed=rule.seed, starts=str(rule), error=error)
-        messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
-        # A search that was cut short has no time for profiles.
-        if profiles and answer.converged and not messages:
-            answer = with_profiles_where_misleading(solver.nlp, answer)
-        seconds = time.perf_counter() - began
-        answer = replace(answer, warnings=(*messages, *answer.warnings), seconds=seconds)
+        evidence = estimate_at_minimum(search)
+        answer = assess(evidence, checks, profiles=profiles)
+        answer = replace(answer, seconds=time.perf_counter() - began)
+
     # What CasADi built is freed here, not at the return while another thread builds.
     with LOCK:
-        del run, nlp, search, solver
+        del solver, search, evidence
     if take_interrupt():
         raise Interrupted(
             f"interrupted after {counted(len(answer.runs), 'start')}; the best fit so far is "
@@ -296,130 +263,7 @@ def fit_with_storage(
     return answer
 
 
-def _with_progress(
-    run: Callable[..., Multistart], count: int, progress: bool | ProgressReport
-) -> Multistart:
-    """Return the search that `run` makes from this many starts, its progress shown or reported."""
-    # A bar would be in the way of a function that reports progress in another form.
-    if callable(progress) or not progress:
-        return run(progress=progress or None)
-    with bar(total=count, unit="start") as progress_bar:
-
-        def report(done: int, count: int) -> None:
-            # Shown as soon as the first start takes longer than half a second.
-            progress_bar.delay = min(DELAY, done / 2)
-            progress_bar.update(done - progress_bar.n)
-
-        return run(progress=report)
-
-
 @one_thread_at_a_time  # also frees what it compiles
 def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
     """Return the key of stored runs: of the compiled problem, its data and the solver options."""
     return value_fingerprint(by.solver(problem))
-
-
-def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
-    """Return how many of `count` starts were run before Ctrl-C or the time limit."""
-    done = len(search.brought)
-    total = counted(count, "start")
-    is_over = np.any(search.runs.status == SEARCH_OVER)
-    if (interrupted and done < count) or is_over:
-        cause = "the time limit ended the search" if is_search_over() else "interrupted"
-        machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
-        yield f"{cause} after {done} of {total}: another start may end at a lower cost{machine}."
-
-
-@one_thread_at_a_time
-def assemble(
-    search: Multistart,
-    solver: LocalSolver,
-    *,
-    seed: int | None,
-    starts: str,
-    error: DiscretizationError | None,
-) -> Fit:
-    """Turn the runs of a search into the answer.
-
-    `starts` describes their rule, `error` is the error of discretization where it is known.
-    """
-    nlp = solver.nlp
-    # The end of a run that did not converge is not an estimate: the values of a failed fit are NaN.
-    accuracy = Accuracy.unknown(nlp)
-    misfit = None
-    if search.minima:
-        best = search.minima[0].estimate
-        trajectories = solver.profile(best, search.nodes).trajectories
-        accuracy = assess(nlp, best, trajectories)
-        misfit = assessed_misfit(nlp, best, trajectories, accuracy.at_bound, {}, solver)
-
-    values = nlp.all_values(accuracy.x)
-    estimate = by_name(nlp.names, values.tolist())
-    lines, covariance, slopes = quantities(accuracy)
-    # The warnings below read the fitted values, so the parts come first.
-    # Values, not the compiled parts: a fit must be small, and readable without its model.
-    parts = tuple(
-        fitted_part(part, trajectory, values, dict(part.problem.local_values(estimate)))
-        for part, trajectory in zip(nlp.parts, accuracy.trajectories, strict=True)
-    )
-    at = np.array([line.value for line in lines[: len(slopes)]])
-    directions = known_directions(accuracy, at, slopes)
-    if directions is not None and directions.unseen.any():
-        # Where two values are equal, the data seem to determine their sum and their product alike.
-        # A second point shows which combination is determined everywhere.
-        elsewhere = directions_beside(
-            nlp,
-            accuracy.x,
-            accuracy.at_bound,
-            lambda x: solver.profile(x, search.nodes).trajectories,
-        )
-        directions = replace(directions, elsewhere=elsewhere)
-
-    answer = Fit(
-        name=nlp.problem.name,
-        parts=parts,
-        quantities=lines,
-        covariance=covariance,
-        dof=accuracy.dof,
-        cost=search.minima[0].cost if search.minima else math.nan,
-        runs=search.runs,
-        minima=search.minima,
-        agreeing=len(agreeing_runs(nlp, search.runs, search.minima)),
-        warnings=(),
-        seed=seed,
-        starts=starts,
-        seconds=0.0,
-        versions={
-            "greybox": __version__,
-            "casadi": ca.CasadiMeta.version(),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-        models=tuple(part.model for part in nlp.problem.parts),
-        white=accuracy.white,
-        independent=accuracy.independent,
-        directions=directions,
-        priors={n: pair for p in stated_priors(nlp.problem) for n, pair in p.stated.items()},
-        prior_share=prior_shares(accuracy),
-        misfit=misfit,
-    )
-
-    if not search.minima:
-        run = best_unfinished(search.runs)
-        return replace(
-            answer,
-            warnings=(*wrapped(answer), *warnings_of_failure(search, solver)),
-            best_effort=None if run is None else parameter_values(nlp, run.estimate),
-        )
-    return replace(
-        answer,
-        warnings=warnings(search, accuracy, answer, error),
-        notes=(
-            *once(unused_noise(nlp.problem)),
-            # No weight could account for the misfit of a wrong model.
-            *(better_weights(accuracy) if answer.is_explained else ()),
-            *resting_inputs(nlp),
-            *(() if misfit and misfit.is_exact else rounded_outputs(answer.records)),
-            *(determined_together(answer) if accuracy.combinations else ()),
-        ),
-    )

@@ -28,7 +28,6 @@ from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.prior import Prior
 from greybox.formulation.time_criteria import Inputs, described_inputs
-from greybox.modeling.sine import Sine
 from greybox.statistics.metrics import fit_percent
 
 PRIOR = Prior(noise={}).class_path
@@ -59,9 +58,8 @@ class FittedPart(ABC):
         The model's reference (module, class, arguments), see `greybox.modeling.model_reference`.
     label, equation : str
         Name and docstring of the model.
-    at, sine, outputs
-        Operating point, sine of finite amplitude, and compared outputs by name; empty for kinds of
-        data that do not have them.
+    at, outputs
+        Operating point and compared outputs by name; empty for kinds of data that do not have them.
     """
 
     name: str
@@ -82,7 +80,6 @@ class FittedPart(ABC):
     equation: str
     nuisances: int = 0
     at: Values = field(default_factory=dict, metadata=NOT_STORED)
-    sine: Sine | None = field(default=None, metadata=NOT_STORED)
     outputs: Strings = field(default=(), metadata=NOT_STORED)
     # What the data consist of, singular and plural, and what they are.
     nouns: ClassVar[Any]
@@ -102,6 +99,11 @@ class FittedPart(ABC):
     @property
     def added(self) -> Strings:
         """Names of the parameters that the criterion added to those of the model."""
+        return ()
+
+    @property
+    def sensor_noise(self) -> Strings:
+        """Names of the `added` parameters that other criteria estimate too, as variances."""
         return ()
 
     @property
@@ -189,13 +191,10 @@ class FittedResponse(FittedPart):
         The fitted model at the data's frequencies; NaN when no start converged.
     curve : FrequencyResponse or None
         The fitted model on a fine grid over the band, for figures; None when no start converged.
-        It may be given as a function of the part, which is evaluated when the curve is needed: for
-        a sine, it takes an eighth of the time of a fit.
+        It may be given as a function of the part, which is evaluated when the curve is needed.
     at : mapping of name to float
     pade_error : float or None
         Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
-    sine : Sine or None
-        The sine of finite amplitude that the model was given; None where it was linearized.
     nuisances : int
         Number of variances of the errors that were estimated too.
     """
@@ -206,7 +205,6 @@ class FittedResponse(FittedPart):
     curve: FrequencyResponse | None = Curve()  # type: ignore[assignment]
     at: Values = field(default_factory=dict)
     pade_error: float | None
-    sine: Sine | None = None
 
     @property
     def signals(self) -> Fields:
@@ -238,8 +236,6 @@ class FittedResponse(FittedPart):
         # together.
         count = len(self.data)
         require_shapes(self, {"response": "n"}, {"n": count})
-        amplitudes = 1 if self.sine is None else np.size(self.sine.amplitude)
-        require(amplitudes in (1, count), "an amplitude is missing")
 
     @property
     def magnitude_phase_cost(self) -> float:
@@ -314,8 +310,13 @@ class FittedRecord(FittedPart):
         # With process noise the gains follow from the variances, which are estimated instead.
         noise = [f"K_{state}_{output}" for state, output in self.gains]
         if self.driven:
-            noise = [*(f"w_{state}" for state in self.driven), *(f"v_{y}" for y in self.outputs)]
+            noise = [*(f"w_{state}" for state in self.driven), *self.sensor_noise]
         return (*(f"{name}_bias" for name in self.biases), *noise)
+
+    @property
+    def sensor_noise(self) -> Strings:
+        """Names of the `added` parameters that are standard deviations of the outputs."""
+        return tuple(f"v_{output}" for output in self.outputs) if self.driven else ()
 
     def innovation_parameters(self, output: str) -> int:
         """Return the number of noise parameters that were fitted to the residuals of an output."""

@@ -77,7 +77,7 @@ def problem_of(fit: Fit) -> AnyProblem:
                 )
         model = fit.model_of(k)
         criterion = KINDS[part.criterion_class](**part.settings)
-        # A record has no operating point, and only a response has an amplitude.
+        # A record has no operating point.
         problem = Problem(
             model,
             part.data,
@@ -92,7 +92,6 @@ def problem_of(fit: Fit) -> AnyProblem:
         outside = {name: part.outside(name) for name in declared}
         problems.append(
             problem.with_(
-                amplitude=part.sine,
                 # What the model declares fixed and the fit estimated was freed by its problem.
                 free=[
                     name for name, p in declared.items() if p.fixed and outside[name] not in held

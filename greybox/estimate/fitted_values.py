@@ -12,8 +12,8 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.diagnostics.discretization import pade_error
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.pade_error import pade_error
 from greybox.estimate.response_band import response_and_slope
 from greybox.files.arrays import (
     Array,
@@ -26,7 +26,7 @@ from greybox.files.arrays import (
     selected,
 )
 from greybox.formulation.problem import Problem
-from greybox.modeling.harmonic_balance import response_of_test
+from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, equation
 from greybox.modeling.model_reference import reference, source_text
 from greybox.modeling.one_thread import traced_once
@@ -64,10 +64,9 @@ def _fitted_response(part: ResponsePart, x: Array, values: Values) -> FittedResp
         response=response,
         curve=partial(_curve, problem.model, values, problem.sampled_hold),  # type: ignore[arg-type]
         pade_error=pade_error(problem, values) if all_finite(response) else None,
-        sine=problem.amplitude,
         nuisances=problem.criterion.nuisances,
     )
-    if fitted.sine is None and not problem.sampled_hold:
+    if not problem.sampled_hold:
         # Curves of linear responses take a hundredth of a fit, because all responses share what is
         # traced. One by one, later, they would take a third. Those of samples are compiled, and
         # wait until they are drawn.
@@ -83,8 +82,8 @@ def _curve(
 
     def at(omega: Array) -> FrequencyResponse:
         if hold:  # samples were compared with those of the model
-            return response_and_slope(model, values, omega, None, omega, hold, **part.signals)[0]
-        return response_of_test(model, values, omega, part.sine, part.data.omega, **part.signals)
+            return response_and_slope(model, values, omega, hold, **part.signals)[0]
+        return frequency_response(model, values, omega, **part.signals)
 
     with contextlib.suppress(ValueError):
         return refined_curve(at, part.data.omega) if all_finite(part.response) else None
@@ -95,8 +94,8 @@ def refined_curve(
     response: Callable[[Array], FrequencyResponse], omega: Array
 ) -> FrequencyResponse:
     """Evaluate a response over the band of `omega` for figures, in finer steps at a resonance."""
-    # 60 points draw most curves, and a periodic motion takes milliseconds at each. Near a lightly
-    # damped peak the grid is refined until a step is 2 % of the figure or 5 degrees of phase.
+    # 60 points draw most curves. Near a lightly damped peak the grid is refined until a step is 2 %
+    # of the figure or 5 degrees of phase.
     grid = omega
     if omega.size > 1:
         grid = np.geomspace(omega.min(), omega.max(), 60)

@@ -14,7 +14,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
-from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
+from greybox.estimate.largest_deviation import SIZE, largest_deviation
 from greybox.estimate.misfit import FALSE_ALARMS, Cause
 from greybox.estimate.missing_terms import (
     SMOOTH,
@@ -313,14 +313,12 @@ def regression_of_response(
         turned = columns[order] * np.exp(-1j * np.angle(response[order]))[:, None]
         return real_and_imaginary(turned / size[order, None])
 
-    states, sine = part.problem.model.state_names, part.problem.amplitude
+    states = part.problem.model.state_names
     orders = [("own", part.name, 1.0)]
     orders += [
         ("trim" if signal in states else "schedule", signal, value)
         for signal, value in part.problem.at.items()
     ]
-    if sine is not None:
-        orders += [("amplitude", sine.signal, sine.amplitude)]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     path = Cause(
         f"a response of {data.output or 'the output'} to {data.input or 'the input'}",

@@ -217,11 +217,6 @@ TEXTS = {
         "{a} falls with {b}, by {size} ± {error} per unit",
         "p.{a} + p.{a}_by_{b} * x.{b} in place of p.{a}",
     ),
-    "amplitude": (
-        "{a} grows with the amplitude of {b}, by {size} ± {error} per unit",
-        "{a} falls with the amplitude of {b}, by {size} ± {error} per unit",
-        "a limit, a dead zone or a power of {b} or of a state in the equation with p.{a}",
-    ),
     "delay": (
         "a delay of {size} s",
         "a lead of {size} s",

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
-from greybox.estimate.covariance import Accuracy, degrees, propagate
+from greybox.estimate.accuracy import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
 from greybox.files.arrays import Array, Labels, attributes, by_name
 from greybox.formulation.problem import Problem

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.known_directions import KnownDirections
 from greybox.files.arrays import (
     Array,
     ArrayPair,
@@ -17,12 +17,10 @@ from greybox.files.arrays import (
     real_root,
 )
 from greybox.files.text_table import counted, one_line
-from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.sine import Sine
 
 
 @frozen
@@ -177,37 +175,29 @@ def response_and_slope(
     model: Model,
     values: Values,
     omega: Array,
-    sine: Sine | None,
-    measured: Array,
     hold: float = 0.0,
     **signals: Any,
 ) -> tuple[FrequencyResponse, ComplexArray]:
     """Return the response at `omega` (n,) rad/s and its derivatives (n, k) in the parameters.
 
-    The arguments are those of `greybox.modeling.harmonic_balance.response_of_test`, and the `hold`
-    of `greybox.modeling.linear_response.response_formulas`.
+    The arguments are those of `greybox.modeling.linear_response.frequency_response`, and the `hold`
+    of `response_formulas` there.
     """
     input, output = pick_signals(model, signals["input"], signals["output"])
     options = {"at": signals["at"], "pade": delay_order(signals["delay"])}
     p = [values[name] for name in model.parameters]
-    if sine is None:
-        # One small function mapped over the frequencies compiles several times faster than one
-        # expression of all of them, or than the derivative of the mapped function.
-        frequency = ca.SX.sym("omega")
-        pairs = [(input, output)]
-        [formula] = response_formulas(model, omega, pairs, frequency, hold=hold, **options)
-        q, w, _ = formula.function.sx_in()
-        parts = ca.vertcat(*formula.function(q, w, frequency))
-        rows = ca.densify(ca.horzcat(parts, ca.jacobian(parts, q)))
-        root = ca.DM() if formula.root is None else formula.root(p)
-        mapped = ca.Function("slopes", [q, w, frequency], [rows]).map(omega.size)
-        re, im = np.reshape(mapped(p, root, omega[None]).full(), (2, omega.size, -1))
-    else:
-        options |= {"input": input, "output": output}
-        sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
-        compiled = compiled_balance(model, omega, sine, **options).function()
-        pairs = zip(compiled(p), compiled.jacobian()(p, 0, 0), strict=True)
-        re, im = (np.hstack([row.full(), slope.full()]) for row, slope in pairs)
+
+    # One small function mapped over the frequencies compiles several times faster than one
+    # expression of all of them, or than the derivative of the mapped function.
+    frequency = ca.SX.sym("omega")
+    pairs = [(input, output)]
+    [formula] = response_formulas(model, omega, pairs, frequency, hold=hold, **options)
+    q, w, _ = formula.function.sx_in()
+    parts = ca.vertcat(*formula.function(q, w, frequency))
+    rows = ca.densify(ca.horzcat(parts, ca.jacobian(parts, q)))
+    root = ca.DM() if formula.root is None else formula.root(p)
+    mapped = ca.Function("slopes", [q, w, frequency], [rows]).map(omega.size)
+    re, im = np.reshape(mapped(p, root, omega[None]).full(), (2, omega.size, -1))
 
     result = re + 1j * im
     response = FrequencyResponse(

@@ -17,11 +17,8 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import NOT_STORED, Record
 from greybox.estimate.at_estimate import at_estimate, part_index
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.identifiability import (
-    Identifiability,
-    KnownDirections,
-    identifiability,
-)
+from greybox.estimate.identifiability import Identifiability, identifiability
+from greybox.estimate.known_directions import KnownDirections
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import details, summary, text
 from greybox.estimate.profile_result import Profiles
@@ -51,7 +48,7 @@ from greybox.files.text_table import Printed, counted, one_line, require_kind, w
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.time_criteria import Inputs
-from greybox.modeling.harmonic_balance import response_of_test
+from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.rational import Rational, rational
@@ -164,6 +161,8 @@ class Fit(Printed):
         Seed and rule of the starts, duration of the fit, versions of the packages.
     command : tuple of str
         Arguments of the ``greybox`` command that made the fit; empty from Python.
+    left_out : tuple of str
+        Names of the included checks that were not made, see ``greybox.CHECKS``.
     models, given : tuple of Model or None, tuple of Model or class
         The fitted models, None for a loaded fit; and the models that were given to `load`.
 
@@ -204,6 +203,7 @@ class Fit(Printed):
     misfit: Misfit | None = None
     best_effort: Values | None = None
     command: Strings = ()
+    left_out: Strings = ()
 
     @cached_property
     def free(self) -> Strings:
@@ -458,9 +458,7 @@ class Fit(Printed):
             If a loaded fit does not know the model.
         """
         response, model, values = self._response_part(part)
-        return response_of_test(
-            model, values, omega, response.sine, response.data.omega, **response.signals
-        )
+        return frequency_response(model, values, omega, **response.signals)
 
     def to_dict(self, level: float = 0.95) -> Fields:
         """Return the numbers as plain values, as ``greybox fit --json`` does; None where unknown.
@@ -561,15 +559,12 @@ class Fit(Printed):
         directions = self.known_directions(names)
         require_level(level)
         if omega is None:
-            curve = None if fitted.sine else fitted.curve
-            omega = curve.omega if curve is not None else fitted.data.omega
+            omega = fitted.curve.omega if fitted.curve is not None else fitted.data.omega
 
         response, slope = response_and_slope(
             model,
             values,
             finite_numbers("omega", omega),
-            fitted.sine,
-            fitted.data.omega,
             **fitted.signals,
         )
         bias = np.array([self.by_name[name].bias for name in names])

@@ -127,7 +127,7 @@ def from_bytes(
     try:
         layout, checksum, values = parsed(data, len(data) if stored is None else stored)
         # An older layout is refused, not converted: fits are cheap to repeat.
-        if layout == LAYOUT:
+        if layout == LAYOUT and not _has_sine(values):
             fit = read(values, Fit)
             _require_consistent(fit, checksum)
             return replace(fit, given=tuple(given))
@@ -137,7 +137,18 @@ def from_bytes(
             f"{place} is not a greybox fit or is damaged ({printable(str(error))})."
         ) from None
 
+    if layout == LAYOUT:
+        raise ValueError(
+            f"{place} is a fit to a sine of finite amplitude, which this version cannot make: fit "
+            "the record in the time domain."
+        )
     raise ValueError(f"{place} has layout {layout} and this version reads {LAYOUT}: {cure}.")
+
+
+def _has_sine(values: Any) -> bool:
+    """Return whether a part has a sine of finite amplitude; remove this former field from all."""
+    sines = [part.pop("sine", None) for part in values["parts"]]
+    return any(sine is not None for sine in sines)
 
 
 def _require_consistent(fit: Fit, checksum: str) -> None:

@@ -11,13 +11,10 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.estimate.combinations import Combination, invisible_groups
 from greybox.estimate.covariance import informations
-from greybox.estimate.identifiability import (
-    Combination,
-    KnownDirections,
-    identifiability,
-    invisible_groups,
-)
+from greybox.estimate.identifiability import identifiability
+from greybox.estimate.known_directions import KnownDirections
 from greybox.files.arrays import (
     Array,
     BoolArray,

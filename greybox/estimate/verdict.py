@@ -4,10 +4,8 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, Literal
 
-import numpy as np
-
-from greybox.data.wrapped_angles import wrapped_turn
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
+from greybox.estimate.wrapped_outputs import wrapped
 from greybox.files.arrays import Strings, by_name, without
 from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
@@ -58,6 +56,9 @@ def verdict(fit: Any) -> Verdict:
     if misfit:
         holds = misfit.explains_here and not misfit.is_drifting
         sentences.insert(0, (holds, f"The model {misfit.verdict}."))
+    if fit.left_out:
+        count = counted(len(fit.left_out), "check")
+        sentences.insert(0, (False, f"{count} were left out, so nobody looked for what they find."))
     # What a jump of the data does to the fit explains all that follows.
     sentences = [*((False, f"{text[0].upper()}{text[1:]}") for text in wrapped(fit)), *sentences]
     is_good = all(is_good for is_good, _ in sentences) and not fit.warnings
@@ -67,28 +68,6 @@ def verdict(fit: Any) -> Verdict:
         grade = "poor"
 
     return Verdict(grade, tuple(text for _, text in sorted(sentences, key=itemgetter(0))))
-
-
-def wrapped(fit: Any) -> Strings:
-    """Return a sentence on outputs that jump by a full turn where the fitted ones do not."""
-    texts = {}
-    for part in fit.records:
-        for name in part.outputs if part.data.has_time else ():
-            turn = wrapped_turn(part.data[name], part.data.units.get(name, ""))
-            fitted = part.simulated[name]
-            # A model may wrap its angle, too, as gb.arctan2 does.
-            if turn and not np.any(np.abs(np.diff(fitted)) > turn / 2):
-                texts.setdefault(name, _unwrapping(name, turn, part.name))
-    return tuple(texts.values())
-
-
-def _unwrapping(name: str, turn: float, record: str) -> str:
-    is_radian = abs(turn - 2 * np.pi) < 1e-9
-    period, words = ("", "2π") if is_radian else (f", period={turn:g}", f"{turn:g}")
-    return (
-        f"the measured {name} of {record!r} jumps by a full turn ({words}), which the model does "
-        f"not: unwrap it, numpy.unwrap({name}{period})."
-    )
 
 
 def _minimum(fit: Any) -> tuple[bool, str]:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess, propagate
+from greybox.estimate.accuracy import propagate
+from greybox.estimate.covariance import accuracy_at
 from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen, unique
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
@@ -79,7 +80,7 @@ def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     nlp = compile_problem(problem)
     at = {name: float(values.get(name, nlp.problem.parameters[name].start)) for name in nlp.free}
     x = np.array(list(at.values()))
-    accuracy = assess(nlp, x, solver_for(nlp).profile(x).trajectories)
+    accuracy = accuracy_at(nlp, x, solver_for(nlp).profile(x).trajectories)
     count = len(nlp.free)
     covariance = accuracy.covariance[:count, :count]
     scale = np.outer(accuracy.size[:count], accuracy.size[:count])

@@ -38,19 +38,16 @@ from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.sum import Addable, Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
-from greybox.modeling.harmonic_balance import check_sine
 from greybox.modeling.model import (
     Model,
     Names,
     ParameterFormula,
-    pick_signals,
     require_known,
     require_operating_point,
 )
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, Parameters
 from greybox.modeling.realization import dynamics
-from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.symbolic_reading import called, require_no_nan
 
 _Stated = TypeVar("_Stated", bound="Problem")
@@ -152,9 +149,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         likelihoods, so comparisons have no AIC.
     name : str
         A label; by default that of the data.
-    amplitude : ``{signal: amplitude}`` or Sine, optional
-        Fit the response of an ODE to a sine of this amplitude, see `Sine`, instead of that of its
-        linearization.
     bounds : mapping of name to (float, float)
         ``{"a1": (-10, 10)}``: bounds in place of the declared ones, see `Parameter`. Bounds of a
         tied parameter limit its expression.
@@ -197,7 +191,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     rename: NamedStrings = field(default_factory=dict)
     weight: float = 1.0
     name: str = ""
-    amplitude: Sine = None  # type: ignore[assignment]
     bounds: Mapping[str, Interval] = field(default_factory=dict)
     start: Values = field(default_factory=dict)
     starts: Mapping[str, Interval] = field(default_factory=dict)
@@ -232,7 +225,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         # The names come first: with `declared`, they are checked.
         self._check_rename()
         self._check_operating_point()
-        self._check_amplitude()
         self._check_functions()
         if self.priors and not (self.criterion.is_likelihood or self.has_default_criterion):
             raise ValueError(
@@ -312,18 +304,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
                 "record: leave it out; known initial states go into OutputError(initial=...)."
             )
         require_operating_point(self.model, self.at)
-
-    def _check_amplitude(self) -> None:
-        if self.amplitude is None:
-            return
-        if not isinstance(self.data, FrequencyResponse):
-            raise ValueError(
-                "amplitude is for frequency responses and the data are a record: leave it out."
-            )
-
-        vars(self)["amplitude"] = as_sine(self.amplitude)
-        input, _ = pick_signals(self.model, self.data.input, self.data.output)
-        check_sine(self.model, self.amplitude, input, self.data.omega)
 
     def _restated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `bounds`, `start` and `starts` to one declared parameter."""
@@ -453,11 +433,11 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def sampled_hold(self) -> float:
         """The divided hold of a response, s; zero without one.
 
-        It is also zero for a loop around a delay, for a sine of finite amplitude, and for the rate
-        that is s times the response of an angle: what sampling folds back is that of the angle.
+        It is also zero for a loop around a delay, and for the rate that is s times the response of
+        an angle: what sampling folds back is that of the angle.
         """
         hold = self.response.divided_hold
-        if not hold or self.amplitude or MULTIPLIED in self.response.about:
+        if not hold or MULTIPLIED in self.response.about:
             return 0.0
         try:
             dynamics(self.model)

@@ -11,12 +11,11 @@ Begin with `model`.
 | `complex_arithmetic` | real and imaginary part of a function of s |
 | `rational` | numerator, denominator and delay, and their print |
 | `function_of_s` | what these two readings of s share |
-| `formula_structure` | a formula operation by operation, and the mean of its switches |
+| `formula_structure` | a formula operation by operation |
 | `pade_delay` | a delay as a rational function or as states |
 | `linear_response` | the frequency response of a model |
 | `trim`, `linearization` | the operating point, and the linear system there |
 | `elimination` | the response of a linear system of expressions |
-| `sine`, `harmonic_balance` | the response to a sine of finite amplitude |
 | `realization` | every model as an ODE with delayed inputs |
 | `integrators`, `step_size` | explicit and implicit steps, and how many |
 | `held_inputs` | the exact step of a linear system with held inputs |
@@ -26,7 +25,6 @@ Begin with `model`.
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
 
-from greybox.modeling.harmonic_balance import harmonic_response as harmonic_response
 from greybox.modeling.integrators import (
     ImplicitIntegrator as ImplicitIntegrator,
     Integrator as Integrator,
@@ -38,7 +36,6 @@ from greybox.modeling.linearization import LinearSystem as LinearSystem, lineari
 from greybox.modeling.model import Model as Model
 from greybox.modeling.parameter import Parameter as Parameter
 from greybox.modeling.rational import rational as rational
-from greybox.modeling.sine import Sine as Sine
 from greybox.modeling.state_space import StateSpace as StateSpace
 from greybox.modeling.transfer_function import (
     TransferFunction as TransferFunction,

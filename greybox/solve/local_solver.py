@@ -8,11 +8,12 @@ from typing import ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, Arrays, Indices, IntArray, frozen
+from greybox.files.arrays import Array, Arrays, IntArray, frozen
 from greybox.files.error_place import error_sentence
 from greybox.files.rebuilt import Rebuilt
 from greybox.solve.interruption import raise_interrupt
 from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.promising import Promising
 from greybox.solve.runs import RAISED, Outcome, Outcomes, Runs, spent
 from greybox.solve.stationarity import is_above
 
@@ -90,14 +91,13 @@ class LocalSolver(Runner):
     nlp : CompiledProblem
     starts : int
         Default number of starts.
-    promising : tuple of int
-        How many of the screened starts are run first, in one or several batches, and how many of
-        these must agree.
+    promising : Promising
+        How many of the screened starts are run first, and how many of these must agree.
     """
 
     nlp: CompiledProblem
     starts: int = 20
-    promising: ClassVar[Indices] = (4, 3)
+    promising: ClassVar[Promising] = Promising((4,), agree=3)
 
     @abstractmethod
     def profile(self, x: Array, nodes: Arrays | None = None) -> Profile:

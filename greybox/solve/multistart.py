@@ -1,7 +1,7 @@
 """Many runs of one compiled problem: their solver, the order of their starts, and their minima."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array, Indices, Named, by_name, frozen
+from greybox.files.arrays import Array, Named, by_name, frozen
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -18,16 +18,16 @@ from greybox.solve.interruption import raise_interrupt, stop_requested
 from greybox.solve.local_solver import LocalSolver, Screened
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.other_minima import points_beside
+from greybox.solve.promising import Promising
 from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
+from greybox.solve.run_storage import Memory, RunStorage, continuation
 from greybox.solve.runs import (
     CUT_SHORT,
     NOT_FINITE,
     SCREENED,
-    Memory,
     Outcome,
     Run,
     Runs,
-    RunStorage,
     has_no_end,
     has_raised,
 )
@@ -74,16 +74,15 @@ def multistart(
     progress: ProgressReport | None = None,
     executor: Executor | None = None,
     storage: RunStorage | None = None,
-    promising: Indices = (),
+    promising: Promising | None = None,
     beside: bool = False,
 ) -> Multistart:
     """Run the solver from all `starts` (r, p) and group the runs into minima.
 
-    With `promising`, the solver first runs this many of the most promising starts, and then perhaps
-    up to a second number of them; the others follow if not enough of these, the last number, agree.
-    On the fits of the paper each of eight nearly always reaches the best minimum. With four of
-    eight, as with three of four, the chance of an error is below 2 % if less than one start in six
-    leads there.
+    With `promising`, the solver first runs the most promising starts; the others follow if not
+    enough of these agree. On the fits of the paper each of eight nearly always reaches the best
+    minimum. With four of eight, as with three of four, the chance of an error is below 2 % if less
+    than one start in six leads there.
 
     Then, with `beside`, other minima are looked for from the best one, see `other_minima`.
 
@@ -102,15 +101,10 @@ def multistart(
     # that of the conversion.
     points = FiniteStarts(solver, starts)
     memory = Memory(storage, solver)
-    *counts, enough = promising or (len(starts), 0)
-    screened = _screened(solver, starts) if counts[-1] < len(starts) else None
+    waves, screened = _waves(solver, starts, promising)
 
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf
-    waves = [[*range(len(starts))]]
-    if screened is not None:
-        waves = [wave.tolist() for wave in np.split(screened.order, counts)]
-        waves[-1].sort()
     for wave in waves:
         numbered = ((number, points[number]) for number in wave)
         for number, start, ended in run_all(solver, numbered, len(wave), executor, memory):
@@ -128,7 +122,8 @@ def multistart(
         if stop_requested():
             break
         _require_a_run(solver, runs, len(starts))
-        if 0 < enough <= len(agreeing_runs(solver.nlp, runs, minima)):
+        agreeing = len(agreeing_runs(solver.nlp, runs, minima))
+        if promising and agreeing >= promising.agree:
             # Minima that these runs have missed take the places of starts that were not tried: the
             # last ones, since among equal minima the first start decides.
             untried = sorted({*range(len(starts))} - {*results}, reverse=True)
@@ -143,16 +138,43 @@ def multistart(
     nodes = results[rows[minima[0].runs[0]]][1].nodes if minima else None
     ends = () if minima else tuple(outcome.nodes for _, outcome in results.values())
     if screened is not None and not stop_requested():
-        # Starts that were only compared are listed too, so that the answer counts them.
-        by_row = by_name(rows, runs)
-        runs = Runs.of(
-            replace(by_row[k], index=k)
-            if k in by_row
-            else Run(k, start, start, float(cost), SCREENED, converged=False, stage=SCREENED)
-            for k, (start, cost) in enumerate(zip(starts, screened.costs, strict=True))
-        )
-        minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
+        runs, minima = _with_screened(starts, screened, rows, runs, minima)
     return Multistart(runs, minima, nodes, ends)
+
+
+def _waves(
+    solver: LocalSolver, starts: Array, promising: Promising | None
+) -> tuple[list[list[int]], Screened | None]:
+    """Return the numbers of the starts in the waves in which they are run, and how they compare."""
+    screened = None
+    if promising and promising.runs[-1] < len(starts):
+        screened = _screened(solver, starts)
+    if promising is None or screened is None:
+        return [[*range(len(starts))]], None
+
+    *waves, rest = [wave.tolist() for wave in np.split(screened.order, promising.runs)]
+    return [*waves, sorted(rest)], screened
+
+
+def _with_screened(
+    starts: Array,
+    screened: Screened,
+    rows: Sequence[int],
+    runs: Runs,
+    minima: tuple[Minimum, ...],
+) -> tuple[Runs, tuple[Minimum, ...]]:
+    """Return runs and minima with the starts that were only compared, so that they are counted.
+
+    The runs are those of the starts of these `rows`.
+    """
+    by_row = by_name(rows, runs)
+    listed = Runs.of(
+        replace(by_row[k], index=k)
+        if k in by_row
+        else Run(k, start, start, float(cost), SCREENED, converged=False, stage=SCREENED)
+        for k, (start, cost) in enumerate(zip(starts, screened.costs, strict=True))
+    )
+    return listed, tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
 
 
 def _require_a_run(solver: LocalSolver, runs: Runs, count: int) -> None:
@@ -180,11 +202,10 @@ def _continued(
     if has_ended or has_no_end(outcome.status) or not outcome.cost < lowest or stop_requested():
         return outcome
 
-    # Runs that do not begin at a start have negative numbers.
-    later = memory.recall(-1 - number, outcome.estimate)
+    later = memory.recall(continuation(number), outcome.estimate)
     if later is None:
         later = solver.continued(outcome)
-        memory.keep(-1 - number, outcome.estimate, later)
+        memory.keep(continuation(number), outcome.estimate, later)
     return later
 
 

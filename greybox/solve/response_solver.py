@@ -35,6 +35,7 @@ from greybox.solve.minima import (
     likelihood_unit,
     same_cost,
 )
+from greybox.solve.promising import Promising
 from greybox.solve.runs import CUT_SHORT, IMPROVED, POLISHED, Outcome, Outcomes, Run, Runs, spent
 from greybox.solve.stationarity import is_above, is_minimum
 
@@ -53,6 +54,7 @@ FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 FEW = 10  # iterations that suffice for the last digits where no residual is zero
 NO_OPTIONS: Named = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
+POLISHED_TO = 1e-13  # the same for the last digits of a minimum
 
 
 class ResponseSolver(Descent):
@@ -62,9 +64,8 @@ class ResponseSolver(Descent):
     """
 
     starts = 200  # a run takes some milliseconds
-    promising = (8, 4)
+    promising = Promising((8,), agree=4)
     fewest = 2  # IPOPT makes fewer runs
-    polished_to = 1e-13  # tolerance on the projected gradient of the last digits
 
     def __init__(
         self,
@@ -437,7 +438,7 @@ class ResponseSolver(Descent):
         ends = self.settled(
             self.nlp.scaling.to_solver(best.estimate)[:, None],
             max_iterations=most,
-            tolerance=self.polished_to,
+            tolerance=POLISHED_TO,
             smoothing=smoothing,
         )
         estimate = self.nlp.estimate_at(ends.z[:, 0])

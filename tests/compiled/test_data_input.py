@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.models.tilt import NonlinearTilt
 
 OMEGA = TWO_LAGS_OMEGA[::3]
 
@@ -73,19 +72,6 @@ def test_limits_come_along():
     cost, limits = nlp.programs[-1].function(z, 0.0, nlp.data_of(np.zeros(0), [points(1).response]))
     assert_allclose(limits.full().ravel(), [0.3])
     assert float(cost) == pytest.approx(nlp.cost(np.array([4.0, 0.5, 0.1, 0.05])))
-
-
-def test_sines_of_finite_amplitude_take_other_data_too():
-    omega = np.array([1.0, 3.0])
-    data = gb.FrequencyResponse(omega, np.array([1.0 - 0.5j, 0.2 - 0.1j]), "u", "theta")
-    problem = gb.Problem(NonlinearTilt(), data, amplitude=gb.modeling.Sine("u", 0.1, harmonics=1))
-    nlp = compile_problem(problem)
-    x = np.array([nlp.problem.parameters[name].start for name in nlp.free])
-    other = gb.FrequencyResponse(omega, 1.1 * data.response, "u", "theta")
-    numbers = nlp.data_of(nlp.constant_values, [other.response])
-    cost = float(nlp.programs[-1].function(nlp.scaling.to_solver(x), 0.0, numbers)[0])
-    values = dict(zip(nlp.names, nlp.all_values(x), strict=True))
-    assert cost == pytest.approx(gb.cost(problem.with_(data=other), values), rel=1e-9)
 
 
 class Weighted(gb.SquaredRelativeError):

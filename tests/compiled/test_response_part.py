@@ -204,5 +204,5 @@ def test_neighbors_are_correlated_as_errors_are_in_units_of_their_size(criterion
     told = part.information(
         tuple(nlp.free), x, (), part.trajectory(nlp.scaling.to_solver(x), None), np.ones(2)
     )
-    errors, _ = told.correlated(1.2, root, 30.0)
+    errors = told.correlated(1.2, root, 30.0).neighbors
     assert errors.mean == pytest.approx(found.mean)

@@ -202,8 +202,6 @@ def test_where_the_linear_structure_stops():
     assert f"and by {study.relative(hover, slope):.0f} % at 2.5°" in PAGE
 
     lines = (ROOT / "benchmarks" / "results" / "operating_points.txt").read_text(encoding="utf-8")
-    largest = max(map(float, re.findall(r"([\d.]+) %$", lines, re.MULTILINE)))
-    assert f"at most {largest} %" in PAGE
     assert re.findall(r"^(\w+) .* (yes|no)$", lines, re.MULTILINE)[:3] == [
         ("speed", "yes"),
         ("angle", "no"),

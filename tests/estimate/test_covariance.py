@@ -15,16 +15,10 @@ from scipy.stats import binom, t
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import (
-    Accuracy,
-    assess,
-    degrees,
-    determined_directions,
-    directions_beside,
-    known_directions,
-    propagate,
-)
-from greybox.estimate.identifiability import collinear_groups, invisible_groups
+from greybox.estimate.accuracy import Accuracy, degrees, propagate
+from greybox.estimate.active_limits import determined_directions
+from greybox.estimate.combinations import collinear_groups, invisible_groups
+from greybox.estimate.covariance import accuracy_at, directions_beside, known_directions
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt
 
@@ -350,7 +344,9 @@ def test_a_parameter_that_a_solver_leaves_just_off_its_bound_is_at_it(off):
     nlp = compile_problem(gb.Problem(Lags(), free.parts[0].data))
     x = np.array([free.estimate[name] for name in nlp.free])
     x[nlp.free.index("T")] = off * 0.05  # of the delay's upper bound
-    accuracy = assess(nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    accuracy = accuracy_at(
+        nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
+    )
     assert accuracy.at_bound == ("T",)
     k = nlp.free.index("K")
     assert np.sqrt(accuracy.covariance[k, k]) == pytest.approx(fixed.standard_error["K"], rel=0.02)
@@ -391,7 +387,7 @@ def test_the_collinearity_index_is_that_of_the_weighted_jacobian(weights, criter
         for omega, noise in ((np.geomspace(0.05, 0.3, 12), 0.2), (np.geomspace(0.5, 3, 8), 0.4))
     ]
     both = [gb.Problem(Lags(), d, criterion, weight=w) for d, w in zip(parts, weights, strict=True)]
-    accuracy = assess(compile_problem(both[0] + both[1]), np.array(list(LAGS.values())))
+    accuracy = accuracy_at(compile_problem(both[0] + both[1]), np.array(list(LAGS.values())))
     point = SimpleNamespace(free=list(LAGS), estimate=LAGS)
     rows = []
     for data, weight in zip(parts, weights, strict=True):
@@ -544,8 +540,10 @@ def test_units_rescale_the_errors(criterion):
 def test_at_the_same_point_units_rescale_the_errors_exactly():
     data = measured(Lags(), OMEGA, LAGS, 0.02)
     point = np.array(list(LAGS.values()))
-    one = assess(compile_problem(gb.Problem(Lags(), data)), point)
-    other = assess(compile_problem(gb.Problem(LagsInMilliseconds(), data)), point * [1, 1, 1, 1000])
+    one = accuracy_at(compile_problem(gb.Problem(Lags(), data)), point)
+    other = accuracy_at(
+        compile_problem(gb.Problem(LagsInMilliseconds(), data)), point * [1, 1, 1, 1000]
+    )
     scale = np.diag([1.0, 1.0, 1.0, 1000.0])
     same_covariance(other.covariance, scale @ one.covariance @ scale, 1e-9)
     assert_allclose(propagate(other, np.eye(4)), propagate(one, scale), rtol=1e-9)
@@ -563,8 +561,8 @@ def test_a_parameter_in_a_tiny_or_a_huge_unit_is_as_well_determined(size):
 
     data = measured(Lags(), OMEGA, LAGS, 0.02)
     point = vector(fitted(gb.Problem(Lags(), data)), list(LAGS))
-    one = assess(compile_problem(gb.Problem(Lags(), data)), point)
-    other = assess(compile_problem(gb.Problem(LagsInUnits(), data)), point * [1, 1, 1, size])
+    one = accuracy_at(compile_problem(gb.Problem(Lags(), data)), point)
+    other = accuracy_at(compile_problem(gb.Problem(LagsInUnits(), data)), point * [1, 1, 1, size])
     scale = np.diag([1.0, 1.0, 1.0, size])
     assert_allclose(propagate(other, np.eye(4)), propagate(one, scale), rtol=1e-6)
 
@@ -922,7 +920,9 @@ def test_a_bound_holds_what_is_close_and_pushed_or_within_rounding(side, away, b
     given = {"fixed": {"b": 0.0}, "bounds": {"a": bounds}}
     nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), **given))
     x = np.array([bound - side * away * unit])
-    accuracy = assess(nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    accuracy = accuracy_at(
+        nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
+    )
     assert accuracy.at_bound == (("a",) if held else ())
 
 
@@ -944,5 +944,7 @@ def test_on_a_logarithmic_scale_a_bound_is_as_far_as_its_ratio(value, held):
     record = gb.Record(np.arange(50.0), {"u": u, "y": y}, has_time=False)
     nlp = compile_problem(gb.Problem(Scaled(), record, gb.OutputError(noise={"y": 1.0})))
     x = np.array([value])
-    accuracy = assess(nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
+    accuracy = accuracy_at(
+        nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
+    )
     assert accuracy.at_bound == (("c",) if held else ())

@@ -22,12 +22,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 import greybox as gb
-from greybox.estimate.diagnostics.discretization import discretization_warnings
-from greybox.estimate.fit import _cut_short
+from greybox.estimate.checks.coarse_integration import coarse_integration
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.solve.interruption import limited
 from greybox.solve.runs import SEARCH_OVER
+from greybox.solve.search import Search
 
 ORDERED = [lambda p: p.T1 - p.T2]
 LAG = gb.fit(
@@ -292,8 +292,8 @@ def test_a_method_is_an_instance(method):
 
 def test_what_ctrl_c_and_time_limits_left_out_is_said():
     def said(statuses, count, interrupted=False):
-        search = SimpleNamespace(brought=statuses, runs=SimpleNamespace(status=np.array(statuses)))
-        return [*_cut_short(search, count, interrupted=interrupted)]
+        found = SimpleNamespace(brought=statuses, runs=SimpleNamespace(status=np.array(statuses)))
+        return [*Search(found, None, None, None, "", count, interrupted).cut_short()]
 
     assert said(["done"] * 3, 5) == []
     assert said(["done"] * 5, 5, interrupted=True) == []
@@ -323,7 +323,8 @@ def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, la
     error = SimpleNamespace(
         matters=matters, shift=np.array([0.1, -0.9, 0.3]), largest=largest, growth=2
     )
-    found = [*discretization_warnings(SimpleNamespace(nlp=nlp), error)]
+    search = SimpleNamespace(error=error)
+    found = [f.text for f in coarse_integration(SimpleNamespace(nlp=nlp, search=search))]
     assert len(found) == matters
     if matters:
         said = "the integration is too coarse: twice the steps per sample (6 instead of 3) would change b or its standard"
@@ -332,7 +333,7 @@ def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, la
         )
         assert str(nlp.method.finer(6)) in found[0]
     static = SimpleNamespace(substeps=0)
-    assert [*discretization_warnings(SimpleNamespace(nlp=static), error)] == []
+    assert not [*coarse_integration(SimpleNamespace(nlp=static, search=search))]
 
 
 def test_help_begins_with_what_a_fit_is():

@@ -16,8 +16,9 @@ from declared_models import (
 )
 
 import greybox as gb
-from greybox.estimate.diagnostics.discretization import coarse_pade, pade_error
-from greybox.estimate.diagnostics.identifiability import no_degrees_of_freedom
+from greybox.estimate.checks.coarse_pade import coarse_pade
+from greybox.estimate.checks.no_degrees_of_freedom import no_degrees_of_freedom
+from greybox.estimate.pade_error import pade_error
 from greybox.models.yaw import YawStates
 
 ORDERED = [lambda p: p.T1 - p.T2]
@@ -315,7 +316,7 @@ def test_there_must_be_more_numbers_than_unknowns(numbers, initial, said):
         SimpleNamespace(numbers=1, unknown_initial_states=initial),
     ]
     nlp = SimpleNamespace(parts=parts, free=("a", "b", "c"), numbers=numbers)
-    found = [*no_degrees_of_freedom(nlp)]
+    found = [f.text for f in no_degrees_of_freedom(SimpleNamespace(nlp=nlp))]
     assert found == (
         [f"{said} of freedom, so that no standard error is known: add data."] if said else []
     )
@@ -326,7 +327,8 @@ def test_an_approximate_delay_is_told_beyond_a_degree():
         SimpleNamespace(delay="pade:2", name=name, pade_error=error)
         for name, error in (("near", 1.0), ("far", 1.01), ("exact", None))
     ]
-    found = [*coarse_pade(parts)]
+    evidence = SimpleNamespace(fit=SimpleNamespace(responses=parts))
+    found = [f.text for f in coarse_pade(evidence)]
     assert found == [
         "the phase error of pade:2 reaches 1° in the band of 'far': use a higher order or delay='exact'."
     ]

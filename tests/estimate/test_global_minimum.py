@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.estimate.covariance import Accuracy
-from greybox.estimate.diagnostics.global_minimum import (
-    discontinuous_costs,
-    few_agreeing_starts,
-    rival_minima,
-    several_estimates_of_one_response,
-    unfinished_runs,
-)
+from greybox.estimate.accuracy import Accuracy
+from greybox.estimate.checks.discontinuous_cost import discontinuous_cost
+from greybox.estimate.checks.evidence import Evidence
+from greybox.estimate.checks.few_agreeing_starts import few_agreeing_starts
+from greybox.estimate.checks.rival_minima import rival_minima
+from greybox.estimate.checks.several_estimates import several_estimates
+from greybox.estimate.checks.unfinished_runs import unfinished_runs
 from greybox.models.rate import DampedRate
 from greybox.problems import pitch_hover
 from greybox.solve.runs import TOO_COARSE, Run
@@ -35,7 +34,9 @@ def said(is_likelihood, *costs, error=0.1):
         dof=40.0,
         bias=np.zeros(1),
     )
-    return [*rival_minima(SimpleNamespace(minima=minima), accuracy)]
+    found = SimpleNamespace(minima=minima)
+    evidence = Evidence(SimpleNamespace(found=found), accuracy, None)
+    return [finding.text for finding in rival_minima(evidence)]
 
 
 @pytest.mark.parametrize(
@@ -122,7 +123,8 @@ def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(agreeing, converg
         converged=converged,
         failures=f"{count - converged} failed",
     )
-    assert [*few_agreeing_starts(search, agreeing)] == texts
+    evidence = Evidence(SimpleNamespace(found=search), None, SimpleNamespace(agreeing=agreeing))
+    assert [finding.text for finding in few_agreeing_starts(evidence)] == texts
 
 
 def test_the_lowest_end_that_did_not_converge_is_named():
@@ -136,13 +138,16 @@ def test_the_lowest_end_that_did_not_converge_is_named():
         run(3, 5.5),
         run(4, 1.0, TOO_COARSE),
     ]
-    (text,) = unfinished_runs(SimpleNamespace(minima=[SimpleNamespace(cost=5.0)], brought=brought))
-    assert text.startswith(
+
+    def lowest(cost):
+        found = SimpleNamespace(minima=[SimpleNamespace(cost=cost)], brought=brought)
+        return [*unfinished_runs(Evidence(SimpleNamespace(found=found), None, None))]
+
+    (finding,) = lowest(5.0)
+    assert finding.text.startswith(
         "run 2 ended at a lower cost, 4.25 instead of 5, but did not converge (iterations exceeded):"
     )
-    assert not [
-        *unfinished_runs(SimpleNamespace(minima=[SimpleNamespace(cost=4.25)], brought=brought))
-    ]
+    assert not lowest(4.25)
 
 
 def test_delays_at_which_the_cost_jumps_are_named_once_each():
@@ -150,9 +155,10 @@ def test_delays_at_which_the_cost_jumps_are_named_once_each():
         SimpleNamespace(delays={"tau": ("u", "y"), "known": ("w", "z"), "k": ("u", "")}),
         SimpleNamespace(delays={"tau": ("u", "y")}),
     ]
-    (text,) = discontinuous_costs(SimpleNamespace(parts=parts, free=["k", "tau"]))
+    nlp = SimpleNamespace(parts=parts, free=["k", "tau"])
+    (finding,) = discontinuous_cost(SimpleNamespace(nlp=nlp))
     for words in ("held input u reaches y", "discontinuous where tau", "standard error of tau"):
-        assert words in text
+        assert words in finding.text
 
 
 @pytest.mark.parametrize(
@@ -165,7 +171,8 @@ def test_several_estimates_are_told_where_no_combination_is(variants, combinatio
     runs = SimpleNamespace(estimate=np.array([[1.0, 2.0, 0.0], [1.0, 3.0, 4e-9]]))
     minima = (SimpleNamespace(variants=variants, runs=(0, 1), estimate=runs.estimate[0]),)
     search = SimpleNamespace(minima=minima, runs=runs)
-    texts = [*several_estimates_of_one_response(search, accuracy)]
+    evidence = Evidence(SimpleNamespace(found=search), accuracy, None)
+    texts = [finding.text for finding in several_estimates(evidence)]
     assert len(texts) == count
     assert all("same response, also a = 1, b = 3 and T_delay = 4e-09." in text for text in texts)
 

@@ -105,9 +105,9 @@ def test_before_the_first_start_there_is_no_fit(press_ctrl_c):
 def test_while_it_is_judged_the_fit_is_finished(press_ctrl_c, monkeypatch):
     assess = fitting.assess
 
-    def pressed(*arguments):
+    def pressed(*arguments, **options):
         press_ctrl_c()
-        return assess(*arguments)
+        return assess(*arguments, **options)
 
     monkeypatch.setattr(fitting, "assess", pressed)
     with pytest.raises(KeyboardInterrupt) as stopped:

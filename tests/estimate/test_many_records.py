@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.estimate.diagnostics.repeated import once
+from greybox.estimate.checks.finding import Finding, once
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 
@@ -70,8 +70,8 @@ def test_what_holds_for_many_records_is_said_once(fit):
 
 
 def test_few_are_told_each():
-    found = [("a", "1", "First."), ("a", "2", "Second."), ("b", "1", "Other.")]
-    assert list(once(found)) == ["First.", "Second.", "Other."]
+    found = [Finding("First.", "a", "1"), Finding("Second.", "a", "2"), Finding("Other.", "b", "1")]
+    assert list(once(found)) == found
 
 
 def test_a_record_of_short_stretches_has_errors():

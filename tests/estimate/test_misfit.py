@@ -322,21 +322,6 @@ def test_operating_points_of_responses_order_a_parameter():
     assert first.value == pytest.approx(-12, rel=0.1)  # a line through 25 cos(angle)
 
 
-def test_amplitudes_of_responses_order_a_parameter():
-    # The gain of an actuator falls with the amplitude of its command.
-    random, s = np.random.default_rng(6), 1j * np.geomspace(0.6, 30, 12)
-    parts = []
-    for amplitude in (0.5, 1.0, 1.5):
-        sine = gb.modeling.Sine("u", amplitude, harmonics=1)
-        response = (30 - 5 * amplitude) / (s**2 + 2 * s + 25)
-        response *= 1 + 0.01 * (random.normal(size=(12, 2)) @ [1, 1j])
-        data = gb.FrequencyResponse(s.imag, response, "u", "x")
-        parts.append(gb.Problem(Spring(), data, amplitude=sine))
-    (first, *_) = gb.fit(sum(parts[1:], parts[0]), starts=1, progress=False).misfit.likely
-    assert first.text.startswith("b falls with the amplitude of u")
-    assert first.value == pytest.approx(-5, rel=0.1)
-
-
 def test_a_missing_delay_has_its_size():
     (delay,) = [cause for cause in fitted(Late).misfit.causes if "delay of u" in cause.text]
     assert float(delay.text.split()[-2]) == pytest.approx(0.12, rel=0.3)

@@ -1,5 +1,7 @@
 """Outliers among the points of a response are named, and clean data have none more often than stated."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from declared_models import Lag, measured
@@ -9,12 +11,8 @@ from scipy.stats import chi2, f as fisher
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.diagnostics.outlying_points import (
-    SIZE,
-    deletion_ratios,
-    largest_deviation,
-    outlying_points,
-)
+from greybox.estimate.checks.unequal_errors import unequal_errors
+from greybox.estimate.largest_deviation import SIZE, deletion_ratios, largest_deviation
 from greybox.files.text_table import number
 from greybox.problems import pitch_hover
 
@@ -328,9 +326,8 @@ def test_unequal_errors_of_a_response_are_judged_by_the_number_of_responses():
         ]
         nlp = compile_problem(sum(parts[1:], parts[0]))
         x = np.array([TRUTH[name] for name in nlp.free])
-        return any(
-            "changes with frequency" in text for text in outlying_points(nlp, x, explained=True)
-        )
+        evidence = SimpleNamespace(nlp=nlp, x=x, has_errors=True)
+        return any("changes with frequency" in f.text for f in unequal_errors(evidence))
 
     assert 0.01 / 30 < p_values[by_chance] < 0.01
     assert named(by_chance)

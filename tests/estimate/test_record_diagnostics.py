@@ -12,12 +12,10 @@ from sampled_lag import SampledLag, lag_record
 from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.estimate.diagnostics import records
-from greybox.estimate.diagnostics.records import (
-    biased_by_feedback,
-    colored_predictions,
-    unexplained_outputs,
-)
+from greybox.estimate.checks import colored_predictions as module
+from greybox.estimate.checks.colored_predictions import colored_predictions
+from greybox.estimate.checks.feedback import feedback
+from greybox.estimate.checks.unexplained_outputs import unexplained_outputs
 from greybox.statistics.metrics import cross_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -485,6 +483,13 @@ def test_a_given_standard_deviation_is_doubted_beyond_a_factor_of_1_6(ratio):
     assert all(f"is {ratio:.2g} times the given standard deviation" in text for text in texts)
 
 
+def texts(check, *pairs, explained=True):
+    """What a check says of parts and their fitted records."""
+    fit = SimpleNamespace(misfit=None, is_explained=explained)
+    evidence = SimpleNamespace(records=pairs, fit=fit, is_noisy=True, is_explained=explained)
+    return [finding.text for finding in check(evidence)]
+
+
 class Signals(dict):
     """Of a record in two pieces."""
 
@@ -517,23 +522,23 @@ def fitted_with(residuals, *, white=True, inputs=None, time=True, name="one"):
 
 
 def test_prediction_errors_are_tested_beyond_the_lag_that_a_gain_removes(monkeypatch):
-    monkeypatch.setattr(records, "gust_criterion", lambda part: "the cure")
+    monkeypatch.setattr(module, "gust_criterion", lambda part: "the cure")
     random = np.random.default_rng(0)
     white = random.normal(size=(60, 1000))
-    alarms = [*map(len, ([*colored_predictions([fitted_with({"y": e})])] for e in white))]
+    alarms = [len(texts(colored_predictions, fitted_with({"y": e}))) for e in white]
     assert sum(alarms) <= 3
 
     # A moving average of correlation 0.3 after two samples, and none after one.
     e = lfilter([1.0, 0.0, 1 / 3], [1.0], random.normal(size=2000))
-    (text,) = colored_predictions([fitted_with({"y": e})])
+    (text,) = texts(colored_predictions, fitted_with({"y": e}))
     assert f"(correlation 0.31 after {2 * STEP:.2g} s for y)" in text
     assert "as in gusts, which last longer than a sample: use the cure" in text
-    (text,) = colored_predictions([fitted_with({"y": e})], explained=False)
+    (text,) = texts(colored_predictions, fitted_with({"y": e}), explained=False)
     assert "the cure" not in text
-    (text,) = colored_predictions([fitted_with({"y": e}), fitted_with({"y": e}, name="two")])
+    (text,) = texts(colored_predictions, fitted_with({"y": e}), fitted_with({"y": e}, name="two"))
     assert "for y in 'one'" in text
     assert "for y in 'two'" in text
-    assert not [*colored_predictions([fitted_with({"y": e}, white=False)])]
+    assert not texts(colored_predictions, fitted_with({"y": e}, white=False))
 
 
 def fed_back(n=3000, *, gain=0.5, color=0.9, seed=0, **more):
@@ -546,23 +551,22 @@ def fed_back(n=3000, *, gain=0.5, color=0.9, seed=0, **more):
 
 
 def test_feedback_is_told_where_errors_are_colored_and_an_input_responds_to_them():
-    (text,) = biased_by_feedback([fed_back()])
+    (text,) = texts(feedback, fed_back())
     assert "(u to y)" in text
     assert "at most 1 % of fits" in text
     assert text.endswith("compare with criterion=PredictionError().")
-    assert not [
-        *biased_by_feedback([fed_back(color=0.0)])
-    ]  # white: no error depends on an earlier one
-    assert not [*biased_by_feedback([fed_back(gain=0.0)])]
-    assert not [*biased_by_feedback([fed_back(time=False)])]
+    # White: no error depends on an earlier one.
+    assert not texts(feedback, fed_back(color=0.0))
+    assert not texts(feedback, fed_back(gain=0.0))
+    assert not texts(feedback, fed_back(time=False))
     part, fitted = fed_back()
     part.model.criterion.corrects_states = True
-    assert not [*biased_by_feedback([(part, fitted)])]
+    assert not texts(feedback, (part, fitted))
     part, fitted = fed_back()
     part.is_static = True
-    (text,) = biased_by_feedback([(part, fitted)])
+    (text,) = texts(feedback, (part, fitted))
     assert text.endswith("use data without feedback.")
-    (text,) = biased_by_feedback([fed_back(), fed_back(seed=1, name="two")])
+    (text,) = texts(feedback, fed_back(), fed_back(seed=1, name="two"))
     assert "u to y in 'one'" in text
     assert "u to y in 'two'" in text
 
@@ -573,9 +577,9 @@ def test_feedback_is_tested_at_a_level_that_all_inputs_and_outputs_share():
     for gain in np.linspace(0.113, 0.134, 10):
         one = fed_back(600, gain=gain, seed=3)
         p = _response(one)
-        told = [*biased_by_feedback([one])]
+        told = texts(feedback, one)
         assert len(told) == (p < 0.01 / 2)
-        both = [*biased_by_feedback([one, fed_back(600, gain=0.0, seed=4, name="two")])]
+        both = texts(feedback, one, fed_back(600, gain=0.0, seed=4, name="two"))
         assert len(both) == (p < 0.01 / 4)
         seen.add(int(np.searchsorted([0.01 / 8, 0.01 / 4, 0.01 / 2, 0.01], p)))
     assert seen >= {1, 2, 3}
@@ -592,8 +596,8 @@ def test_color_is_tested_at_a_level_that_all_outputs_share():
     for color in np.linspace(0.09, 0.21, 13):
         one = fed_back(600, gain=0.9, color=color, seed=5)
         p = whiteness(np.split(one[1].residual("y"), 2)).p_value
-        assert len([*biased_by_feedback([one])]) == (p < 0.01)
-        both = [*biased_by_feedback([one, fed_back(600, color=0.0, seed=6, name="two")])]
+        assert len(texts(feedback, one)) == (p < 0.01)
+        both = texts(feedback, one, fed_back(600, color=0.0, seed=6, name="two"))
         assert len(both) == (p < 0.01 / 2)
         seen.add(int(np.searchsorted([0.01 / 4, 0.01 / 2, 0.01, 0.02], p)))
     assert seen >= {1, 2, 3}
@@ -620,7 +624,7 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
         fitted = SimpleNamespace(
             outputs=("z", "y"), fit_percent=percents.__getitem__, data=kept, name="part"
         )
-        return [text for *_, text in unexplained_outputs(part, fitted)]
+        return texts(unexplained_outputs, (part, fitted))
 
     y = 0.77 * slow + random.normal(size=4000)
     allowed = noise_ratio([y]).attainable_fit_percent

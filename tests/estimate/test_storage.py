@@ -29,7 +29,9 @@ from numpy.testing import assert_array_equal, assert_equal
 
 import greybox as gb
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.estimate.storage import to_bytes
 from greybox.estimate.stored_values import read, write
+from greybox.files.sealed_files import write_sealed
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt
@@ -566,7 +568,6 @@ def flown(**changes):
             lambda fit: part(fit, response=np.zeros(2, complex)),
             "shape",
         ),
-        (lambda fit: part(fit, sine=gb.modeling.Sine("u", [1.0, 2.0])), "an amplitude is missing"),
         (lambda fit: {"parts": (flown(outputs=("z",)),)}, "an output is not in the data"),
         (
             lambda fit: {"parts": (flown(inputs="guessed"),)},
@@ -585,7 +586,6 @@ def flown(**changes):
             "an output is not in the data",
         ),
         (lambda fit: {"parts": (flown(),)}, ""),
-        (lambda fit: part(fit, sine=gb.modeling.Sine("u", 1.0)), ""),
     ],
 )
 def test_what_does_not_fit_together_is_refused(tmp_path, change, said):
@@ -595,6 +595,23 @@ def test_what_does_not_fit_together_is_refused(tmp_path, change, said):
             gb.load(tmp_path / "a.h5")
     else:
         assert gb.load(tmp_path / "a.h5").free == LAG.free
+
+
+def test_a_fit_to_a_sine_of_finite_amplitude_is_refused_and_all_others_of_its_time_are_read(
+    tmp_path,
+):
+    path = tmp_path / "a.h5"
+    layout, checksum, values = json.loads(to_bytes(LAG))
+    values["parts"][0]["sine"] = None
+    write_sealed(path, json.dumps([layout, checksum, values]).encode())
+    assert gb.load(path).estimate == LAG.estimate
+
+    values["parts"][0]["sine"] = {"signal": "u", "amplitude": 1.0, "harmonics": 3}
+    write_sealed(path, json.dumps([layout, checksum, values]).encode())
+    with pytest.raises(
+        ValueError, match=r"finite amplitude, .*: fit the record in the time domain"
+    ):
+        gb.load(path)
 
 
 def part(fit, **changes):

@@ -5,7 +5,7 @@ import pytest
 from classic_structures import STRUCTURES
 
 import greybox as gb
-from greybox.estimate.identifiability import Combination
+from greybox.estimate.combinations import Combination
 from greybox.estimate.structural_identifiability import StructuralIdentifiability, _times
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 

@@ -16,25 +16,6 @@ RESPONSE = gb.Problem(
 )
 
 
-class Slider(gb.StateSpace):
-    """Velocity under thrust and drag."""
-
-    states, inputs, outputs = ("v",), ("thrust",), ("v",)
-    drag = gb.Parameter(0.2, bounds=(0.01, 2), scale="log")
-
-    def derivative(self, x, u, p):
-        return (u.thrust - p.drag * abs(x.v) * x.v,)
-
-    def output(self, x, u, p):
-        return (x.v,)
-
-
-SINE = gb.modeling.Sine("thrust", 1.0, harmonics=3)
-TESTED = gb.Problem(
-    Slider(),
-    gb.modeling.harmonic_response(Slider(), {"drag": 0.4}, [0.3, 0.6, 1.2], amplitude=SINE),
-    amplitude=SINE,
-)
 RECORDS = [lag_problem(seed, samples=80) for seed in range(2)]
 
 
@@ -43,8 +24,8 @@ def fitted(problem):
     return fit.cost, fit.estimate, fit.standard_error, [run.cost for run in fit.runs]
 
 
-def test_fits_of_records_of_responses_and_of_sine_tests_in_four_threads():
-    problems = [*RECORDS, RESPONSE, TESTED]
+def test_fits_of_records_and_of_responses_in_four_threads():
+    problems = [*RECORDS, RESPONSE]
     one_by_one = [fitted(problem) for problem in problems]
     with ThreadPoolExecutor(4) as threads:
         at_once = list(threads.map(fitted, problems))

@@ -84,6 +84,7 @@ def told(**parts):
         "misfit": None,
         "responses": (),
         "records": (),
+        "left_out": (),
         "spectra": (),
         "quantities": (),
         "free": ("a", "b", "c"),

@@ -506,10 +506,6 @@ ROWS = gb.Record(np.arange(4.0), {"F": [0.0, 1.0, 2.0, 1.0], "v": [0.0, 0.5, np.
     ("statement", "words"),
     [
         (
-            {"amplitude": {"F": 0.1}},
-            "amplitude is for frequency responses and the data are a record: leave it out.",
-        ),
-        (
             {"at": {"v": 1.0}},
             "at={'v': 1.0} is the operating point of a frequency response and this is a record: leave it out; known "
             "initial states go into OutputError(initial=...).",

@@ -8,7 +8,6 @@ from greybox.models.tilt import Tilt
 from greybox.problems import (
     pitch_5deg,
     pitch_hover,
-    pitch_hover_sines,
     pitch_operating_points,
     pitch_two_points,
 )
@@ -49,9 +48,3 @@ def test_a_free_drag_goes_to_its_lower_bound():
     fit = gb.fit(parts[0] + parts[1], 2, progress=False)
     assert f"{fit.cost:.3f}" in pitch_operating_points.__doc__
     assert [q.name for q in fit.quantities if q.at_bound] == ["C_x"]
-
-
-def test_hover_at_finite_amplitude_explains_more_than_linear_drag():
-    linear = gb.fit(gb.Problem(Tilt(), pitch_hover.data(), free=("a5",)), 2, progress=False)
-    assert f"{linear.cost:.3f}" in pitch_hover_sines.__doc__
-    assert pitch_hover_sines.minimum < linear.cost < pitch_hover.minimum

@@ -36,9 +36,8 @@ RULES = (
     gb.solve.Sobol(20, seed=2),
     gb.solve.Sobol(20, seed=3),
 )
-# Harmonic balance and records make these the slowest, and few starts show the same as many.
+# Records and many modes make these the slowest, and few starts show the same as many.
 FEW = {
-    "pitch_hover_sines": gb.solve.Sobol(2, seed=0),
     "sitl_drag": gb.solve.Sobol(2, seed=0),
     "nanobench_thrust": gb.solve.Sobol(3, seed=0),
     "nanobench_drag": gb.solve.Sobol(2, seed=0),

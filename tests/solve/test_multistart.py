@@ -14,6 +14,7 @@ from greybox.models.tilt import Tilt
 from greybox.solve.local_solver import Screened
 from greybox.solve.minima import find_minima
 from greybox.solve.multistart import FiniteStarts, multistart, solver_for
+from greybox.solve.promising import Promising
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome, Run
 
@@ -235,13 +236,13 @@ def test_the_others_follow_where_not_enough_of_the_promising_starts_agree(agreei
     nlp = compile_problem(NOISY)
     starts = np.tile([1.5, 0.1, 0.2, 0.3], (6, 1))
     starts[3, 0] = 1.9  # the third of the promising ones ends higher
-    search = multistart(Compared(nlp), starts, promising=(3, agreeing))
+    search = multistart(Compared(nlp), starts, promising=Promising((3,), agreeing))
     assert len(search.brought) == count
     assert [run.index for run in search.runs] == [*range(6)]
     assert [run.stage for run in search.runs] == ["screened"] * (6 - count) + ["polished"] * count
     assert all(run.cost == 7.0 for run in search.runs[:3]) == (count == 3)
     assert set(search.minima[0].runs) == {0, 1, 2, 4, 5} - ({0, 1, 2} if count == 3 else set())
-    every = multistart(Compared(nlp), starts, promising=(6, agreeing))
+    every = multistart(Compared(nlp), starts, promising=Promising((6,), agreeing))
     assert len(every.brought) == 6
 
 
@@ -252,5 +253,5 @@ def test_runs_agree_within_a_tenth_of_a_unit_of_likelihood(agreeing, count):
     share = 0.1 / sum(part.numbers for part in nlp.parts)
     starts = np.tile([1.5, 0.1, 0.2, 0.3], (8, 1))
     starts[3:, 0] *= np.array([1 + 0.9 * share, 1 + 1.1 * share, 1 + 0.5 * share, 2.0, 1.0])
-    search = multistart(Compared(nlp), starts, promising=(5, agreeing))
+    search = multistart(Compared(nlp), starts, promising=Promising((5,), agreeing))
     assert len(search.brought) == count

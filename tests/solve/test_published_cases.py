@@ -3,14 +3,17 @@
 What they ask of a framework that a tilt loop does not.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hard_models import LOTKA_VOLTERRA, Pendulum, free_motion, lotka_volterra, slow_pendulum
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess
-from greybox.estimate.diagnostics.discretization import discretization_warnings
+from greybox.estimate.checks.coarse_integration import coarse_integration
+from greybox.estimate.checks.evidence import Evidence
+from greybox.estimate.covariance import accuracy_at
 from greybox.models.tilt import PAPER_G
 from greybox.solve.discretization_error import discretization_error, refine_discretization
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -49,10 +52,10 @@ def test_too_few_substeps_are_told_from_their_shift(pendulum):
     solver = GaussNewton(nlp)
     profile = solver.profile(search.minima[0].estimate, search.nodes)
     assert discretization_error(nlp, profile.trajectories).largest > 1
-    (sentence,) = discretization_warnings(
-        assess(nlp, search.minima[0].estimate, profile.trajectories)
-    )
-    assert "twice the steps per sample (4 instead of 2)" in sentence
+    accuracy = accuracy_at(nlp, search.minima[0].estimate, profile.trajectories)
+    evidence = Evidence(SimpleNamespace(error=None), accuracy, None)
+    (finding,) = coarse_integration(evidence)
+    assert "twice the steps per sample (4 instead of 2)" in finding.text
     # What the method fixes stays.
     assert refine_discretization(search, solver) == (search, solver, None)
 

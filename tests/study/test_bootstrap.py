@@ -19,7 +19,7 @@ from scipy.stats import norm, t as student
 import greybox as gb
 from greybox.cli.main import main
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess
+from greybox.estimate.covariance import accuracy_at
 from greybox.estimate.result import Quantity
 from greybox.problems import pitch_hover, yaw_hover
 from greybox.study.bootstrap import Bootstrap, interval_text, replicate_warnings, tail
@@ -81,7 +81,7 @@ def test_a_replicate_is_the_fit_to_its_data(criterion):
     found = gb.bootstrap(fit, 20, progress=False)
     nlp = compile_problem(problem)
     x = np.array([fit.estimate[name] for name in nlp.free])
-    draws = response_draws(assess(nlp, x), 0)
+    draws = response_draws(accuracy_at(nlp, x), 0)
     (response,) = draws.of(7)[1]
     drawn = replace(data, response=response)
     again = gb.fit(problem.with_(data=drawn), starts=[fit.estimate], progress=False)

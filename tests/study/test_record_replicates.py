@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess
+from greybox.estimate.covariance import accuracy_at
 from greybox.study.replicates import RecordReplicates, record_draws
 
 VALUES = 2 + 0.1 * np.random.default_rng(1).normal(size=12)
@@ -36,7 +36,7 @@ def draws_of(values=VALUES):
 
 def white_draws(nlp, x, trajectories, seed=0):
     """Draws of errors that are taken as white, however they are correlated."""
-    accuracy = assess(nlp, x, trajectories)
+    accuracy = accuracy_at(nlp, x, trajectories)
     white = tuple(
         replace(errors, colored=None, numbers=part.numbers - len(x) / len(nlp.parts))
         for errors, part in zip(accuracy.parts, accuracy.informations, strict=True)
@@ -71,7 +71,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
         nlp = compile_problem(gb.Problem(Ramp(), record))
         estimate = np.array([row @ y])
         trajectories = (nlp.parts[0].trajectory(nlp.scaling.to_solver(estimate)),)
-        draws = record_draws(assess(nlp, estimate, trajectories), 0)
+        draws = record_draws(accuracy_at(nlp, estimate, trajectories), 0)
         errors = [row @ np.nan_to_num(next(draws.of(number)[1])[0][0]) for number in range(60)]
         logarithms.append(np.log(np.std(errors) / expected))
     assert_allclose(np.exp(np.mean(logarithms)), 1, atol=0.15)

@@ -9,7 +9,7 @@ from scipy.fft import dct
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess
+from greybox.estimate.covariance import accuracy_at
 from greybox.solve.interruption import limited
 from greybox.solve.runs import SEARCH_OVER
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
@@ -77,7 +77,7 @@ def lag_draws(noise, criterion, x=(2.0, 0.5), fixed=None, **columns):
     data = gb.FrequencyResponse(OMEGA, model * (1 + left), "u", "y", **columns)
     nlp = compile_problem(gb.Problem(Lag(), data, criterion, fixed=fixed or {}))
     x = np.array(x)
-    return response_draws(assess(nlp, x), 4), model, left
+    return response_draws(accuracy_at(nlp, x), 4), model, left
 
 
 def test_residuals_of_several_parts_share_the_parameters():
@@ -144,7 +144,7 @@ def test_constants_that_follow_one_another_have_a_singular_covariance():
     names = ["K", *sizes]
     nlp = compile_problem(problem.with_(fixed=dict.fromkeys(names, earlier), free=["A"]))
     x = np.ones(1)
-    root = response_draws(assess(nlp, x), 4).root
+    root = response_draws(accuracy_at(nlp, x), 4).root
     places = [nlp.constants.index(name) for name in names]
     covariance = (root @ root.T)[np.ix_(places, places)]
     assert_allclose(covariance, earlier.covariance_of(names), rtol=1e-6)
@@ -246,7 +246,7 @@ def test_a_criterion_that_accepts_only_numbers_is_refused():
 def runner_of(sets):
     nlp = compile_problem(joint(sets))
     x = np.array(refitted(joint(sets)))
-    made = response_draws(assess(nlp, x), 4)
+    made = response_draws(accuracy_at(nlp, x), 4)
     return ResponseReplicates(nlp, made, x), made, x
 
 

@@ -275,7 +275,7 @@ class GaussNewton(Descent):
         untried = sorted(set(range(1, len(starts))) - set(promising))
 
         # Declared values may be good ones: they are always among the first.
-        ahead = self.promising[0] - 1
+        ahead = self.promising.runs[0] - 1
         order = np.array([*promising[:ahead], 0, *promising[ahead:], *untried])
         return Screened(order, np.full(len(starts), np.inf))
 

@@ -54,14 +54,14 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         step = exact_step(parts, iterate, progress)
         progress = progress.with_penalties(step)
 
-        # Of a standard error, the step changes none of the first nine digits, or of the parameters,
-        # which long records determine to many digits, none of the first twelve. What gaps between
-        # segments promise is then rounding.
+        # The gaps between segments promise this much more than the step itself.
         promise = abs(step.decrease - step.distance)
         # Below the rounding of the cost it ends no steps: parameters would lack 1e-7 of an error.
         if promise <= ROUNDING * abs(parts.cost(iterate)):
             promise = 0.0
         remaining = 2 * step.distance + promise
+        # The step is below 1e-9 standard errors, or 1e-12 of every parameter, which long records
+        # determine to many digits: only rounding is left.
         is_last = remaining < 1e-18 or np.all(np.abs(step.dz) <= 1e-12 * np.abs(iterate.z))
         # Steps that no longer shrink are rounding.
         if not (is_last or remaining < shortest):

@@ -24,6 +24,7 @@ from greybox.solve.gauss_newton.screening import (
 )
 from greybox.solve.gauss_newton.settings import Settings
 from greybox.solve.multistart import multistart
+from greybox.solve.promising import Promising
 
 VALUES = {"Z_alpha": -1.2, "M_alpha": -6.0, "M_q": -2.0, "M_de": -8.0, "b_q": 0.02, "b_az": -0.5}
 
@@ -114,7 +115,7 @@ def test_the_search_finds_what_plain_starts_miss(aircraft, solver):
     plain = [short.run(start) for start in drawn(aircraft, 4, 0)]
     assert sum(run.converged and run.cost < best + 0.1 for run in plain) < 4
     starts = drawn(aircraft, 20, 0)
-    search = multistart(solver, starts, promising=(4, 3))
+    search = multistart(solver, starts, promising=Promising((4,), agree=3))
     assert search.minima[0].cost < best + 0.1
     assert len(search.brought) == 4
     for run, start in zip(search.runs, starts, strict=True):
