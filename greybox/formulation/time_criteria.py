@@ -141,10 +141,9 @@ class TimeCriterion(AnyCriterion):
                 if np.ndim(sigma) > 0:
                     raise ValueError(
                         f"noise gives {name!r} {counted(np.size(sigma), 'number')}, and an output "
-                        "has one standard deviation: for samples of different accuracy, or several "
-                        f"at one time, declare further outputs with the formula of {name!r}, each "
-                        "NaN in the record where it was not measured, with a standard deviation "
-                        "each."
+                        "has one standard deviation: for samples of different accuracy, declare an "
+                        f"input with their standard deviations, divide the formula of {name!r} and "
+                        f"its samples by it, and give noise={{{name!r}: 1.0}}."
                     )
                 if not is_finite_number(sigma) or sigma <= 0:
                     raise ValueError(
