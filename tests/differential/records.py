@@ -516,8 +516,7 @@ def cost_of_record(rng: np.random.Generator) -> str | None:
     reference, problem = Reference(question), question.problem()
     vector = reference.start * rng.uniform(0.85, 1.2, reference.start.size)
     want = reference.cost(vector)
-    exact = gb.MultipleShooting(integrator=gb.RungeKutta(substeps=8))
-    found = gb.cost(problem, dict(zip(reference.names, map(float, vector), strict=True)), exact)
+    found = gb.cost(problem, dict(zip(reference.names, map(float, vector), strict=True)))
     if not abs(found - want) < 0.1 + 1e-3 * abs(want):
         return f"{question}: cost {found:.8g}, by its formula {want:.8g}"
     return None
