@@ -414,7 +414,7 @@ def gapless(
         rows = np.flatnonzero(complete_inputs)
         return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
-    time = record.time if record.clock.is_periodic else unrounded(record).time
+    time = unrounded(record).time
     leads = np.broadcast_to(lead, len(inputs))
     keeps = np.broadcast_to(np.asarray(held, dtype=bool), len(inputs))
     # Where rows are lost although the input is known, a line follows it best.

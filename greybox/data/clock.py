@@ -6,8 +6,8 @@ begins, with initial states of its own. The rule is this:
 
 1. A clock within a quarter of a step of a uniform one has no holes. Nor has a schedule, a change of
    rate, or an irregular clock; nor has a clock in coarse stamps, whose steps are one and two quanta
-   where the clock itself is uniform. Unless they are the stamps of a clock that loses every k-th
-   row, which nobody can tell, the uniform clock counts in their place.
+   where the clock itself is uniform: the uniform clock counts in their place. A clock that loses a
+   row at equal intervals has the same stamps, and its signals are smoother on these.
 2. A *hole* is a step of more than one and a half of the usual steps before it and of those after
    it. In an irregular clock, it is three times longer than any of its neighbors.
 3. The input is known across a hole if there is no input; if it has the same value on both sides and
@@ -22,7 +22,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, BoolArray, IntArray, evenly_spread, frozen
+from greybox.files.arrays import Array, ArrayPair, Arrays, BoolArray, IntArray, evenly_spread, frozen
 from greybox.files.text_table import counted
 
 Gaps = Literal["auto", "bridge", "cut"]
@@ -45,12 +45,15 @@ FEWEST = 3
 # Times the longest neighbor: of 10 000 random (exponential) steps, one is that long.
 LONG_IN_IRREGULAR = 3.0
 
-# Steps of two quanta (or of one, where these are rarer) that show a clock in coarse stamps, and in
-# each block that is compared with a uniform clock; and the share of the samples in blocks that fit.
-# Of 300 clocks of 60 to 300 samples that had lost 10 or 30 % of their rows, one fitted by chance;
-# of clocks of 75 Hz in stamps of 10 ms that had lost 5 %, 95 % fit.
-RARER = 6
-FITTING = 0.7
+# Steps of two quanta, or of one where these are rarer, in a block of stamps that is compared with a
+# uniform clock, and the fewest that show one. RATES
+RARER = 8
+FEWEST_RARER = 4
+
+# Blocks that are compared in a long record.
+BLOCKS = 2000
+# Standard deviations by which signals show that rows are lost at equal intervals.
+CLEAR = 3.0
 
 # Error of a line across lost rows, in standard deviations of the input, up to which the input is
 # known: less than the error of most models.
@@ -72,15 +75,11 @@ class Clock:
         multiples of the usual one), or "irregular".
     holes : (h,) int array
         Rows after which rows are missing.
-    is_periodic : bool
-        Of coarse stamps: whether a clock that loses every k-th row would have the same. Its stamps
-        then count as they are; otherwise the uniform clock does.
     """
 
     step: float
     kind: Literal["uniform", "rounded", "regular", "irregular"]
     holes: IntArray
-    is_periodic: bool = False
 
 
 def require_gaps(gaps: str) -> None:
@@ -120,14 +119,19 @@ def decimal_tick(time: Array) -> float:
     return 0.0
 
 
-def clock_of(time: Array) -> Clock:
-    """Return the clock of times (n,), strictly increasing."""
+def clock_of(time: Array, signals: Arrays = ()) -> Clock:
+    """Return the clock of times (n,), strictly increasing, at which signals (n,) were sampled."""
     nothing = np.zeros(0, dtype=int)
     median = median_step(time)
     if off_uniform(time) <= JITTER:
         return Clock(median, "uniform", nothing)
 
     steps = np.diff(time)
+    quantum = float(steps.min())
+    rate = _rounded_step(steps, quantum)
+    if rate and not _smoother_on(time, signals, steps < ONE_LOST * quantum):
+        return Clock(rate, "rounded", np.flatnonzero(steps > ONE_LOST * quantum))
+
     places = np.arange(steps.size)
     if np.mean(_off_whole(steps / median)) > 0.1:
         # With two rates, the median is one of them: the steps around each are its measure.
@@ -144,13 +148,7 @@ def clock_of(time: Array) -> Clock:
     here, usual = steps[places], np.fmax(before, after)
     is_long = here > LONG * np.where(np.isfinite(usual), usual, np.inf)
     is_long &= _has_neighbors(steps, places, usual, before, after)
-    holes = places[is_long]
-    quantum = steps.min()
-    if rate := _rounded_step(time, steps, quantum):
-        spacing = np.diff(np.flatnonzero(steps > LONG * quantum))
-        is_periodic = bool(spacing.min() > 1 and np.ptp(spacing) == 0)
-        return Clock(rate, "rounded", holes[steps[holes] > ONE_LOST * quantum], is_periodic)
-    return Clock(median, "regular", holes)
+    return Clock(median, "regular", places[is_long])
 
 
 def _off_whole(parts: Array) -> BoolArray:
@@ -195,37 +193,76 @@ def _long_in_irregular(steps: Array) -> IntArray:
     return places[steps[places] > LONG_IN_IRREGULAR * longest]
 
 
-def _rounded_step(time: Array, steps: Array, quantum: float) -> float:
+def _rounded_step(steps: Array, quantum: float) -> float:
     """Return the step of a uniform clock whose stamps are whole quanta, or 0 for another clock.
 
-    Where rows are lost at random, one and two quanta follow one another at random. In the stamps of
-    a uniform clock they alternate so that every stamp is within half a quantum of the clock.
+    Where rows are lost at random, steps (n,) of one and two quanta follow one another at random. In
+    the stamps of a uniform clock they alternate so that some straight line is within half a quantum
+    of every stamp. That is tried in blocks, because a clock may drift and lose rows.
     """
     quanta = steps / quantum
     within = quanta < ONE_LOST
     if np.any(np.abs(quanta - np.round(quanta))[within] > 0.05):
         return 0.0
-    two = np.count_nonzero(within & (quanta > LONG))
-    one = np.count_nonzero(within) - two
-    if min(one, two) < RARER:
+    two = within & (quanta > LONG)
+    one = within & ~two
+    rarer = np.flatnonzero(two if np.count_nonzero(two) < np.count_nonzero(one) else one)
+    size = min(RARER, rarer.size)
+    if size < FEWEST_RARER:
         return 0.0
 
-    # In blocks, because a clock may drift against its mean rate, and lose rows.
-    length = math.ceil(RARER * (one + two) / min(one, two))
-    places = np.arange(time.size)
-    piece = np.concatenate([[0], np.cumsum(~within)])
-    begins = np.flatnonzero(np.diff(piece, prepend=-1))
-    within_piece = places - np.repeat(begins, np.diff(begins, append=time.size))
-    block = np.cumsum(within_piece % length == 0) - 1
-    firsts = np.flatnonzero(np.diff(block, prepend=-1))
+    # A block has so many of the rarer steps in a row, and reaches to the next ones, or to a hole.
+    ends = np.concatenate([[-1], np.flatnonzero(~within), [steps.size]])
+    piece = np.searchsorted(ends, rarer)
+    rank = np.arange(rarer.size) - np.searchsorted(piece, piece)
+    firsts = np.flatnonzero(rank % size == 0)
+    firsts = firsts[firsts + size <= rarer.size]
+    firsts = firsts[piece[firsts] == piece[firsts + size - 1]]
+    if not firsts.size:
+        return 0.0
+    firsts = firsts[evenly_spread(firsts.size, BLOCKS)]
+    around = np.concatenate([[-1], rarer, [steps.size]])
+    begins = np.maximum(around[firsts] + 1, ends[piece[firsts] - 1] + 1)
+    stops = np.minimum(around[firsts + size + 1], ends[piece[firsts]])
 
-    step = float(steps[within].mean())
-    errors = time - time[0] - step * places
-    width = np.maximum.reduceat(errors, firsts) - np.minimum.reduceat(errors, firsts)
-    counts = np.diff(firsts, append=time.size)
-    # The rest of 1.1: the mean rate is not that of the block.
-    fits = counts[width <= 1.1 * quantum].sum() > FITTING * time.size
-    return step if fits else 0.0
+    # The stamps that are furthest off a line are next to the rarer steps.
+    inside = rarer[firsts[:, None] + np.arange(size)]
+    corners = np.concatenate([begins[:, None], inside, inside + 1, stops[:, None]], axis=1)
+    stamps = np.concatenate([[0.0], np.cumsum(quanta)])[corners]
+    apart = corners[:, None, :] - corners[:, :, None]
+    rise = stamps[:, None, :] - stamps[:, :, None]
+    with np.errstate(divide="ignore"):
+        # A tenth for the digits of the stamps.
+        lowest = np.where(apart > 0, (rise - 1.1) / apart, -np.inf).max(axis=(1, 2))
+        highest = np.where(apart > 0, (rise + 1.1) / apart, np.inf).min(axis=(1, 2))
+    fits = lowest <= highest
+    return float(steps[within].mean()) if 2 * np.count_nonzero(fits) > fits.size else 0.0
+
+
+def _smoother_on(time: Array, signals: Arrays, within: BoolArray) -> bool:
+    """Return whether signals (n,) are clearly smoother on these times (n,) than on uniform ones.
+
+    A value is compared with the line between its neighbors, by the signal that says most. Steps
+    (n - 1,) that are not `within` two quanta are left out.
+    """
+    steps = np.diff(time)
+    # Where both steps are alike, so are both lines.
+    places = np.flatnonzero(within[1:] & within[:-1] & (np.abs(np.diff(steps)) > steps.min() / 2))
+    later = steps[places] / (steps[places] + steps[places + 1])
+
+    def off_line(values: Array, share: Array | float) -> Array:
+        before, here, after = (values[places + k] for k in range(3))
+        # In standard deviations of white noise.
+        size = np.sqrt(1 + np.square(share) + np.square(1 - share))
+        return (here - (1 - share) * before - share * after) / size
+
+    deviations = [0.0]
+    for values in signals:
+        change = np.square(off_line(values, later)) - np.square(off_line(values, 0.5))
+        change = change[np.isfinite(change)]
+        scale = float(np.linalg.norm(change))
+        deviations.append(float(change.sum()) / scale if scale > 0 else 0.0)
+    return max(deviations, key=abs) < -CLEAR
 
 
 def runs_between_holes(time: Array, clock: Clock, longest: float = 0.0) -> list[IntArray]:
@@ -264,10 +301,9 @@ def described_gaps(time: Array, clock: Clock, cut: int, gaps: Gaps) -> str:
         if clock.kind == "uniform":
             return ""
         if clock.kind == "rounded":
-            others = " (or every k-th row is lost)" if clock.is_periodic else ""
             return (
                 f"stamps of {1e3 * steps.min():.4g} ms that round a clock of {1 / clock.step:.5g} "
-                f"Hz{others}: the model runs on"
+                "Hz: the model runs on"
             )
         return f"steps of {steps.min():.4g} to {steps.max():.4g} s, in which no row is missing"
 

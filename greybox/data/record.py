@@ -207,7 +207,7 @@ class Record(Printed):
         """The usual step, and where rows are missing; a step of 1 for rows without a time."""
         if not self.has_time:
             return Clock(1.0, "uniform", np.zeros(0, dtype=int))
-        return clock_of(self.time)
+        return clock_of(self.time, tuple(self.signals.values()))
 
     @property
     def step(self) -> float:
