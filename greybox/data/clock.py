@@ -22,7 +22,15 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from greybox.files.arrays import Array, ArrayPair, Arrays, BoolArray, IntArray, evenly_spread, frozen
+from greybox.files.arrays import (
+    Array,
+    ArrayPair,
+    Arrays,
+    BoolArray,
+    IntArray,
+    evenly_spread,
+    frozen,
+)
 from greybox.files.text_table import counted
 
 Gaps = Literal["auto", "bridge", "cut"]
@@ -46,13 +54,15 @@ FEWEST = 3
 LONG_IN_IRREGULAR = 3.0
 
 # Steps of two quanta, or of one where these are rarer, in a block of stamps that is compared with a
-# uniform clock, and the fewest that show one. RATES
+# uniform clock, and the fewest that show one. Of 1000 schedules, or clocks that had lost rows at
+# random, at most 4 fitted by chance; of clocks of 75 Hz in stamps of 10 ms that had lost 5 % of
+# their rows, 96 % fitted.
 RARER = 8
 FEWEST_RARER = 4
 
 # Blocks that are compared in a long record.
 BLOCKS = 2000
-# Standard deviations by which signals show that rows are lost at equal intervals.
+# Ratio of squared errors that shows rows lost at equal intervals; 2.3 for jumps of a held signal.
 CLEAR = 3.0
 
 # Error of a line across lost rows, in standard deviations of the input, up to which the input is
@@ -120,7 +130,10 @@ def decimal_tick(time: Array) -> float:
 
 
 def clock_of(time: Array, signals: Arrays = ()) -> Clock:
-    """Return the clock of times (n,), strictly increasing, at which signals (n,) were sampled."""
+    """Return the clock of times (n,), strictly increasing.
+
+    Smooth signals (n,) that were sampled then tell lost rows from coarse stamps.
+    """
     nothing = np.zeros(0, dtype=int)
     median = median_step(time)
     if off_uniform(time) <= JITTER:
@@ -242,27 +255,30 @@ def _rounded_step(steps: Array, quantum: float) -> float:
 def _smoother_on(time: Array, signals: Arrays, within: BoolArray) -> bool:
     """Return whether signals (n,) are clearly smoother on these times (n,) than on uniform ones.
 
-    A value is compared with the line between its neighbors, by the signal that says most. Steps
-    (n - 1,) that are not `within` two quanta are left out.
+    Of a clock in coarse stamps, rows are lost then. Values beside unlike steps are compared, and
+    the signal that says most decides. Steps (n - 1,) that are not `within` two quanta are left out.
     """
     steps = np.diff(time)
-    # Where both steps are alike, so are both lines.
-    places = np.flatnonzero(within[1:] & within[:-1] & (np.abs(np.diff(steps)) > steps.min() / 2))
-    later = steps[places] / (steps[places] + steps[places + 1])
+    unlike = np.abs(np.diff(steps)) > steps.min() / 2
+    places = np.flatnonzero(within[1:] & within[:-1] & unlike) + 1
+    share = steps[places - 1] / (steps[places - 1] + steps[places])
 
-    def off_line(values: Array, share: Array | float) -> Array:
-        before, here, after = (values[places + k] for k in range(3))
-        # In standard deviations of white noise.
-        size = np.sqrt(1 + np.square(share) + np.square(1 - share))
-        return (here - (1 - share) * before - share * after) / size
-
-    deviations = [0.0]
+    evidence = 0.0
     for values in signals:
-        change = np.square(off_line(values, later)) - np.square(off_line(values, 0.5))
-        change = change[np.isfinite(change)]
-        scale = float(np.linalg.norm(change))
-        deviations.append(float(change.sum()) / scale if scale > 0 else 0.0)
-    return max(deviations, key=abs) < -CLEAR
+        uneven, uniform = (_off_lines(values, places, s) for s in (share, 0.5 + 0 * share))
+        if uneven > 0 and uniform > 0:
+            evidence = max(evidence, math.log(uniform / uneven), key=abs)
+    return evidence > math.log(CLEAR)
+
+
+def _off_lines(values: Array, places: IntArray, share: Array) -> float:
+    """Return the squared errors of values (n,) from lines between their neighbors, summed.
+
+    Lines are evaluated at their `share` (p,). Unit: variance of white noise.
+    """
+    before, here, after = (values[places + k] for k in (-1, 0, 1))
+    error = here - (1 - share) * before - share * after
+    return float(np.nansum(np.square(error) / (1 + np.square(1 - share) + np.square(share))))
 
 
 def runs_between_holes(time: Array, clock: Clock, longest: float = 0.0) -> list[IntArray]:

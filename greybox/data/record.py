@@ -207,7 +207,8 @@ class Record(Printed):
         """The usual step, and where rows are missing; a step of 1 for rows without a time."""
         if not self.has_time:
             return Clock(1.0, "uniform", np.zeros(0, dtype=int))
-        return clock_of(self.time, tuple(self.signals.values()))
+        smooth = [x for name, x in self.signals.items() if self.hold.get(name, 0.0) == 0.0]
+        return clock_of(self.time, smooth)
 
     @property
     def step(self) -> float:

@@ -12,7 +12,6 @@ from greybox.data.clock import (
     Gaps,
     clock_of,
     lost_rows,
-    median_step,
     require_gaps,
     runs_between_holes,
 )
@@ -272,9 +271,7 @@ def _source(
 
     inside = time[(time >= start) & (time <= end)]
     inside = inside if inside.size > 1 else time
-    # In coarse stamps, no step is the usual one.
-    clock = clock_of(inside)
-    step = clock.step if clock.kind == "rounded" else median_step(inside)
+    step = clock_of(inside).step
     # Before any filter or interpolation, which would smear a jump from 2π to 0.
     values = np.unwrap(values) if unit == "rad" else values
 
