@@ -16,7 +16,7 @@ from greybox.data.clock import (
     runs_between_holes,
 )
 from greybox.data.intersample import HELD, intersample
-from greybox.data.record import Record, Recording, require_time
+from greybox.data.record import Record, Recording, require_time, unrounded
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, ArrayPair, IntArray, Labels, Strings, frozen, nans, unique
 from greybox.files.text_table import as_names, counted, is_finite_number, require_kind
@@ -79,7 +79,8 @@ def prepare(
     `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new rate. Nothing is
     interpolated across a hole of more than one lost row: the record has the same hole, and
     `Record.pieces` are the stretches between holes. A schedule, a change of rate and an irregular
-    clock have no holes, see `greybox.data.clock`.
+    clock have no holes, and of coarse stamps the clock counts that they round, see
+    `greybox.data.clock`.
 
     ArduPilot truncates angles to hundredths of a degree. Half a hundredth is added, see
     `greybox.logs.ardupilot.truncated_angles`.
@@ -242,7 +243,7 @@ def _source(
     record, field = recording.locate(signal)
     require_time(record, "prepare")
     finite = np.isfinite(record[field])
-    time = record.time[finite]
+    time = unrounded(record).time[finite]
     values = record[field][finite]
     if time.size < 2:
         raise ValueError(
