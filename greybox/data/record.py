@@ -510,12 +510,11 @@ def unrounded(record: Record) -> Record:
     if record.clock.kind != "rounded":
         return record
     times = record.time.copy()
-    quantum = float(np.diff(times).min())
     for rows in record.independent_pieces:
         # The best line through the stamps.
         ticks, stamps = (values - values.mean() for values in (rows, record.time[rows]))
         step = ticks @ stamps / max(float(ticks @ ticks), 1.0)
-        if np.abs(stamps - step * ticks).max() < 0.75 * quantum:
+        if np.abs(stamps - step * ticks).max() < 0.75 * record.clock.tick:
             times[rows] = record.time[rows].mean() + step * ticks
     return replace(record, time=times)
 

@@ -63,7 +63,7 @@ def test_signals_tell_coarse_stamps_from_rows_that_are_lost_at_equal_intervals(e
     time = 0.01 * rows
     uniform = 0.01 * np.arange(rows.size)
     for moments, expected in ((time, "regular"), (uniform, "rounded")):
-        y = np.sin(3 * moments) + 0.004 * moving(rows.size)
+        y = np.sin(3 * moments) + 0.002 * moving(rows.size)
         record = gb.Record(time, {"u": moving(rows.size, 1), "y": y})
         assert record.clock.kind == expected
         lost = np.sum(np.diff(rows) > 1) if expected == "regular" else 0
