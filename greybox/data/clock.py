@@ -58,8 +58,8 @@ FEWEST = 3
 # Times the longest neighbor: of 10 000 random (exponential) steps, one is that long.
 LONG_IN_IRREGULAR = 3.0
 
-# Ticks in a step, at least, of stamps that are called coarse: finer ones are off by 0.1 at most.
-COARSE = 0.2
+# Tick of coarse stamps in the shortest of their steps, at least: finer ones are off by 0.1 steps.
+COARSE = 0.19
 # The rarer ones of both steps in a block of stamps that is compared with a uniform clock, and the
 # fewest that show one. Of 1000 schedules, or clocks that had lost rows at random, at most 4 fitted
 # by chance; of clocks of 75 Hz in stamps of 10 ms that had lost 5 % of their rows, 96 % fitted.
@@ -231,11 +231,11 @@ def _rounded_step(steps: Array) -> tuple[float, float]:
     shortest = float(steps.min())
     longer = steps[steps > (1 + COARSE / 2) * shortest]
     tick = float(longer.min()) - shortest if longer.size else 0.0
-    if tick < COARSE * shortest:
+    # The shortest step is one tick to five.
+    if not COARSE <= tick / shortest < 1.1:
         return 0.0, 0.0
     ticks = np.round(steps / tick)
     within = steps < shortest + 1.5 * tick
-    # Steps of a third and of one tick are none.
     if np.any(np.abs(steps / tick - ticks)[within] > 0.05):
         return 0.0, 0.0
     two = within & (steps > shortest + tick / 2)
