@@ -203,7 +203,8 @@ class Record(Printed):
         """The usual step, and where rows are missing; a step of 1 for rows without a time."""
         if not self.has_time:
             return Clock(1.0, "uniform", np.zeros(0, dtype=int))
-        return clock_of(self.time)
+        smooth = [x for name, x in self.signals.items() if self.hold.get(name, 0.0) == 0.0]
+        return clock_of(self.time, smooth)
 
     @property
     def step(self) -> float:
@@ -505,12 +506,11 @@ def unrounded(record: Record) -> Record:
     if record.clock.kind != "rounded":
         return record
     times = record.time.copy()
-    quantum = float(np.diff(times).min())
     for rows in record.independent_pieces:
         # The best line through the stamps.
         ticks, stamps = (values - values.mean() for values in (rows, record.time[rows]))
         step = ticks @ stamps / max(float(ticks @ ticks), 1.0)
-        if np.abs(stamps - step * ticks).max() < 0.75 * quantum:
+        if np.abs(stamps - step * ticks).max() < 0.75 * record.clock.tick:
             times[rows] = record.time[rows].mean() + step * ticks
     return replace(record, time=times)
 
