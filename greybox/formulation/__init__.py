@@ -5,7 +5,8 @@ Begin with `problem`.
 | file | contents |
 | --- | --- |
 | `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
-| `several` | one problem for several records |
+| `several`, `several_responses` | one model for several records, or the responses of many pairs |
+| `unsupported_data` | what a problem cannot take as data, and the cure |
 | `restated_parameter` | a parameter with other bounds or starts |
 | `sum` | `Sum`: problems solved at once, whose costs add; each record has its own biases |
 | `criterion` | what all criteria share |

@@ -3,20 +3,18 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
-from functools import cached_property, partial
-from inspect import Signature, signature
+from functools import cached_property
 from itertools import combinations
 from numbers import Real
 from operator import itemgetter
-from pathlib import Path
-from typing import Any, Self, TypeVar, overload
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import MULTIPLIED
-from greybox.data.record import Record, Recording
+from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import (
     Fields,
@@ -36,8 +34,9 @@ from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
 from greybox.formulation.restated_parameter import held_at, restated
 from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
-from greybox.formulation.sum import Addable, Sum
+from greybox.formulation.sum import Addable
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
+from greybox.formulation.unsupported_data import described
 from greybox.modeling.model import (
     Model,
     Names,
@@ -50,63 +49,9 @@ from greybox.modeling.parameter import Parameter, Parameters
 from greybox.modeling.realization import dynamics
 from greybox.modeling.symbolic_reading import called, require_no_nan
 
-_Stated = TypeVar("_Stated", bound="Problem")
-
-
-class _OneOrSeveral(type):
-    """Returns a problem, or for several responses of one model the sum of their problems."""
-
-    @property
-    def __signature__(cls) -> Signature:
-        return signature(partial(cls.__init__, None))
-
-    # A type checker takes the types of the options from the fields.
-    @overload
-    def __call__(
-        cls: "type[_Stated]",
-        model: Model,
-        data: FrequencyResponse | Record | TransientSpectrum,
-        *args: Any,
-        **options: Any,
-    ) -> "_Stated": ...
-
-    @overload
-    def __call__(
-        cls,
-        model: Model,
-        data: Mapping[str, FrequencyResponse] | Sequence[Any] | np.ndarray[Any, Any],
-        *args: Any,
-        **options: Any,
-    ) -> "Sum[Problem]": ...
-
-    def __call__(cls, model: Any = None, data: Any = None, *args: Any, **options: Any) -> Any:
-        problem = super().__call__
-        responses = _responses_by_pair(data)
-        if not responses:
-            if "band" in options:
-                raise TypeError("band is for several responses: cut one by .between(low, high).")
-            return problem(model, data, *args, **options)
-
-        weight, band = options.pop("weight", 1.0), options.pop("band", {})
-        pairs = [*map(_pair, responses)]
-        weights = weight if isinstance(weight, Mapping) else dict.fromkeys(pairs, weight)
-        for what in (weights, band):
-            require_known(what, pairs, "pair", "the list of responses")
-
-        parts = (
-            problem(
-                model,
-                response.between(*band[pair]) if pair in band else response,
-                *args,
-                **{"name": pair, **options, "weight": weights.get(pair, 1.0)},
-            )
-            for pair, response in zip(pairs, responses, strict=True)
-        )
-        return Sum(tuple(parts))
-
 
 @frozen
-class Problem(Addable, metaclass=_OneOrSeveral):
+class Problem(Addable):
     """One model, one set of data, one criterion.
 
     Parameters
@@ -117,9 +62,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     data : FrequencyResponse, Record or TransientSpectrum
         Its signals have the names of the model's inputs and outputs. Outputs that a record or a
         spectrum lacks are not compared. Read files with `gb.read_response` or `gb.read`; for more
-        than one record, see `several`. Several responses of the model, in a list, a matrix or by
-        pair, ``{"p/lat": response}`` or ``{("p", "lat"): response}`` (output, input), make a `Sum`
-        with one part for each, named by its pair; see `gb.data.read_responses`.
+        than one record or response, see `several`.
     criterion : Criterion or TimeCriterion, optional
         By default `RelativeError` (4.26) for a response and `OutputError` for a record or a
         spectrum; a spectrum takes `EquationError` as well. In a sum with a likelihood the default
@@ -143,10 +86,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     rename : mapping of name to name
         Other names of parameters in the answer. Added problems share parameters with equal names.
     weight : float
-        Factor on this problem's cost in a sum; by pair, ``{"p/lat": 2}``, for several responses. A
-        record whose errors stay correlated deserves less than one, next to data whose errors do
-        not: a note of the fit names the value. Costs with weights other than one are not
-        likelihoods, so comparisons have no AIC.
+        Factor on this problem's cost in a sum. A record whose errors stay correlated deserves less
+        than one, next to data whose errors do not: a note of the fit names the value. Costs with
+        weights other than one are not likelihoods, so comparisons have no AIC.
     name : str
         A label; by default that of the data.
     bounds : mapping of name to (float, float)
@@ -161,9 +103,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         `Parameter(prior=...)`. The estimate is then the maximum a posteriori one, and
         `Fit.prior_share` is the share of the prior in the information. Criteria must be
         likelihoods; the default for a response is then `RelativeLikelihood`.
-
-    band : mapping of pair to (float, float), rad/s
-        For several responses: the frequencies to fit of some pairs, ``{"p/lat": (0.5, 10)}``.
 
     Raises
     ------
@@ -203,7 +142,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         require_kind("model", self.model, Model, cure)
         data = self.data
         if not isinstance(data, FrequencyResponse | Record | TransientSpectrum):
-            raise TypeError(f"data is {_wrong_data(data)}.")
+            raise TypeError(f"data is {described(data)}.")
         usual, kind, place = OutputError(), TimeCriterion, "a record or a TransientSpectrum"
         if isinstance(data, FrequencyResponse):
             # In records and spectra of manoeuvres too, a hold is not a part of the model.
@@ -242,7 +181,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         if not self.name:
             model, data = self.model, self.data
             has_several = len(model.input_names) * len(model.output_names) > 1
-            pair = _pair(data) if has_several and isinstance(data, FrequencyResponse) else ""
+            pair = data.pair if has_several and isinstance(data, FrequencyResponse) else ""
             vars(self)["name"] = data.name or pair or model.label
 
     def _added_by_criterion(self) -> Parameters:
@@ -494,63 +433,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         return one_line(
             self, repr(self.name), f"{self.model.label} to {self.data!r:.60}", self.criterion.name
         )
-
-
-def _pair(response: FrequencyResponse) -> str:
-    return f"{response.output}/{response.input}" if response.output and response.input else ""
-
-
-def _responses_by_pair(given: Any) -> list[FrequencyResponse]:
-    """Return the responses of a list, a matrix or a mapping by pair; none for other data."""
-    if isinstance(given, Mapping):
-        responses = []
-        for pair, response in given.items():
-            names = pair if isinstance(pair, tuple) else str(pair).split("/", 1)
-            output, input = names if len(names) == 2 else ("", "")
-            if not (output and input and isinstance(response, FrequencyResponse)):
-                return []
-            responses.append(replace(response, output=output, input=input))
-        return responses
-    if isinstance(given, np.ndarray):
-        given = given.ravel().tolist()
-    if not isinstance(given, list | tuple):
-        return []
-    rows = [row if isinstance(row, list | tuple) else (row,) for row in given]
-    # A pair that was not measured is None in a matrix.
-    responses = [item for row in rows for item in row if item is not None]
-    return responses if all(isinstance(r, FrequencyResponse) for r in responses) else []
-
-
-def _wrong_data(given: Any) -> str:
-    """Describe data of a wrong kind, with the cure."""
-    if isinstance(given, Recording):
-        first = next(iter(given), "MESSAGE")
-        return (
-            f"a log with the messages {', '.join(given):.200}: give one of its records, such as "
-            f"log[{first!r}], or what gb.prepare(log, {{name: 'MESSAGE.Field'}}) makes of several"
-        )
-    if isinstance(given, str | Path):
-        path = str(given)
-        return (
-            f"the path {path!r}: read the file first, gb.read_response({path!r}) for a frequency "
-            f"response or gb.read({path!r}) for records"
-        )
-
-    if isinstance(given, list | tuple):
-        return (
-            f"a list with {len(given)} in it: use gb.several(model, [...]), or gb.Record for arrays"
-        )
-    if isinstance(given, Mapping):
-        return (
-            f"a mapping with the keys {', '.join(map(repr, given)):.200}: give every "
-            "FrequencyResponse by its pair, such as {'p/lat': response} (output/input)"
-        )
-    if hasattr(given, "iloc"):
-        return "a pandas data frame: give gb.Record.from_pandas(frame)"
-    return (
-        f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum; of objects "
-        "of python-control, gb.interop.from_control(...) makes responses"
-    )
 
 
 def _call(function: ParameterFormula, p: Names, what: str) -> Any:
