@@ -18,6 +18,7 @@ from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings, Values, frozen
+from greybox.files.normalization import normalize
 from greybox.files.text_table import as_names, counted, is_finite_number, number
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
@@ -150,7 +151,7 @@ class TimeCriterion(AnyCriterion):
             )
 
         require_inputs(self.inputs)
-        vars(self)["biases"] = as_names(self.biases)
+        normalize(self, biases=as_names(self.biases))
         if not isinstance(self.initial, Mapping):
             raise TypeError(
                 f"initial is {self.initial!r:.60}: give {{state: value or function of the "
@@ -337,7 +338,7 @@ class PredictionError(TimeCriterion):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        vars(self)["process_noise"] = as_names(self.process_noise)
+        normalize(self, process_noise=as_names(self.process_noise))
         if not isinstance(self.disturbance, Mapping) or {*self.disturbance.values()} - {"colored"}:
             raise ValueError(f"disturbance is {self.disturbance!r}: give {{state: 'colored'}}.")
         if self.driven() and self.corrected:
