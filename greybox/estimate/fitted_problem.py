@@ -7,6 +7,7 @@ from greybox.files.arrays import Fields, Named
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
+from greybox.formulation.time_criteria import ERRORS
 from greybox.solve.robust_fit import with_pseudo_values
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
@@ -43,8 +44,8 @@ def problem_of(fit: Fit) -> AnyProblem:
     Raises
     ------
     ValueError
-        If it has a prior, ties, constraints, values of an earlier fit, or a criterion of your own
-        or with functions.
+        If it has a prior, ties, constraints, values of an earlier fit, errors of your own, or a
+        criterion of your own or with functions.
     LookupError
         If a loaded fit does not know its model.
     """
@@ -67,6 +68,7 @@ def problem_of(fit: Fit) -> AnyProblem:
             "constraints": part.constraints,
             f"{', '.join(uncertain)} from an earlier fit": uncertain,
             f"the criterion {part.criterion}": part.criterion_class not in KINDS,
+            "errors of your own": part.settings.get("errors", "normal") not in ERRORS,
             "a function for an initial state": any(isinstance(v, str) for v in initial.values()),
         }
         for what, present in obstacles.items():

@@ -40,3 +40,4 @@ from greybox.formulation.time_criteria import (
     PredictionError as PredictionError,
     TimeCriterion as TimeCriterion,
 )
+from greybox.statistics.error_distribution import ErrorDistribution as ErrorDistribution
