@@ -27,7 +27,7 @@ from greybox.solve.interruption import (
     take_interrupt,
 )
 from greybox.solve.multistart import BATCHED, SEARCHES
-from greybox.solve.runs import RunStorageError
+from greybox.solve.run_storage import RunStorageError
 from greybox.study.store import StoredRuns, folder_beside, is_study, runs_beside
 
 EXAMPLES = (

@@ -146,12 +146,8 @@ class Record(Printed):
         # Without a time, rows may be in any order.
         with np.errstate(over="ignore"):
             steps = np.diff(time)
-        back = np.flatnonzero(steps <= 0)
-        if back.size and self.has_time:
-            raise ValueError(
-                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): sort the "
-                "samples and remove duplicates."
-            )
+        if self.has_time:
+            _require_increasing(time, steps)
         if self.has_time and out_of_range(steps).any():
             step = steps[np.argmax(out_of_range(steps))]
             raise ValueError(
@@ -558,3 +554,19 @@ def _read_only(values: ArrayLike, name: str) -> Array:
         if is_frozen and not values.flags.writeable:
             return values
     return checked_array(name, values)
+
+
+def _require_increasing(time: Array, steps: Array) -> None:
+    """Raise ValueError if times (n,), with these `steps` (n - 1,), do not increase."""
+    back = np.flatnonzero(steps <= 0)
+    if not back.size:
+        return
+    cure = "sort the samples"
+    if not steps[back].any():
+        cure = (
+            "two samples have one time. Remove samples that are stored twice; give replicates as "
+            "one record each, gb.several(model, [first, second])"
+        )
+    raise ValueError(
+        f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): {cure}."
+    )

@@ -37,7 +37,7 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, solver_for
-from greybox.solve.runs import RunStorage
+from greybox.solve.run_storage import RunStorage
 from greybox.solve.search import search_minima
 
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.known_directions import KnownDirections
 from greybox.files.arrays import (
     Array,
     ArrayPair,

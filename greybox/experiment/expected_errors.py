@@ -3,7 +3,8 @@
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import accuracy_at, propagate
+from greybox.estimate.accuracy import propagate
+from greybox.estimate.covariance import accuracy_at
 from greybox.files.arrays import Array, NamedStrings, Strings, Values, by_name, frozen, unique
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem

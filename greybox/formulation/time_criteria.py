@@ -8,7 +8,7 @@ assumption, which every result reports with the size of its effect.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, get_args
 
@@ -17,7 +17,15 @@ import numpy as np
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Labels, NamedStrings, StringPair, Strings, Values, frozen
+from greybox.files.arrays import (
+    Labels,
+    NamedStrings,
+    StringPair,
+    Strings,
+    Values,
+    attributes,
+    frozen,
+)
 from greybox.files.normalization import normalize
 from greybox.files.text_table import as_names, counted, is_finite_number, number
 from greybox.formulation.criterion import AnyCriterion
@@ -149,10 +157,11 @@ class TimeCriterion(AnyCriterion):
                         f"noise gives {name!r} the value {sigma!r}: give a standard deviation "
                         "above 0."
                     )
-        elif self.noise not in ("diagonal", "full"):
+        # An array has no truth value, with which a word could be compared.
+        elif not (isinstance(self.noise, str) and self.noise in ("diagonal", "full")):
             raise ValueError(
-                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard "
-                "deviation}."
+                f"noise {self.noise!r:.60} is not known: use 'diagonal', 'full' or {{output: "
+                "standard deviation}."
             )
 
         require_inputs(self.inputs)
@@ -182,6 +191,12 @@ class TimeCriterion(AnyCriterion):
             return f"{self.rule}, given variances"
         estimated = "variances" if self.noise == "diagonal" else "covariance"
         return f"{self.rule}, estimated {estimated}"
+
+    def contains(self, other: AnyCriterion) -> bool:
+        """Return whether this is the `other` criterion, perhaps with more biases."""
+        if not isinstance(other, TimeCriterion) or not {*other.biases} <= {*self.biases}:
+            return False
+        return self == replace(other, biases=self.biases)
 
     def disturbed(self, model: Model, record: Record) -> Model:
         """Return the model with the states of the disturbances that the criterion assumes."""
@@ -408,6 +423,21 @@ class PredictionError(TimeCriterion):
                 about=f"standard deviation of the noise of {output}",
             )
         return result
+
+    def contains(self, other: AnyCriterion) -> bool:
+        """Return whether this is the `other` criterion, perhaps with more gains or noise."""
+        # Without gains and without process noise it is output error.
+        if isinstance(other, OutputError):
+            return OutputError(self.noise, self.inputs, self.biases, self.initial).contains(other)
+        if not isinstance(other, PredictionError):
+            return False
+
+        if self.driven() or other.driven():
+            has_all = set() < {*other.driven()} <= {*self.driven()}
+        else:  # without names, all states are corrected
+            has_all = not self.corrected or set() < {*other.corrected} <= {*self.corrected}
+        own = attributes(self, "corrected", "process_noise", "disturbance")
+        return has_all and super().contains(replace(other, **own))
 
     def driven(self) -> Strings:
         """Return the states with process noise."""

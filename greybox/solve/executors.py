@@ -49,7 +49,8 @@ from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import Stored
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.local_solver import Runner
-from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Memory, Outcome, Outcomes, has_raised
+from greybox.solve.run_storage import Memory
+from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Outcome, Outcomes, has_raised
 
 Batch = list[tuple[int, Array]]
 Made = Iterator[tuple[int, Array, Outcome]]

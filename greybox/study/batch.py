@@ -49,7 +49,8 @@ from greybox.solve.interruption import (
 from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
-from greybox.solve.runs import Outcome, RunStorageError
+from greybox.solve.run_storage import RunStorageError
+from greybox.solve.runs import Outcome
 from greybox.study.data_file import UnreadableError
 from greybox.study.ranking import held_out_error
 from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, is_study, locked

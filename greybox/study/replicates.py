@@ -21,7 +21,9 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
+from greybox.estimate.accuracy import Accuracy
+from greybox.estimate.covariance import known_covariances
+from greybox.estimate.part_accuracy import PartAccuracy
 from greybox.files.arrays import (
     Array,
     Arrays,

@@ -41,7 +41,8 @@ from greybox.files.json_numbers import parsed
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, listed, one_line
 from greybox.solve.interruption import Response, responding
-from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome, RunStorage, RunStorageError
+from greybox.solve.run_storage import RunStorage, RunStorageError
+from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
 from greybox.study.answer import LONGEST, checked_answer
 from greybox.study.ownership import as_bytes, mark
 
