@@ -2,6 +2,7 @@
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
+from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Fields, Named
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
@@ -36,6 +37,11 @@ def compiled_again(
         )
 
     return with_pseudo_values(nlp, fit.minima[0].estimate)
+
+
+def has_included_criterion(part: FittedPart) -> bool:
+    """Return whether the criterion of a part, and the errors that it assumes, are of greybox."""
+    return part.criterion_class in KINDS and part.settings.get("errors", "normal") in ERRORS
 
 
 def problem_of(fit: Fit) -> AnyProblem:

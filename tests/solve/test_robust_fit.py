@@ -86,9 +86,14 @@ def test_a_distribution_of_ones_own_has_the_estimate_of_scipy_and_the_errors_of_
     assert list(fit.estimate.values()) == pytest.approx(beta, rel=1e-4)
     assert list(fit.standard_error.values()) == pytest.approx(errors, rel=1e-3)
     assert "large errors softly bounded" in gb.OutputError(errors=SoftErrors()).description
+    # A smaller fit with normal errors is no special case of it.
+    held = gb.Problem(Line(), gb.Record(None, {"x": x, "y": y}), fixed={"a": 2.0})
+    smaller = gb.fit(held, starts=[{}], progress=False)
+    with pytest.raises(ValueError, match="differ in their criteria"):
+        gb.validation.nested_test(smaller, fit)
     # What a fit does not store is refused where it would be needed.
     with pytest.raises(ValueError, match="has errors of your own, which it does not store"):
-        gb.profile(fit, "slope")
+        gb.profile(fit, "b")
 
 
 def test_an_included_distribution_is_equal_to_its_name():
