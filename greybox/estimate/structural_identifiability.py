@@ -34,6 +34,7 @@ from greybox.files.arrays import (
 from greybox.files.text_table import Printed, as_names, counted, listed, require_kind
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
+from greybox.formulation.several import several
 from greybox.formulation.time_criteria import OutputError
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import Model, ParameterFormula, require_known
@@ -268,7 +269,8 @@ def _of_responses(
             ones = np.ones(FREQUENCIES, dtype=complex)
             responses.append(FrequencyResponse(omega, ones, input, output))
 
-    stated = Problem(model, responses, SquaredRelativeError("model"), at=at, **options)
+    criterion = SquaredRelativeError("model")
+    stated = several(model, responses, criterion=criterion, at=at, **options)
     nlp = compile_problem(stated)
     x = array_of(values, nlp.free)
     # A response of zero at all frequencies would count every parameter as lost.

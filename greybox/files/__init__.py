@@ -4,6 +4,7 @@ Begin with `text_table`.
 
 | file | contents |
 | --- | --- |
+| `normalization` | fields of a frozen value in their final form |
 | `arrays` | types of numpy arrays for annotations; whether they are finite, parts, lengths |
 | `text_table` | tables and numbers as people read them, also in notebooks |
 | `delimited_text` | tables of numbers in files: separator, decimal mark, units, comments, facts |

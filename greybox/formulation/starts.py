@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, Values
+from greybox.files.normalization import normalize
 from greybox.files.text_table import counted, is_finite_number, one_line, require_whole
 from greybox.modeling.parameter import Parameters
 
@@ -143,7 +144,8 @@ class Chained(Starts):
 
     def __post_init__(self) -> None:
         """Take over the seed."""
-        vars(self)["seed"] = next((rule.seed for rule in self.rules if rule.seed is not None), None)
+        seeds = (rule.seed for rule in self.rules if rule.seed is not None)
+        normalize(self, seed=next(seeds, None))
 
     def __repr__(self) -> str:
         return one_line(self, str(self))

@@ -26,11 +26,14 @@ from greybox.files.arrays import (
     attributes,
     frozen,
 )
+from greybox.files.normalization import normalize
 from greybox.files.text_table import as_names, counted, is_finite_number, number
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.parameter import Parameter
+from greybox.statistics.error_distribution import ErrorDistribution, NormalErrors
+from greybox.statistics.huber import HuberErrors
 
 Inputs = Literal["record", "linear", "held"]
 """How inputs vary between their samples: as the record says, or all of them in one way."""
@@ -79,6 +82,9 @@ def described_inputs(inputs: Inputs, names: Labels, record: Record) -> NamedStri
 
     return result
 
+
+ERRORS: dict[str, ErrorDistribution] = {"normal": NormalErrors(), "huber": HuberErrors()}
+"""The included distributions of errors by name."""
 
 ROWS_CONDITION = "independent errors of equal variance in each output"
 SPECTRUM_CONDITION = (
@@ -158,7 +164,7 @@ class TimeCriterion(AnyCriterion):
             )
 
         require_inputs(self.inputs)
-        vars(self)["biases"] = as_names(self.biases)
+        normalize(self, biases=as_names(self.biases))
         if not isinstance(self.initial, Mapping):
             raise TypeError(
                 f"initial is {self.initial!r:.60}: give {{state: value or function of the "
@@ -171,6 +177,11 @@ class TimeCriterion(AnyCriterion):
                     f"initial gives {name!r} the value {value!r}: give a finite number or a "
                     "function of the parameters."
                 )
+
+    @property
+    def error_distribution(self) -> ErrorDistribution:
+        """How the errors of the outputs are distributed."""
+        return ERRORS["normal"]
 
     @property
     def description(self) -> str:
@@ -261,7 +272,8 @@ class OutputError(TimeCriterion):
 
     Parameters
     ----------
-    errors : "normal" or "huber"
+    errors : "normal", "huber" or ErrorDistribution
+        How the errors are distributed, see `gb.formulation.ErrorDistribution` for one of your own.
         With "huber", errors beyond 1.345 standard deviations count as 1.345, so that outliers of a
         sensor do not decide the estimate; the standard deviation follows from the median. Standard
         errors are those of this M-estimator, with 5 % more variance for normal errors. The cost is
@@ -278,20 +290,31 @@ class OutputError(TimeCriterion):
     True
     """
 
-    errors: Literal["normal", "huber"] = "normal"
+    errors: Literal["normal", "huber"] | ErrorDistribution = "normal"
     rule = "output error"
 
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if self.errors not in ("normal", "huber"):
-            raise ValueError(f"errors is {self.errors!r}: give 'normal' or 'huber'.")
+        if isinstance(self.errors, ErrorDistribution):
+            # An included one has its name, so that both statements are equal and can be stored.
+            names = [name for name, included in ERRORS.items() if included == self.errors]
+            normalize(self, errors=names[0] if names else self.errors)
+        elif self.errors not in [*ERRORS]:
+            raise ValueError(
+                f"errors is {self.errors!r}: give 'normal', 'huber' or an ErrorDistribution."
+            )
+
+    @property
+    def error_distribution(self) -> ErrorDistribution:
+        """How the errors of the outputs are distributed."""
+        return ERRORS[self.errors] if isinstance(self.errors, str) else self.errors
 
     @property
     def description(self) -> str:
         """The rule in words."""
-        bounded = "" if self.errors == "normal" else ", large errors bounded"
-        return super().description + bounded
+        words = self.error_distribution.description
+        return f"{super().description}, {words}" if words else super().description
 
     def condition_on(self, data: Any) -> str:
         """Return the condition; errors of rows without a time cannot be correlated."""
@@ -351,7 +374,7 @@ class PredictionError(TimeCriterion):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        vars(self)["process_noise"] = as_names(self.process_noise)
+        normalize(self, process_noise=as_names(self.process_noise))
         if not isinstance(self.disturbance, Mapping) or {*self.disturbance.values()} - {"colored"}:
             raise ValueError(f"disturbance is {self.disturbance!r}: give {{state: 'colored'}}.")
         if self.driven() and self.corrected:

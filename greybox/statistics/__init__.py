@@ -6,6 +6,7 @@ time.
 | file | contents |
 | --- | --- |
 | `metrics` | measures of fit; tests of whiteness, of correlation with the input, and of feedback |
+| `error_distribution` | how errors are distributed, and how much large ones count |
 | `huber` | large errors bounded, for robust estimates |
 | `noise_ratio` | whether a signal is smooth or noise |
 | `residual_autocorrelation` | autoregressions of one series |

@@ -366,7 +366,7 @@ def _key(member: Member, *, formulas_alone: bool = False) -> str:
     with suppress(Exception):
         if formulas_alone:
             return value_fingerprint(formulas)
-        stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
+        stated = [[getattr(p, field.name) for field in fields(p) if field.init] for p in parts]
         return value_fingerprint((formulas, stated, by.method, by.search, dict(by.options)))
     return ""
 

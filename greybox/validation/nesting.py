@@ -5,7 +5,7 @@ class leaves it open, the formulas must be the same where the further parameters
 """
 
 from greybox.estimate.fitted_part import FittedPart
-from greybox.estimate.fitted_problem import KINDS
+from greybox.estimate.fitted_problem import KINDS, has_included_criterion
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Labels, StringPair, Values, frozen, selected, without
 from greybox.files.text_table import listed
@@ -100,7 +100,7 @@ def _contains_criterion(large: FittedPart, small: FittedPart) -> bool:
     if large.has_criterion_of(small):
         return True
     # A fit knows a criterion of the user's by its name and settings alone.
-    if not {large.criterion_class, small.criterion_class} <= {*KINDS}:
+    if not (has_included_criterion(large) and has_included_criterion(small)):
         return False
 
     def criterion(part: FittedPart) -> AnyCriterion:

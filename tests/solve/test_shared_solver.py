@@ -58,7 +58,7 @@ def test_the_fit_of_a_wrong_model_ends_at_a_minimum_from_nearly_every_start(star
             errors = 0.03 * random.normal(size=(2, omega.size))
             measured = exact * (1 + errors[0] + 1j * errors[1])
             responses.append(gb.FrequencyResponse(omega, measured, input=u, output=y))
-    problem = gb.Problem(Hover(), responses, fixed={"L_lon": 0.0, "M_lat": 0.0, "M_p": 0.0})
+    problem = gb.several(Hover(), responses, fixed={"L_lon": 0.0, "M_lat": 0.0, "M_p": 0.0})
 
     fit = gb.fit(problem, starts=starts, profiles=False, progress=False)
     assert fit.agreeing >= starts - 1

@@ -9,7 +9,8 @@ from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.largest_deviation import SIZE
 from greybox.files.arrays import Array, FloatPair
 from greybox.files.text_table import listed, number
-from greybox.statistics.huber import bounded, robust_deviation
+from greybox.statistics.error_distribution import robust_deviation
+from greybox.statistics.huber import HuberErrors
 from greybox.statistics.metrics import is_resolved
 
 
@@ -52,7 +53,8 @@ def outlying_samples(evidence: Evidence) -> Findings:
             count = np.count_nonzero(size > -stdtrit(0.37 * samples, SIZE / 2 / samples))
             if not count:
                 continue
-            gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
+            (bounded,) = HuberErrors().pseudo_errors([residual])
+            gain = np.nanmean(residual**2) / np.nanmean(bounded**2)
             # At this factor on the variance standard errors are 12 % larger. Normal errors have
             # 0.95.
             if gain > 1.25:
