@@ -181,9 +181,9 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
     If the standard errors are called rough, the interval of that row does not count.
     """
     holds, scaled, rough = [], [], []
-    for error, residuals, weighted, initial in _fits(plant, errors, samples, repeats, seed):
+    for error, residuals, weighted, initial in fits(plant, errors, samples, repeats, seed):
         size = np.sqrt(np.mean(residuals**2, axis=1))[:, None, None]
-        profiled = _without(weighted / size, initial / size)
+        profiled = without(weighted / size, initial / size)
         inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", profiled, profiled))
         root = np.linalg.cholesky(inverse)
         unit = np.linalg.inv(
@@ -206,7 +206,7 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
     return Cell(plant, errors, samples, np.array(holds), np.array(scaled), np.array(rough))
 
 
-def _fits(
+def fits(
     plant: Plant, errors: Errors, n: int, repeats: int, seed: int
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Yield the errors of the parameters, the residuals, and both Jacobians."""
@@ -227,7 +227,7 @@ def _fits(
             yield estimate[: by_parameter.shape[1]], residuals, by_parameter, by_state
 
 
-def _without(sensitivity: Array, initial: Array) -> Array:
+def without(sensitivity: Array, initial: Array) -> Array:
     """Return the sensitivities with the initial states following."""
     k, p, n = sensitivity.shape
     columns = sensitivity.transpose(0, 2, 1).reshape(k * n, p)

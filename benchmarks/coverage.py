@@ -27,7 +27,8 @@ from scipy.special import stdtrit
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import accuracy_at, degrees, propagate
+from greybox.estimate.accuracy import degrees, propagate
+from greybox.estimate.covariance import accuracy_at
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt

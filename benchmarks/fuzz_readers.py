@@ -3,13 +3,17 @@
 None may hang, crash the process, print, or raise anything but a sentence.
 
 python benchmarks/fuzz_readers.py [--count 20000] [--seed 0] [--entry read|inspect]
-    [--only 4711] [--kinds bin tlog]
+    [--only 4711] [--kinds bin tlog] [--unguarded]
 
 All inputs go through one process, each with a time limit. They are sound files of every format (up
 to 200 kB) after one to four mutations; number N of a seed is always the same input, so that
 ``--only N`` reproduces it, and ``--keep FILE`` writes it. A sound outcome is a recording, or a
 ValueError or OSError of one line (for the command line: exit status 0, 1 or 2). If the process
 dies, the file named by ``--progress`` says at which number.
+
+``--unguarded`` shows what the subprocess of HDF5 and MATLAB files is for. Each file is read in a
+fork of this process instead, and counted by how the fork ends: by a signal, such as SIGXCPU after
+5 s of processor time, or with more than 600 MB of memory. Linux only.
 """
 
 import argparse
@@ -19,6 +23,7 @@ import importlib
 import io
 import os
 import platform
+import resource
 import signal
 import sys
 import tempfile
@@ -29,6 +34,7 @@ from collections.abc import Callable
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -266,6 +272,51 @@ def fuzz(
     return counts, failures, slow
 
 
+ENDS = ("read", "refused", "memory")  # by the exit status of a fork
+
+
+def unguarded(numbers: range, seed: int) -> Counter:
+    """Read damaged HDF5 and MATLAB files in forks, without the limits; count how these end."""
+    files, counts = seeds(), Counter()
+    named_arrays = importlib.import_module("greybox.logs.readers.named_arrays")
+    named_arrays.read_in_subprocess = importlib.import_module("read_here").read_here
+    for name in ("h5py", "scipy.io"):
+        importlib.import_module(name)  # once, not in every fork
+    with tempfile.TemporaryDirectory() as folder:
+        for number in numbers:
+            suffix, data = mutated(np.random.default_rng((seed, number)), files, [".h5", ".mat"])
+            path = Path(folder) / f"damaged{suffix}"
+            path.write_bytes(data)
+            fork = os.fork()
+            if not fork:
+                _read_and_exit(str(path))
+            status = os.waitpid(fork, 0)[1]
+            is_killed = os.WIFSIGNALED(status)
+            end = signal.Signals(os.WTERMSIG(status)).name if is_killed else None
+            counts[suffix, end or ENDS[os.WEXITSTATUS(status)]] += 1
+            path.unlink()
+    return counts
+
+
+def _read_and_exit(path: str) -> NoReturn:
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (5, 6))
+    resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    end = "read"
+    try:
+        greybox.logs.readers.read(path)
+    except MemoryError:
+        end = "memory"
+    except BaseException:  # whatever the libraries raise
+        end = "refused"
+    if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > 600_000:  # kB
+        end = "memory"
+    os._exit(ENDS.index(end))
+
+
 def inspect(path: str) -> object:
     """Run the command line's entry point."""
     return importlib.import_module("greybox.cli.main").main(["inspect", path])
@@ -307,15 +358,25 @@ def main():
     parser.add_argument("--kinds", nargs="+", help="suffixes of the sound files to start from")
     parser.add_argument("--limit", type=float, default=LIMIT, help="s for one input")
     parser.add_argument("--progress", type=Path, help="file that names the input under way")
+    parser.add_argument("--unguarded", action="store_true", help="HDF5 and MATLAB, in forks")
     options = parser.parse_args()
     entry = greybox.logs.readers.read if options.entry == "read" else inspect
     numbers = (
         range(options.count) if options.only is None else range(options.only, options.only + 1)
     )
     began = time.perf_counter()
-    found = fuzz(
-        entry, numbers, options.seed, options.limit, options.kinds, options.progress, options.keep
-    )
+    if options.unguarded:
+        found = (unguarded(numbers, options.seed), [], [])
+    else:
+        found = fuzz(
+            entry,
+            numbers,
+            options.seed,
+            options.limit,
+            options.kinds,
+            options.progress,
+            options.keep,
+        )
     versions = ", ".join(
         f"{name} {version(name)}" for name in ("greybox-id", "pymavlink", "h5py", "scipy", "numpy")
     )
@@ -325,6 +386,13 @@ def main():
         f"{len(numbers)} inputs, seed {options.seed}, through {options.entry}, {seconds:.0f} s, "
         f"{LARGEST} bytes at most"
     )
+    if options.unguarded:
+        print(
+            "\n".join(
+                f"{n:6}  {kind or 'none'} {end}" for (kind, end), n in sorted(found[0].items())
+            )
+        )
+        return
     report(*found)
     sys.exit(1 if found[1] else 0)
 

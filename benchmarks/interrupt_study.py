@@ -118,7 +118,7 @@ def many_responses():
         noise = draw.standard_normal(20) + 1j * draw.standard_normal(20)
         measured = exact.response * (1 + 0.02 * noise)
         responses.append(gb.FrequencyResponse(omega, measured, input=pair[0], output=pair[1]))
-    return gb.Problem(model, responses)
+    return gb.several(model, responses)
 
 
 def members():

@@ -172,7 +172,7 @@ def case(title, truth, outputs, noise, seeds):
             for k, i in pairs
         ]
         began = time.process_time()
-        problem = gb.Problem(model, data, criterion=gb.SquaredRelativeError())
+        problem = gb.several(model, data, criterion=gb.SquaredRelativeError())
         fit = gb.fit(problem, profiles=False, progress=False)
         seconds.append(time.process_time() - began)
         at_minimum += fit.cost <= minimum * (1 + 1e-6)

@@ -137,6 +137,39 @@ def with_priors(problem):
 """,
     ),
     Fault(
+        "a tied parameter keeps its start",
+        "class Problem(",
+        """
+_right_values = Problem.local_values
+def _local_values(self, values):
+    model, formulas = self.model, self.tied
+    starts = {name: model.parameters[name].start for name in formulas}
+    vars(self)["tied"] = {name: lambda _, start=start: start for name, start in starts.items()}
+    try:
+        return _right_values(self, values)
+    finally:
+        vars(self)["tied"] = formulas
+Problem.local_values = _local_values
+""",
+    ),
+    Fault(
+        "ties of one part serve the others",
+        "class Problem(",
+        """
+_right_values = Problem.local_values
+_formulas = {}
+def _local_values(self, values):
+    formulas = self.tied
+    first = {name: _formulas.setdefault((self.model, name), tie) for name, tie in formulas.items()}
+    vars(self)["tied"] = first
+    try:
+        return _right_values(self, values)
+    finally:
+        vars(self)["tied"] = formulas
+Problem.local_values = _local_values
+""",
+    ),
+    Fault(
         "delays are half a sample too long",
         "def input_over_step(",
         """

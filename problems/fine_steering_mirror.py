@@ -50,5 +50,5 @@ def problem(level=300):
     """Return four modes behind one delay, with the gains of those above, at one level."""
     signals = ("u1", "u2", "u3"), ("y1", "y2", "y3")
     model = FlexibleModes(MODES, GAINS, *signals, delay=5e-4)
-    stated = gb.Problem(model, data(level), criterion=gb.MaximumLikelihood())
+    stated = gb.several(model, data(level), criterion=gb.MaximumLikelihood())
     return stated.with_(name="modes of a steering mirror")

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from importlib import import_module
 
 import pytest
+from core_tests import core_tests
 from hypothesis import settings
 
 sys.dont_write_bytecode = False
@@ -48,7 +49,11 @@ settings.register_profile("steady", derandomize=True, deadline=None, database=No
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
+    # Before pytest leaves out what `-m` does not name.
+    for item in core_tests(items):
+        item.add_marker("core")
     items.sort(key=lambda item: item.path.name not in FIRST)
 
 

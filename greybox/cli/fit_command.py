@@ -27,7 +27,7 @@ from greybox.solve.interruption import (
     take_interrupt,
 )
 from greybox.solve.multistart import BATCHED, SEARCHES
-from greybox.solve.runs import RunStorageError
+from greybox.solve.run_storage import RunStorageError
 from greybox.study.database import is_study
 from greybox.study.stored_runs import StoredRuns, folder_beside, runs_beside
 

@@ -29,7 +29,7 @@ subject MODEL|RESULT
 --free
 --model
 """
-STRUCTURE = ("model", "data", "identifiable", "groups", "combinations")
+STRUCTURE = ("model", "data", "identifiable", "groups", "combinations", "reasons")
 DATA = (
     "names",
     "insensitivity",

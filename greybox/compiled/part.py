@@ -313,7 +313,7 @@ class Part(Portable, ABC):
         return self
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "Part":
-        """Return the part with pseudo-values as data, if its large errors are bounded."""
+        """Return the part with pseudo-values as data, if its errors are not normal."""
         return self
 
     # --- for the covariance of the estimate

@@ -180,7 +180,7 @@ def record_model(
         weight=float(problem.weight),
         biases=tuple(criterion.biases),
         corrects_states=criterion.corrects_states,
-        has_bounded_errors=criterion.settings.get("errors") == "huber",
+        has_bounded_errors=not criterion.error_distribution.is_normal,
         has_time=record.has_time,
         is_prior=criterion.is_prior,
         method=method,

@@ -26,7 +26,6 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.cached_property import cached_property
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
-from greybox.statistics.huber import bounded
 
 
 class RecordPart(SegmentedPart):
@@ -80,12 +79,13 @@ class RecordPart(SegmentedPart):
         return self.with_data(replace(self.data, stretches=stretches))
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
-        """Return the part with pseudo-values as outputs, if its large errors are bounded."""
+        """Return the part with pseudo-values as outputs, if its errors are not normal."""
         if not self.model.has_bounded_errors:
             return self
         model = self.data.unpadded(self.simulated_outputs(trajectory))
         stretches = zip(self.data.stretches, model, strict=True)
-        errors = bounded([stretch.outputs - y for stretch, y in stretches])
+        distribution = self.model.criterion.error_distribution
+        errors = distribution.pseudo_errors([stretch.outputs - y for stretch, y in stretches])
         return self.with_outputs([y + e for y, e in zip(model, errors, strict=True)])
 
     @one_thread_at_a_time

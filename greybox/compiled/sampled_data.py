@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.clock import JITTER, decimal_tick, off_uniform
+from greybox.data.clock import EXACT, JITTER, decimal_tick, off_uniform
 from greybox.data.record import Record, unrounded
 from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
@@ -34,11 +34,6 @@ WHOLE = 1e-3
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest
 # before it: longer than a command at a quarter of the logging rate is held.
 REST = 5
-
-
-# Share of a step by which samples may be off uniform ones and still count as uniform: steps of a
-# log are not known more precisely. Times that are further off count as they are.
-EXACT = 1e-3
 
 # Share of a unit of the stamps by which they are off the clock that they round; the rest is for its
 # rate, which is estimated from them.
@@ -407,7 +402,7 @@ def gapless(
         rows = np.flatnonzero(complete_inputs)
         return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
-    time = record.time if record.clock.is_periodic else unrounded(record).time
+    time = unrounded(record).time
     leads = np.broadcast_to(lead, len(inputs))
     keeps = np.broadcast_to(np.asarray(held, dtype=bool), len(inputs))
     # Where rows are lost although the input is known, a line follows it best.

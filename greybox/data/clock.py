@@ -5,9 +5,10 @@ input is known, and a model runs on. Where *rows are lost* the input is unknown,
 begins, with initial states of its own. The rule is this:
 
 1. A clock within a quarter of a step of a uniform one has no holes. Nor has a schedule, a change of
-   rate, or an irregular clock; nor has a clock in coarse stamps, whose steps are one and two quanta
-   where the clock itself is uniform. Unless they are the stamps of a clock that loses every k-th
-   row, which nobody can tell, the uniform clock counts in their place.
+   rate, or an irregular clock; nor has a clock in coarse stamps, whose steps are two neighboring
+   multiples of a tick where the clock itself is uniform: the uniform clock counts in their place.
+   A clock that loses a row at equal intervals has the same stamps, of one and two ticks, and its
+   signals are smoother on these.
 2. A *hole* is a step of more than one and a half of the usual steps before it and of those after
    it. In an irregular clock, it is three times longer than any of its neighbors.
 3. The input is known across a hole if there is no input; if it has the same value on both sides and
@@ -18,6 +19,7 @@ begins, with initial states of its own. The rule is this:
 """
 
 import math
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -31,6 +33,10 @@ Gaps = Literal["auto", "bridge", "cut"]
 # Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest
 # to its own place.
 JITTER = 0.25
+
+# Share of a step by which samples may be off uniform ones and still count as uniform: steps of a
+# log are not known more precisely.
+EXACT = 1e-3
 
 # In usual steps: halfway between a step and that across one lost row.
 LONG = 1.5
@@ -46,12 +52,18 @@ FEWEST = 3
 # Times the longest neighbor: of 10 000 random (exponential) steps, one is that long.
 LONG_IN_IRREGULAR = 3.0
 
-# Steps of two quanta (or of one, where these are rarer) that show a clock in coarse stamps, and in
-# each block that is compared with a uniform clock; and the share of the samples in blocks that fit.
-# Of 300 clocks of 60 to 300 samples that had lost 10 or 30 % of their rows, one fitted by chance;
-# of clocks of 75 Hz in stamps of 10 ms that had lost 5 %, 95 % fit.
-RARER = 6
-FITTING = 0.7
+# Tick of coarse stamps in the shortest of their steps, at least: finer ones are off by 0.1 steps.
+COARSE = 0.19
+# The rarer ones of both steps in a block of stamps that is compared with a uniform clock, and the
+# fewest that show one. Of 1000 schedules, or clocks that had lost rows at random, at most 4 fitted
+# by chance; of clocks of 75 Hz in stamps of 10 ms that had lost 5 % of their rows, 96 % fitted.
+RARER = 8
+FEWEST_RARER = 4
+
+# Blocks that are compared in a long record.
+BLOCKS = 2000
+# By how many standard deviations more than half of the long steps must speak for lost rows.
+CLEAR = 3.0
 
 # Error of a line across lost rows, in standard deviations of the input, up to which the input is
 # known: less than the error of most models.
@@ -67,21 +79,21 @@ class Clock:
     Attributes
     ----------
     step : float, s
-        The usual step: the median, or the mean of a clock in coarse stamps; NaN for one sample.
+        The usual step: the median, or that of the clock which coarse stamps round; NaN for one
+        sample.
     kind : str
         "uniform", "rounded" (a uniform clock in coarse stamps), "regular" (steps are mostly whole
         multiples of the usual one), or "irregular".
     holes : (h,) int array
         Rows after which rows are missing.
-    is_periodic : bool
-        Of coarse stamps: whether a clock that loses every k-th row would have the same. Its stamps
-        then count as they are; otherwise the uniform clock does.
+    tick : float, s
+        The unit of coarse stamps; zero for other clocks.
     """
 
     step: float
     kind: Literal["uniform", "rounded", "regular", "irregular"]
     holes: IntArray
-    is_periodic: bool = False
+    tick: float = 0.0
 
 
 def require_gaps(gaps: str) -> None:
@@ -121,14 +133,26 @@ def decimal_tick(time: Array) -> float:
     return 0.0
 
 
-def clock_of(time: Array) -> Clock:
-    """Return the clock of times (n,), strictly increasing."""
+def clock_of(time: Array, signals: Sequence[Array] = ()) -> Clock:
+    """Return the clock of times (n,), strictly increasing.
+
+    Smooth signals (n,) that were sampled then tell lost rows from coarse stamps.
+    """
     nothing = np.zeros(0, dtype=int)
     median = median_step(time)
-    if off_uniform(time) <= JITTER:
+    off = off_uniform(time)
+    if off <= EXACT:
         return Clock(median, "uniform", nothing)
 
     steps = np.diff(time)
+    step, tick = _rounded_step(steps)
+    # A clock that loses most of its rows is none.
+    if tick and not (step < LONG * tick and _smoother_on(time, signals, tick)):
+        longest = max(steps.min() + 1.5 * tick, LONG * step)
+        return Clock(step, "rounded", np.flatnonzero(steps > longest), tick)
+    if off <= JITTER:
+        return Clock(median, "uniform", nothing)
+
     places = np.arange(steps.size)
     if np.mean(_off_whole(steps / median)) > 0.1:
         # With two rates, the median is one of them: the steps around each are its measure.
@@ -145,13 +169,7 @@ def clock_of(time: Array) -> Clock:
     here, usual = steps[places], np.fmax(before, after)
     is_long = here > LONG * np.where(np.isfinite(usual), usual, np.inf)
     is_long &= _has_neighbors(steps, places, usual, before, after)
-    holes = places[is_long]
-    quantum = steps.min()
-    if rate := _rounded_step(time, steps, quantum):
-        spacing = np.diff(np.flatnonzero(steps > LONG * quantum))
-        is_periodic = bool(spacing.min() > 1 and np.ptp(spacing) == 0)
-        return Clock(rate, "rounded", holes[steps[holes] > ONE_LOST * quantum], is_periodic)
-    return Clock(median, "regular", holes)
+    return Clock(median, "regular", places[is_long])
 
 
 def _off_whole(parts: Array) -> BoolArray:
@@ -196,37 +214,93 @@ def _long_in_irregular(steps: Array) -> IntArray:
     return places[steps[places] > LONG_IN_IRREGULAR * longest]
 
 
-def _rounded_step(time: Array, steps: Array, quantum: float) -> float:
-    """Return the step of a uniform clock whose stamps are whole quanta, or 0 for another clock.
+def _rounded_step(steps: Array) -> tuple[float, float]:
+    """Return the step of a uniform clock in coarse stamps and their unit, or zeros for others.
 
-    Where rows are lost at random, one and two quanta follow one another at random. In the stamps of
-    a uniform clock they alternate so that every stamp is within half a quantum of the clock.
+    Where rows are lost at random, steps (n,) of one and two ticks follow one another at random. In
+    the stamps of a uniform clock, two neighboring multiples of a tick alternate so that a straight
+    line is within half a tick of every stamp. That is tried in blocks, because a clock may drift
+    and lose rows.
     """
-    quanta = steps / quantum
-    within = quanta < ONE_LOST
-    if np.any(np.abs(quanta - np.round(quanta))[within] > 0.05):
-        return 0.0
-    two = np.count_nonzero(within & (quanta > LONG))
-    one = np.count_nonzero(within) - two
-    if min(one, two) < RARER:
-        return 0.0
+    shortest = float(steps.min())
+    longer = steps[steps > (1 + COARSE / 2) * shortest]
+    tick = float(longer.min()) - shortest if longer.size else 0.0
+    # The shortest step is one tick to five.
+    if not COARSE <= tick / shortest < 1.1:
+        return 0.0, 0.0
+    ticks = np.round(steps / tick)
+    within = steps < shortest + 1.5 * tick
+    if np.any(np.abs(steps / tick - ticks)[within] > 0.05):
+        return 0.0, 0.0
+    two = within & (steps > shortest + tick / 2)
+    one = within & ~two
+    rarer = np.flatnonzero(two if np.count_nonzero(two) < np.count_nonzero(one) else one)
+    size = min(RARER, rarer.size)
+    if size < FEWEST_RARER:
+        return 0.0, 0.0
 
-    # In blocks, because a clock may drift against its mean rate, and lose rows.
-    length = math.ceil(RARER * (one + two) / min(one, two))
-    places = np.arange(time.size)
-    piece = np.concatenate([[0], np.cumsum(~within)])
-    begins = np.flatnonzero(np.diff(piece, prepend=-1))
-    within_piece = places - np.repeat(begins, np.diff(begins, append=time.size))
-    block = np.cumsum(within_piece % length == 0) - 1
-    firsts = np.flatnonzero(np.diff(block, prepend=-1))
+    # A block has so many of the rarer steps in a row, and reaches to the next ones, or to a hole.
+    ends = np.concatenate([[-1], np.flatnonzero(~within), [steps.size]])
+    piece = np.searchsorted(ends, rarer)
+    rank = np.arange(rarer.size) - np.searchsorted(piece, piece)
+    firsts = np.flatnonzero(rank % size == 0)
+    firsts = firsts[firsts + size <= rarer.size]
+    firsts = firsts[piece[firsts] == piece[firsts + size - 1]]
+    if not firsts.size:
+        return 0.0, 0.0
+    firsts = firsts[evenly_spread(firsts.size, BLOCKS)]
+    around = np.concatenate([[-1], rarer, [steps.size]])
+    begins = np.maximum(around[firsts] + 1, ends[piece[firsts] - 1] + 1)
+    stops = np.minimum(around[firsts + size + 1], ends[piece[firsts]])
 
-    step = float(steps[within].mean())
-    errors = time - time[0] - step * places
-    width = np.maximum.reduceat(errors, firsts) - np.minimum.reduceat(errors, firsts)
-    counts = np.diff(firsts, append=time.size)
-    # The rest of 1.1: the mean rate is not that of the block.
-    fits = counts[width <= 1.1 * quantum].sum() > FITTING * time.size
-    return step if fits else 0.0
+    # The stamps that are furthest off a line are next to the rarer steps.
+    inside = rarer[firsts[:, None] + np.arange(size)]
+    corners = np.concatenate([begins[:, None], inside, inside + 1, stops[:, None]], axis=1)
+    stamps = np.concatenate([[0.0], np.cumsum(ticks)])[corners]
+    apart = corners[:, None, :] - corners[:, :, None]
+    rise = stamps[:, None, :] - stamps[:, :, None]
+    with np.errstate(divide="ignore"):
+        # A tenth for the digits of the stamps.
+        lowest = np.where(apart > 0, (rise - 1.1) / apart, -np.inf).max(axis=(1, 2))
+        highest = np.where(apart > 0, (rise + 1.1) / apart, np.inf).min(axis=(1, 2))
+    fits = lowest <= highest
+    if 2 * np.count_nonzero(fits) <= fits.size:
+        return 0.0, 0.0
+    return float(steps[within].mean()), tick
+
+
+def _smoother_on(time: Array, signals: Sequence[Array], tick: float) -> bool:
+    """Return whether signals (n,) are clearly smoother on these times (n,) than on uniform ones.
+
+    Where steps are of one and two ticks, rows are lost then. Values beside unlike steps are
+    compared, and the signal that says most decides.
+    """
+    steps = np.diff(time)
+    within = steps < 2.5 * tick
+    unlike = np.abs(np.diff(steps)) > tick / 2
+    places = np.flatnonzero(within[1:] & within[:-1] & unlike) + 1
+    share = steps[places - 1] / (steps[places - 1] + steps[places])
+
+    evidence = 0.0
+    for values in signals:
+        uneven, uniform = (_off_lines(values, places, s) for s in (share, 0.5 + 0 * share))
+        # Both ends of a long step have errors in common.
+        excess = np.add.reduceat(uniform - uneven, np.arange(0, places.size, 2))
+        told = excess[excess != 0]
+        if told.size:
+            deviations = float(np.sign(told).sum()) / math.sqrt(told.size)
+            evidence = max(evidence, deviations, key=abs)
+    return evidence > CLEAR
+
+
+def _off_lines(values: Array, places: IntArray, share: Array) -> Array:
+    """Return the squared errors (p,) of values (n,) from lines between their neighbors.
+
+    Lines are evaluated at their `share` (p,). Unit: variance of white noise; zero if unknown.
+    """
+    before, here, after = (values[places + k] for k in (-1, 0, 1))
+    error = here - (1 - share) * before - share * after
+    return np.nan_to_num(np.square(error) / (1 + np.square(1 - share) + np.square(share)))
 
 
 def runs_between_holes(time: Array, clock: Clock, longest: float = 0.0) -> list[IntArray]:
@@ -265,10 +339,9 @@ def described_gaps(time: Array, clock: Clock, cut: int, gaps: Gaps) -> str:
         if clock.kind == "uniform":
             return ""
         if clock.kind == "rounded":
-            others = " (or every k-th row is lost)" if clock.is_periodic else ""
             return (
-                f"stamps of {1e3 * steps.min():.4g} ms that round a clock of {1 / clock.step:.5g} "
-                f"Hz{others}: the model runs on"
+                f"stamps of {1e3 * clock.tick:.4g} ms that round a clock of {1 / clock.step:.5g} "
+                "Hz: the model runs on"
             )
         return f"steps of {steps.min():.4g} to {steps.max():.4g} s, in which no row is missing"
 

@@ -171,6 +171,11 @@ class FrequencyResponse(Printed):
         return self.omega.size
 
     @property
+    def pair(self) -> str:
+        """Output and input, such as ``"p/lat"``; empty if one of them has no name."""
+        return f"{self.output}/{self.input}" if self.output and self.input else ""
+
+    @property
     def independent_share(self) -> Array:
         """Share of the variance that is independent from point to point, (n,)."""
         if self.common_errors is None or self.variance is None:

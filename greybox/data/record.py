@@ -120,12 +120,8 @@ class Record(Printed):
         # Without a time, rows may be in any order.
         with np.errstate(over="ignore"):
             steps = np.diff(time)
-        back = np.flatnonzero(steps <= 0)
-        if back.size and self.has_time:
-            raise ValueError(
-                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): sort the "
-                "samples and remove duplicates."
-            )
+        if self.has_time:
+            _require_increasing(time, steps)
         if self.has_time and out_of_range(steps).any():
             step = steps[np.argmax(out_of_range(steps))]
             raise ValueError(
@@ -181,7 +177,8 @@ class Record(Printed):
         """The usual step, and where rows are missing; a step of 1 for rows without a time."""
         if not self.has_time:
             return Clock(1.0, "uniform", np.zeros(0, dtype=int))
-        return clock_of(self.time)
+        smooth = [x for name, x in self.signals.items() if self.hold.get(name, 0.0) == 0.0]
+        return clock_of(self.time, smooth)
 
     @property
     def step(self) -> float:
@@ -485,12 +482,11 @@ def unrounded(record: Record) -> Record:
     if record.clock.kind != "rounded":
         return record
     times = record.time.copy()
-    quantum = float(np.diff(times).min())
     for rows in record.independent_pieces:
         # The best line through the stamps.
         ticks, stamps = (values - values.mean() for values in (rows, record.time[rows]))
         step = ticks @ stamps / max(float(ticks @ ticks), 1.0)
-        if np.abs(stamps - step * ticks).max() < 0.75 * quantum:
+        if np.abs(stamps - step * ticks).max() < 0.75 * record.clock.tick:
             times[rows] = record.time[rows].mean() + step * ticks
     return replace(record, time=times)
 
@@ -534,3 +530,19 @@ def _read_only(values: ArrayLike, name: str) -> Array:
         if is_frozen and not values.flags.writeable:
             return values
     return checked_array(name, values)
+
+
+def _require_increasing(time: Array, steps: Array) -> None:
+    """Raise ValueError if times (n,), with these `steps` (n - 1,), do not increase."""
+    back = np.flatnonzero(steps <= 0)
+    if not back.size:
+        return
+    cure = "sort the samples"
+    if not steps[back].any():
+        cure = (
+            "two samples have one time. Remove samples that are stored twice; give replicates as "
+            "one record each, gb.several(model, [first, second])"
+        )
+    raise ValueError(
+        f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): {cure}."
+    )

@@ -17,6 +17,11 @@ Begin with `fit`.
 | `fitted_problem` | the problem again, from its answer |
 | `quantities` | estimates, tied values and derived quantities with their standard errors |
 | `covariance` | standard errors from the sandwich, for all criteria |
+| `accuracy`, `part_accuracy` | the covariance as a value, and what each part adds to it |
+| `active_limits` | which bounds and constraints hold, and which directions they leave |
+| `known_directions` | what the data determine, also where they leave directions open |
+| `combinations` | combinations of parameters that the data do not determine |
+| `prior_shares` | the share of priors in the information |
 | `identifiability` | how well each parameter is determined; combinations that are, or are not |
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
@@ -28,6 +33,7 @@ Begin with `fit`.
 | `repeated_inputs` | what repeats in the residuals with the inputs |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
 | `profile` | likelihood profiles, by minima with a quantity held, and where they end |
+| `held_minima` | minima with a quantity held, the points of a profile |
 | `profile_result` | the profiles as values |
 | `largest_deviation` | the point of a response that deviates most |
 | `wrapped_outputs` | outputs that jump by a full turn |

@@ -7,23 +7,19 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from greybox.estimate.accuracy import Accuracy
 from greybox.estimate.checks.evidence import Evidence
-from greybox.estimate.covariance import (
-    Accuracy,
-    accuracy_at,
-    directions_beside,
-    known_directions,
-    prior_shares,
-)
+from greybox.estimate.covariance import accuracy_at, directions_beside, known_directions
 from greybox.estimate.fitted_values import fitted_part
-from greybox.estimate.identifiability import KnownDirections
-from greybox.estimate.quantities import quantities
+from greybox.estimate.known_directions import KnownDirections
+from greybox.estimate.prior_shares import prior_shares
+from greybox.estimate.quantities import parameter_values, quantities
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.version import __version__
 from greybox.formulation.prior_part import stated_priors
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.solve.minima import agreeing_runs
+from greybox.solve.minima import agreeing_runs, best_unfinished
 from greybox.solve.search import Search
 
 
@@ -49,6 +45,7 @@ def estimate_at_minimum(search: Search) -> Evidence:
         for part, trajectory in zip(nlp.parts, accuracy.trajectories, strict=True)
     )
     at = np.array([line.value for line in lines[: len(slopes)]])
+    unfinished = None if found.minima else best_unfinished(found.runs)
 
     fit = Fit(
         name=nlp.problem.name,
@@ -76,6 +73,7 @@ def estimate_at_minimum(search: Search) -> Evidence:
         directions=_directions(search, accuracy, at, slopes),
         priors={n: pair for p in stated_priors(nlp.problem) for n, pair in p.stated.items()},
         prior_share=prior_shares(accuracy),
+        best_effort=unfinished and parameter_values(nlp, unfinished.estimate),
     )
     return Evidence(search, accuracy, fit)
 

@@ -40,7 +40,7 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, solver_for
-from greybox.solve.runs import RunStorage
+from greybox.solve.run_storage import RunStorage
 from greybox.solve.search import search_minima
 
 
@@ -90,7 +90,9 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     solver_options : mapping
         ``{"max_iter": 100, "tol": 1e-9}``, and all other options of IPOPT where IPOPT solves. For
         records, `tol` limits the decrease of the cost and half the squared length of a step in
-        standard errors, 1e-8 by default.
+        standard errors, 1e-8 by default. `max_iter` limits every run; that of records is continued
+        beyond it if it ends unfinished at the lowest cost, and begins again where its steps are too
+        long to be stable.
     executor : concurrent.futures.Executor, optional
         Makes the runs: `greybox.solve.WorkerPool(2)`, a `ProcessPoolExecutor`, Dask's
         ``client.get_executor()``; by default this process. The answer is the same.

@@ -93,6 +93,11 @@ class FittedPart(ABC):
         return ()
 
     @property
+    def sensor_noise(self) -> tuple[str, ...]:
+        """Names of the `added` parameters that other criteria estimate too, as variances."""
+        return ()
+
+    @property
     def compared(self) -> int:
         """Number of points, lines or samples that are compared with the model."""
         return len(self.data)
@@ -296,8 +301,13 @@ class FittedRecord(FittedPart):
         # With process noise the gains follow from the variances, which are estimated instead.
         noise = [f"K_{state}_{output}" for state, output in self.gains]
         if self.driven:
-            noise = [*(f"w_{state}" for state in self.driven), *(f"v_{y}" for y in self.outputs)]
+            noise = [*(f"w_{state}" for state in self.driven), *self.sensor_noise]
         return (*(f"{name}_bias" for name in self.biases), *noise)
+
+    @property
+    def sensor_noise(self) -> tuple[str, ...]:
+        """Names of the `added` parameters that are standard deviations of the outputs."""
+        return tuple(f"v_{output}" for output in self.outputs) if self.driven else ()
 
     def innovation_parameters(self, output: str) -> int:
         """Return the number of noise parameters that were fitted to the residuals of an output."""

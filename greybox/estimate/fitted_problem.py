@@ -5,10 +5,12 @@ from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
+from greybox.estimate.fitted_part import FittedPart
 from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
+from greybox.formulation.time_criteria import ERRORS
 from greybox.solve.robust_fit import with_pseudo_values
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
@@ -39,14 +41,19 @@ def compiled_again(
     return with_pseudo_values(nlp, fit.minima[0].estimate)
 
 
+def has_included_criterion(part: FittedPart) -> bool:
+    """Return whether the criterion of a part, and the errors that it assumes, are of greybox."""
+    return part.criterion_class in KINDS and part.settings.get("errors", "normal") in ERRORS
+
+
 def problem_of(fit: Fit) -> AnyProblem:
     """Return the problem of a fit, from the values of the fit.
 
     Raises
     ------
     ValueError
-        If it has a prior, ties, constraints, values of an earlier fit, or a criterion of your own
-        or with functions.
+        If it has a prior, ties, constraints, values of an earlier fit, errors of your own, or a
+        criterion of your own or with functions.
     LookupError
         If a loaded fit does not know its model.
     """
@@ -69,6 +76,7 @@ def problem_of(fit: Fit) -> AnyProblem:
             "constraints": part.constraints,
             f"{', '.join(uncertain)} from an earlier fit": uncertain,
             f"the criterion {part.criterion}": part.criterion_class not in KINDS,
+            "errors of your own": part.settings.get("errors", "normal") not in ERRORS,
             "a function for an initial state": any(isinstance(v, str) for v in initial.values()),
         }
         for what, present in obstacles.items():

@@ -1,105 +1,24 @@
-"""How well each parameter, and each combination of parameters, is determined.
-
-Combinations of parameters that the data do not determine, or determine poorly.
-"""
+"""How well each parameter is determined, and which combinations are although no member is."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, real_root, sum_of_squares, unit_length
+from greybox.estimate.known_directions import BLIND, KnownDirections
+from greybox.files.arrays import Array, unit_length
 from greybox.files.frozen_values import frozen
-from greybox.files.grouping import unique
 from greybox.files.numbers_in_text import number, with_error
 from greybox.files.printed import Printed, one_line
 from greybox.files.text_table import text_table
 from greybox.files.wording import counted
-from greybox.statistics.column_space import triangle_of
 
 # Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
 # Identification, ch. 12.
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
-
-
-@frozen
-class KnownDirections:
-    """The information of the data on parameters, also where they leave directions open.
-
-    Attributes
-    ----------
-    covariance : (p, p) array
-        Covariance of the estimate within the directions that the data determine, without NaN.
-    unseen : (p, b) array
-        Directions, in multiples of `size`, on which the data contain no information.
-    size : (p,) array
-        The change of each parameter that the data notice.
-    at : (p,) array
-        The estimate.
-    elsewhere : KnownDirections or None
-        The same of the free parameters at a point near the estimate, if a direction is unseen. It
-        distinguishes a product from a sum, whose derivatives agree where both factors are equal.
-    """
-
-    covariance: Array
-    unseen: Array
-    size: Array
-    at: Array
-    elsewhere: "KnownDirections | None" = None
-
-    def of(self, places: Sequence[int]) -> "KnownDirections":
-        """Return the directions of the parameters at these places alone.
-
-        `elsewhere` is None if one of them is fixed or tied: it has the free parameters only, which
-        come first.
-        """
-        beside = self.elsewhere
-        if beside is not None:
-            are_free = max(places, default=0) < len(beside.at)
-            beside = beside.of(places) if are_free else None
-        return KnownDirections(
-            self.covariance[np.ix_(places, places)],
-            self.unseen[places],
-            self.size[places],
-            self.at[places],
-            beside,
-        )
-
-    @property
-    def is_known(self) -> BoolArray:
-        """Whether each value counts as exact (p,): constants, and parameters that a bound holds."""
-        return (np.diag(self.covariance) == 0) & ~self.unseen.any(axis=1)
-
-    @property
-    def correlation(self) -> Array:
-        """Correlation matrix (p, p); NaN for a parameter without a standard error."""
-        errors = self.errors(np.eye(len(self.at)))
-        errors = np.where(errors > 0, errors, np.nan)
-        return self.covariance / np.outer(errors, errors)
-
-    @property
-    def matrix(self) -> Array:
-        """The inverse covariance in multiples of size; zero along unseen directions."""
-        scaled = self.covariance / np.outer(self.size, self.size)
-        values, vectors = np.linalg.eigh(scaled)
-        lost = np.linalg.matrix_rank(self.unseen) if self.unseen.size else 0
-        # Directions without information have the smallest eigenvalues: zero except for rounding.
-        seen = vectors[:, lost:]
-        return (seen / np.maximum(values[lost:], 1e-300)) @ seen.T
-
-    def errors(self, gradients: Array) -> Array:
-        """Return the standard errors (m,) of quantities by their gradients (m, p); NaN if open."""
-        variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
-        scaled = gradients * self.size
-        lost = np.abs(scaled @ self.unseen) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
-        return np.where(lost.any(axis=1), np.nan, real_root(variance))
-
-    def gradients(self, rows: Array, is_product: BoolArray) -> Array:
-        """Return gradients (m, p) of logarithms of products of powers `rows` (m, p), or of sums."""
-        return rows / np.where(is_product[:, None] & (self.at != 0), self.at, 1.0)
 
 
 @dataclass(frozen=True)
@@ -366,108 +285,3 @@ def _text(of: Identifiability) -> Iterator[str]:
 
 def _percent(share: float) -> str:
     return "no effect" if math.isinf(share) else number(100 * share, 3)
-
-
-BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
-
-
-@dataclass(frozen=True)
-class Combination:
-    """Parameters that the data determine only together.
-
-    Attributes
-    ----------
-    names : tuple of str
-        The parameters involved, the most affected first.
-    index : float
-        Collinearity index: 1 / smallest singular value of the Jacobian with columns scaled to unit
-        length; infinite when the data do not see the combination at all. Above 10 to 20 parameters
-        compensate one another. Source: Brun, Reichert and Künsch (2001), Water Resources Research
-        37(4).
-    directions : int
-        In how many directions the parameters move without effect.
-    states : tuple of str
-        States whose unknown initial values take part.
-    """
-
-    names: tuple[str, ...]
-    index: float
-    directions: int = 1
-    states: tuple[str, ...] = ()
-
-    @property
-    def members(self) -> tuple[str, ...]:
-        """The parameters and the initial states, in words."""
-        return (*self.names, *(f"the initial state of {name}" for name in self.states))
-
-
-def invisible_groups(
-    invisible: Array, size: Array, names: tuple[str, ...], initial: Sequence[Mapping[str, Array]]
-) -> tuple[Combination, ...]:
-    """Return the groups of parameters that move without effect in `invisible` directions (p, b).
-
-    Directions without a common parameter are different groups, however the directions are mixed.
-    """
-    if not invisible.any():
-        return ()  # as of most fits, without the import
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415  (imports slowly)
-
-    # The projector does not depend on how the singular vectors mix equal singular values.
-    projector = invisible @ invisible.T
-    # No parameter that takes part has an error, however small its part is.
-    places = np.flatnonzero(np.diag(projector) > BLIND**2)
-    linked = np.abs(projector[np.ix_(places, places)]) > BLIND
-    count, labels = connected_components(linked)
-    groups = []
-
-    for label in range(count):
-        group = places[labels == label].tolist()
-        members = sorted(group, key=lambda k: (-round(float(projector[k, k]), 6), k))
-        block = projector[np.ix_(members, members)]
-        moves = np.zeros((len(names), len(members)))
-        moves[members] = block * size[members, None]
-        states = unique(
-            state
-            for of_part in initial
-            for state, follow in of_part.items()
-            # Initial states that change by less than this share take no part.
-            if np.any(np.abs(follow[:, : len(names)] @ moves) > 1e-3)
-        )
-        directions = max(round(float(np.trace(block))), 1)
-        members_by_name = tuple(names[k] for k in members)
-        groups.append(Combination(members_by_name, math.inf, directions, states))
-
-    return tuple(sorted(groups, key=lambda group: names.index(group.names[0])))
-
-
-def collinear_groups(
-    jacobian: Array,
-    active: Array,
-    names: tuple[str, ...],
-    at_bound: Sequence[str],
-    invisible: Array,
-) -> tuple[Combination, ...]:
-    """Return combinations whose effects nearly cancel, apart from `invisible` ones (p, b).
-
-    Singular vectors of the same parameters are one combination, with the largest index. `active`
-    (a, p) has the gradients of active constraints.
-    """
-    rows = np.vstack([jacobian, active])
-    inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
-    # Columns of unit length: the index measures how parallel effects are, not how large.
-    unit = np.vstack([unit_length(jacobian[:, inside], 0), unit_length(active[:, inside], 1)])
-    _, singular, rows = np.linalg.svd(triangle_of(unit), full_matrices=True)
-    singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
-    # The smallest singular values belong to the invisible directions, which have groups already.
-    seen = len(rows) - round(sum_of_squares(invisible[inside]))
-    groups: dict[frozenset[str], Combination] = {}
-
-    for value, row in zip(singular[:seen][::-1], np.abs(rows[:seen][::-1]), strict=True):
-        if value > 1 / 20:  # above an index of 20 parameters hardly compensate one another
-            break
-        # Rounding must not order what takes part alike.
-        order = np.argsort(-row.round(3), kind="stable")
-        group = tuple(names[inside[i]] for i in order if row[i] > 0.2 * row.max())
-        groups.setdefault(frozenset(group), Combination(group, float(1 / max(value, 1e-300))))
-
-    return tuple(groups.values())

@@ -16,7 +16,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
-from greybox.estimate.covariance import active_constraints
+from greybox.estimate.active_limits import active_constraints
 from greybox.estimate.misfit import EXACT, FALSE_ALARMS, LARGE, NOTICED, Cause, Misfit, Shape
 from greybox.estimate.misfit_regression import (
     STEP,

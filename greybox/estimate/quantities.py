@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
-from greybox.estimate.covariance import Accuracy, degrees, propagate
+from greybox.estimate.accuracy import Accuracy, degrees, propagate
 from greybox.estimate.result import Quantity
 from greybox.files.arrays import Array
 from greybox.files.named_values import attributes
@@ -69,6 +69,14 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
     unknown = np.isnan(errors[: len(covariance)])
     covariance[unknown | unknown[:, None]] = np.nan
     return tuple(lines), covariance, of_parameters
+
+
+def parameter_values(nlp: CompiledProblem, x: Array) -> dict[str, float]:
+    """Return free, fixed and tied parameters by name, where the free ones are `x` (p,)."""
+    tied = (formula.name for formula in formulas(nlp.problem) if formula.kind == "tied")
+    names = (*nlp.names, *tied)
+    values = quantity_function(nlp, names)(nlp.all_values(x)).full()
+    return dict(zip(names, values.ravel().tolist(), strict=True))
 
 
 @one_thread_at_a_time

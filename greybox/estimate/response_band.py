@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.known_directions import KnownDirections
 from greybox.files.arrays import Array, ComplexArray, real_and_imaginary, real_root
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values

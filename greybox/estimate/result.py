@@ -17,7 +17,8 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.record import NOT_STORED, Record
 from greybox.estimate.at_estimate import at_estimate, part_index
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.identifiability import Identifiability, KnownDirections, identifiability
+from greybox.estimate.identifiability import Identifiability, identifiability
+from greybox.estimate.known_directions import KnownDirections
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import details, summary, text
 from greybox.estimate.profile_result import Profiles
@@ -29,7 +30,11 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.files.argument_checks import require_kind
-from greybox.files.arrays import AnyArray, Array, Interval
+from greybox.files.arrays import (
+    AnyArray,
+    Array,
+    Interval,
+)
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
 from greybox.files.named_values import Values, attributes, places_of
@@ -44,7 +49,7 @@ from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.rational import Rational, rational
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.solve.minima import Minimum, Multistart, best_unfinished
+from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Runs
 
 
@@ -142,6 +147,10 @@ class Fit(Printed):
     misfit : Misfit or None
         Whether the model explains the data, and what it may lack; None where that cannot be
         decided.
+    best_effort : mapping of name to float, or None
+        Values of free, fixed and tied parameters at the end of the best run of a failed fit. They
+        are not an estimate and have no errors. None if a run converged, or if no run ended at a
+        finite cost.
     warnings, notes : tuple of str
         Reasons to doubt the estimate; and remarks.
     seed, starts, seconds, versions
@@ -188,6 +197,7 @@ class Fit(Printed):
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     prior_share: Values = field(default_factory=dict)
     misfit: Misfit | None = None
+    best_effort: Values | None = None
     command: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
 
@@ -296,24 +306,6 @@ class Fit(Printed):
     def estimate(self) -> dict[str, float]:
         """Values of free, fixed and tied parameters by name."""
         return {q.name: q.value for q in self.quantities if q.kind != "derived"}
-
-    @property
-    def best_effort(self) -> dict[str, float] | None:
-        """Values of free and fixed parameters at the end of the best run of a failed fit, by name.
-
-        They are not an estimate and have no errors. None if a run converged, or if no run ended
-        at a finite cost.
-        """
-        run = None if self.converged else best_unfinished(self.runs)
-        if run is None:
-            return None
-
-        ended = dict(zip(self.free, run.estimate.tolist(), strict=True))
-        return {
-            q.name: ended.get(q.name, q.value)
-            for q in self.quantities
-            if q.kind in ("free", "fixed")
-        }
 
     @property
     def derived(self) -> dict[str, float]:

@@ -32,7 +32,7 @@ from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 from greybox.solve.runs import Runs
 
-LAYOUT = 10
+LAYOUT = 11
 DAMAGES = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
 # A model of the user, or what contains some

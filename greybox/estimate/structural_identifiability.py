@@ -1,7 +1,7 @@
 """Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
@@ -11,26 +11,30 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.estimate.combinations import Combination, invisible_groups
 from greybox.estimate.covariance import informations
-from greybox.estimate.identifiability import (
-    Combination,
-    KnownDirections,
-    identifiability,
-    invisible_groups,
-)
+from greybox.estimate.identifiability import identifiability
+from greybox.estimate.known_directions import KnownDirections
 from greybox.files.argument_checks import as_names, require_kind
-from greybox.files.arrays import Array, BoolArray, all_finite, positive_or_one
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    all_finite,
+    positive_or_one,
+)
 from greybox.files.frozen_values import frozen
 from greybox.files.named_values import Values, array_of
 from greybox.files.printed import Printed
 from greybox.files.wording import counted, listed
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
+from greybox.formulation.several import several
 from greybox.formulation.time_criteria import OutputError
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import dynamics
+from greybox.modeling.symbolic_reading import RAMP, limited_parameters, switching_parameters
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.statistics.column_space import beside
 
@@ -38,6 +42,15 @@ POINTS = 3  # at which the rank is computed: at one of them it may be smaller by
 FREQUENCIES = 40  # drawn for each pair: they give more numbers than any structure has parameters
 BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
 STRETCHES = 4  # that it has, each from its own initial state
+# After the name of a parameter: a slope of zero is no proof that it has no effect.
+IN_A_SWITCH = (
+    "enters only through a switch or a rounding, which has no slope: neither this test nor a "
+    f"solver sees its effect. {RAMP}"
+)
+BEYOND_A_SWITCH = (
+    "has no effect on what was tried here, but its formula has a switch (a limit, a dead zone) "
+    "beyond which it may have one: fix it, unless the data go there."
+)
 # Sizes of inputs and initial states that are tried until nothing grows out of what formulas are
 # made for, then shorter records too: a tank without its inflow is soon empty.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
@@ -60,6 +73,8 @@ class StructuralIdentifiability(Printed):
         Combinations of such parameters that are determined, products and sums, such as ``K1 K2``.
     data : str
         The assumed measurements, in words.
+    reasons : mapping of parameter to str
+        Why this test saw no effect of a parameter in `groups`, if formulas contain it in a switch.
     """
 
     model: str
@@ -67,6 +82,7 @@ class StructuralIdentifiability(Printed):
     groups: tuple[Combination, ...]
     combinations: tuple[str, ...]
     data: str
+    reasons: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def identifiable(self) -> tuple[str, ...]:
@@ -86,7 +102,8 @@ class StructuralIdentifiability(Printed):
         for group in self.groups:
             members = group.members
             if len(members) == 1:
-                yield f"  {members[0]} has no effect: fix it or remove it."
+                reason = self.reasons.get(members[0], "has no effect: fix it or remove it.")
+                yield f"  {members[0]} {reason}"
             else:
                 cure = "one" if group.directions == 1 else str(group.directions)
                 yield f"  {listed(members)} cannot be separated: fix {cure} of them."
@@ -118,7 +135,8 @@ def structural_identifiability(
     function, or an ODE at an operating point `at`, these are sensitivities of the frequency
     responses of all pairs at 40 frequencies. For any other ODE they are those of the outputs of a
     record with random inputs and unknown initial states. A parameter that moves without an effect
-    at the point of the largest rank is not identifiable. The test is local: two lags that can be
+    at the point of the largest rank is not identifiable; `reasons` names those whose effect a
+    switch in their formula may hide. The test is local: two lags that can be
     swapped count as identifiable, because every small change of them has an effect.
 
     Parameters
@@ -183,12 +201,15 @@ def structural_identifiability(
     units = [best.nlp.problem.parameters[name].unit for name in names]
     judged = identifiability(names, units, directions, ())
     lost = {name for group in groups for name in group.names}
+    reasons = dict.fromkeys(limited_parameters(model), BEYOND_A_SWITCH)
+    reasons |= dict.fromkeys(switching_parameters(model), IN_A_SWITCH)
     return StructuralIdentifiability(
         model=model.label,
         names=names,
         groups=groups,
         combinations=tuple(c.formula for c in judged.combinations if set(c.names) <= lost),
         data=f"the {'response' if in_frequency else 'time history'} of {listed(chosen)}",
+        reasons={name: reason for name, reason in reasons.items() if name in lost},
     )
 
 
@@ -242,7 +263,8 @@ def _of_responses(
             ones = np.ones(FREQUENCIES, dtype=complex)
             responses.append(FrequencyResponse(omega, ones, input, output))
 
-    stated = Problem(model, responses, SquaredRelativeError("model"), at=at, **options)
+    criterion = SquaredRelativeError("model")
+    stated = several(model, responses, criterion=criterion, at=at, **options)
     nlp = compile_problem(stated)
     x = array_of(values, nlp.free)
     # A response of zero at all frequencies would count every parameter as lost.

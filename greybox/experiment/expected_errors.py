@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import accuracy_at, propagate
+from greybox.estimate.accuracy import propagate
+from greybox.estimate.covariance import accuracy_at
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique

@@ -4,6 +4,7 @@ Begin with `arrays` and `argument_checks`, which nearly all other files use.
 
 | file | contents |
 | --- | --- |
+| `normalization` | fields of a frozen value in their final form |
 | `arrays` | types of numpy arrays for annotations; whether they are finite, parts, lengths |
 | `named_values` | values by name: some of them, and their places in arrays |
 | `frozen_values` | frozen dataclasses that hold arrays |

@@ -5,8 +5,11 @@ Begin with `problem`.
 | file | contents |
 | --- | --- |
 | `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
-| `several` | one problem for several records |
+| `several`, `several_responses` | one model for several records, or the responses of many pairs |
+| `unsupported_data` | what a problem cannot take as data, and the cure |
+| `resolved_parameters` | what of the parameters is free, fixed, tied and renamed |
 | `restated_parameter` | a parameter with other bounds or starts |
+| `parameter_formulas` | ties, constraints and derived quantities, tried before a search |
 | `sum` | `Sum`: problems solved at once, whose costs add; each record has its own biases |
 | `criterion` | what all criteria share |
 | `frequency_criteria` | the criteria for frequency responses |
@@ -37,3 +40,4 @@ from greybox.formulation.time_criteria import (
     PredictionError as PredictionError,
     TimeCriterion as TimeCriterion,
 )
+from greybox.statistics.error_distribution import ErrorDistribution as ErrorDistribution

@@ -94,6 +94,14 @@ class AnyCriterion(ABC):
             name: _plain(value) for name, value in vars(self).items() if not name.startswith("_")
         }
 
+    def contains(self, other: "AnyCriterion") -> bool:
+        """Return whether this is the `other` criterion, perhaps with further parameters.
+
+        These must have no effect where they are zero: fits by both criteria can then be compared by
+        a likelihood-ratio test.
+        """
+        return self == other
+
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented

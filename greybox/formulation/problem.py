@@ -1,100 +1,51 @@
 """A problem: a model, data and a criterion, with fixed, tied and renamed parameters."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from functools import cached_property, partial
-from inspect import Signature, signature
-from itertools import combinations
-from numbers import Real
+from functools import cached_property
 from operator import itemgetter
-from pathlib import Path
-from typing import Any, Self, TypeVar, overload
+from typing import Any, Self
 
 import casadi as ca
-import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import MULTIPLIED
-from greybox.data.record import Record, Recording
+from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import as_names, is_finite_number, require_kind
 from greybox.files.arrays import Interval
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, attributes, selected
+from greybox.files.named_values import Values
+from greybox.files.normalization import normalize
 from greybox.files.printed import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
-from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
-from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
-from greybox.formulation.restated_parameter import held_at, restated
+from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.parameter_formulas import (
+    evaluated,
+    require_expressions,
+    require_numbers,
+)
+from greybox.formulation.prior import Knowledge, NormalPrior
+from greybox.formulation.resolved_parameters import (
+    FixedValues,
+    ResolvedParameters,
+    StatedParameters,
+    resolved_parameters,
+)
 from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
-from greybox.formulation.sum import Addable, Sum
+from greybox.formulation.sum import Addable
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
+from greybox.formulation.unsupported_data import described
 from greybox.modeling.formula_arguments import Names
-from greybox.modeling.model import Model, ParameterFormula, require_known, require_operating_point
+from greybox.modeling.model import Model, ParameterFormula, require_operating_point
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, Parameters
 from greybox.modeling.realization import dynamics
-from greybox.modeling.symbolic_reading import called, require_no_nan
-
-_Stated = TypeVar("_Stated", bound="Problem")
-
-
-class _OneOrSeveral(type):
-    """Returns a problem, or for several responses of one model the sum of their problems."""
-
-    @property
-    def __signature__(cls) -> Signature:
-        return signature(partial(cls.__init__, None))
-
-    # A type checker takes the types of the options from the fields.
-    @overload
-    def __call__(
-        cls: "type[_Stated]",
-        model: Model,
-        data: FrequencyResponse | Record | TransientSpectrum,
-        *args: Any,
-        **options: Any,
-    ) -> "_Stated": ...
-
-    @overload
-    def __call__(
-        cls,
-        model: Model,
-        data: Mapping[str, FrequencyResponse] | Sequence[Any] | np.ndarray[Any, Any],
-        *args: Any,
-        **options: Any,
-    ) -> "Sum[Problem]": ...
-
-    def __call__(cls, model: Any = None, data: Any = None, *args: Any, **options: Any) -> Any:
-        problem = super().__call__
-        responses = _responses_by_pair(data)
-        if not responses:
-            if "band" in options:
-                raise TypeError("band is for several responses: cut one by .between(low, high).")
-            return problem(model, data, *args, **options)
-
-        weight, band = options.pop("weight", 1.0), options.pop("band", {})
-        pairs = [*map(_pair, responses)]
-        weights = weight if isinstance(weight, Mapping) else dict.fromkeys(pairs, weight)
-        for what in (weights, band):
-            require_known(what, pairs, "pair", "the list of responses")
-
-        parts = (
-            problem(
-                model,
-                response.between(*band[pair]) if pair in band else response,
-                *args,
-                **{"name": pair, **options, "weight": weights.get(pair, 1.0)},
-            )
-            for pair, response in zip(pairs, responses, strict=True)
-        )
-        return Sum(tuple(parts))
 
 
 @frozen
-class Problem(Addable, metaclass=_OneOrSeveral):
+class Problem(Addable):
     """One model, one set of data, one criterion.
 
     Parameters
@@ -105,9 +56,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     data : FrequencyResponse, Record or TransientSpectrum
         Its signals have the names of the model's inputs and outputs. Outputs that a record or a
         spectrum lacks are not compared. Read files with `gb.read_response` or `gb.read`; for more
-        than one record, see `several`. Several responses of the model, in a list, a matrix or by
-        pair, ``{"p/lat": response}`` or ``{("p", "lat"): response}`` (output, input), make a `Sum`
-        with one part for each, named by its pair; see `gb.data.read_responses`.
+        than one record or response, see `several`.
     criterion : Criterion or TimeCriterion, optional
         By default `RelativeError` (4.26) for a response and `OutputError` for a record or a
         spectrum; a spectrum takes `EquationError` as well. In a sum with a likelihood the default
@@ -131,10 +80,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     rename : mapping of name to name
         Other names of parameters in the answer. Added problems share parameters with equal names.
     weight : float
-        Factor on this problem's cost in a sum; by pair, ``{"p/lat": 2}``, for several responses. A
-        record whose errors stay correlated deserves less than one, next to data whose errors do
-        not: a note of the fit names the value. Costs with weights other than one are not
-        likelihoods, so comparisons have no AIC.
+        Factor on this problem's cost in a sum. A record whose errors stay correlated deserves less
+        than one, next to data whose errors do not: a note of the fit names the value. Costs with
+        weights other than one are not likelihoods, so comparisons have no AIC.
     name : str
         A label; by default that of the data.
     bounds : mapping of name to (float, float)
@@ -149,9 +97,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         `Parameter(prior=...)`. The estimate is then the maximum a posteriori one, and
         `Fit.prior_share` is the share of the prior in the information. Criteria must be
         likelihoods; the default for a response is then `RelativeLikelihood`.
-
-    band : mapping of pair to (float, float), rad/s
-        For several responses: the frequencies to fit of some pairs, ``{"p/lat": (0.5, 10)}``.
 
     Raises
     ------
@@ -184,54 +129,60 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     starts: Mapping[str, Interval] = field(default_factory=dict)
     prior: Mapping[str, Knowledge] | HeldEstimate = field(default_factory=dict)
 
+    # What follows from the fields above when the problem is made.
+    has_default_criterion: bool = field(init=False, repr=False)
+    resolved: ResolvedParameters = field(init=False, repr=False)
+
     def __post_init__(self) -> None:
-        """Fill in the defaults and check that everything fits together."""
+        """Fill in the defaults, check that everything fits together, and resolve the parameters."""
         is_class = isinstance(self.model, type)
         cure = "an instance such as Tilt(), not the class" if is_class else "a model, then the data"
         require_kind("model", self.model, Model, cure)
-        data = self.data
-        if not isinstance(data, FrequencyResponse | Record | TransientSpectrum):
-            raise TypeError(f"data is {_wrong_data(data)}.")
-        usual, kind, place = OutputError(), TimeCriterion, "a record or a TransientSpectrum"
-        if isinstance(data, FrequencyResponse):
-            # In records and spectra of manoeuvres too, a hold is not a part of the model.
-            vars(self)["data"] = data.without_hold()
-            usual, kind, place = RelativeError(), Criterion, "a frequency response"
-        self._fill_in_defaults(usual)
-        cure = f"a criterion such as {type(usual).__name__}(), for {place}"
-        require_kind("criterion", self.criterion, kind, cure)
+        if not isinstance(self.data, FrequencyResponse | Record | TransientSpectrum):
+            raise TypeError(f"data is {described(self.data)}.")
+
+        self._fill_in_defaults()
         if not is_finite_number(self.weight) or self.weight <= 0:
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
-
-        if isinstance(data, Record):
-            criterion: Any = self.criterion
-            vars(self)["model"] = criterion.disturbed(self.model, data)
-
         # An unknown word is refused here, not in the middle of a search.
         delay_order(self.delay)
 
-        # The names come first: with `declared`, they are checked.
-        self._check_rename()
+        added = self._added_by_criterion()
+        normalize(self, resolved=resolved_parameters(self.model, added, self._stated_parameters()))
         self._check_operating_point()
         self._check_functions()
-        if self.priors and not (self.criterion.is_likelihood or self.has_default_criterion):
-            raise ValueError(
-                f"{self.priors[0].names[0]!r} has a prior, and the cost of "
-                f"{type(self.criterion).__name__} is not a likelihood to which it could be added: "
-                "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
-                "where variances are known."
-            )
+        self._check_priors()
 
-    def _fill_in_defaults(self, usual: Criterion | TimeCriterion) -> None:
-        vars(self)["_has_default_criterion"] = self.criterion is None
-        if self.criterion is None:
-            vars(self)["criterion"] = usual
-        vars(self)["free"] = as_names(self.free)
-        if not self.name:
-            model, data = self.model, self.data
-            has_several = len(model.input_names) * len(model.output_names) > 1
-            pair = _pair(data) if has_several and isinstance(data, FrequencyResponse) else ""
-            vars(self)["name"] = data.name or pair or model.label
+    def _fill_in_defaults(self) -> None:
+        """Choose criterion and name, and give data, model and names their final form."""
+        data: Any = self.data
+        if isinstance(data, FrequencyResponse):
+            usual, kind, place = RelativeError(), Criterion, "a frequency response"
+        else:
+            usual, kind, place = OutputError(), TimeCriterion, "a record or a TransientSpectrum"
+        criterion: Any = usual if self.criterion is None else self.criterion
+        cure = f"a criterion such as {type(usual).__name__}(), for {place}"
+        require_kind("criterion", criterion, kind, cure)
+
+        normalize(
+            self,
+            criterion=criterion,
+            has_default_criterion=self.criterion is None,
+            free=as_names(self.free),
+            name=self.name or self._default_name(),
+        )
+        if isinstance(data, Record):
+            normalize(self, model=criterion.disturbed(self.model, data))
+        if isinstance(data, FrequencyResponse):
+            # In records and spectra of manoeuvres too, a hold is not a part of the model.
+            normalize(self, data=data.without_hold())
+
+    def _default_name(self) -> str:
+        """Return the name of the data, the pair of a response of several, or that of the model."""
+        model, data = self.model, self.data
+        has_several = len(model.input_names) * len(model.output_names) > 1
+        pair = data.pair if has_several and isinstance(data, FrequencyResponse) else ""
+        return data.name or pair or model.label
 
     def _added_by_criterion(self) -> Parameters:
         """Check model, data and criterion; return the parameters that the criterion adds."""
@@ -256,34 +207,17 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
         return added
 
-    def _check_names(self) -> None:
-        """Require that options name parameters, and that none is two of fixed, free and tied."""
-        kinds = {"fixed": self.fixed_values, **attributes(self, "free", "tied")}
-        mappings = attributes(self, "rename", "bounds", "start", "starts")
-        for what, names in mappings.items():
-            require_kind(what, names, Mapping, "{name of a parameter: ...}")
-
-        # A misspelled name would otherwise be ignored silently.
-        for what, names in {**kinds, **mappings}.items():
-            require_known(names, self._as_declared, "parameter", f"{what}: {self.model.label}")
-
-        for first, second in combinations(kinds, 2):
-            for name in kinds[first]:
-                if name in kinds[second]:
-                    raise ValueError(f"{name!r} is both {first} and {second}: keep one of them.")
-
-    def _check_rename(self) -> None:
-        for old, new in self.rename.items():
-            if not isinstance(new, str) or not new:
-                raise TypeError(f"rename gives {old!r} the name {new!r}: give a string.")
-        # Two parameters with the same name would become one unknown by accident.
-        outside = [self.outside(name) for name in self.declared]
-        for name in outside:
-            if outside.count(name) > 1:
-                raise ValueError(
-                    f"rename gives two parameters of {self.model.label} the name {name!r}: use "
-                    "tied to make them equal."
-                )
+    def _stated_parameters(self) -> StatedParameters:
+        return StatedParameters(
+            fixed=self.fixed,
+            free=tuple(self.free),
+            tied=self.tied,
+            rename=self.rename,
+            bounds=self.bounds,
+            start=self.start,
+            starts=self.starts,
+            prior=self.prior,
+        )
 
     def _check_operating_point(self) -> None:
         if isinstance(self.data, Record) and self.at:
@@ -293,45 +227,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             )
         require_operating_point(self.model, self.at)
 
-    def _restated(self, name: str, parameter: Parameter) -> Parameter:
-        """Apply `bounds`, `start` and `starts` to one declared parameter."""
-        # A parameter that is never estimated would ignore them silently.
-        stated = attributes(self, "bounds", "start", "starts").items()
-        changes = {what: values[name] for what, values in stated if name in values}
-        if name in self.tied and changes.keys() - {"bounds"}:
-            raise ValueError(f"{name!r} is tied, so that it has no start of its own: leave it out.")
-        if (
-            changes
-            and parameter.fixed
-            and not (name in self.fixed_values or name in self.free or name in self.tied)
-        ):
-            raise ValueError(
-                f"{' and '.join(changes)} names {name!r}, which {self.model.label} declares fixed: "
-                f"give free=[{name!r}] to estimate it, or fixed={{{name!r}: ...}} to hold it at "
-                "another value."
-            )
-
-        return restated(name, parameter, **changes)
-
-    def _as_stated(self, name: str, parameter: Parameter) -> Parameter:
-        """Apply `fixed` and `free` to one declared parameter."""
-        if name not in self.fixed_values:
-            return replace(parameter, fixed=parameter.fixed and name not in self.free)
-
-        value = self.fixed_values[name]
-        # An earlier fit has the parameter under its outside name.
-        if isinstance(value, HeldEstimate):
-            require_known(
-                [self.outside(name)], value.estimate, "estimate", "the Fit given as fixed"
-            )
-            value = value.estimate[self.outside(name)]
-        return held_at(name, parameter, value)
-
     def _check_functions(self) -> None:
-        """Try ties, constraints and derived quantities with numbers and with expressions.
-
-        A mistake then shows here, not inside CasADi.
-        """
+        """Try ties, constraints and derived quantities: a mistake shows here, not inside CasADi."""
         require_kind("constraints", self.constraints, list | tuple, "a list of functions")
         label = self.model.label
         functions: dict[str, ParameterFormula] = {
@@ -339,66 +236,44 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         }
         functions |= {f"constraints[{k}]": f for k, f in enumerate(self.constraints)}
         functions |= {f"derived[{n!r}] of {label}": f for n, f in self.model.derived.items()}
-        numbers = self.local_starts
-        for what, function in functions.items():
-            _require_number(_call(function, numbers, what), what)
+        require_numbers(functions, self.local_starts)
+        symbols = {name: ca.SX.sym(name) for name in self.parameters}
+        require_expressions(functions, self.local_values(symbols))
 
-        # `if`, `max` and `math.exp` work with numbers and fail here.
-        symbols = self.local_values({name: ca.SX.sym(name) for name in self.parameters})
-        for what, function in functions.items():
-            require_no_nan(what, ca.SX(_call(function, symbols, what)))
-
-    @cached_property
-    def _as_declared(self) -> Parameters:
-        return {**self.model.parameters, **self._added_by_criterion()}
-
-    @cached_property
-    def declared(self) -> Parameters:
-        """Parameters of model and criterion by their inner names, with their bounds and starts."""
-        self._check_names()
-        return {name: self._restated(name, p) for name, p in self._as_declared.items()}
-
-    @cached_property
-    def _stated(self) -> Parameters:
-        """Parameters by inside name, fixed or free as in this problem, without tied ones."""
-        return {
-            name: self._as_stated(name, p)
-            for name, p in self.declared.items()
-            if name not in self.tied
-        }
+    def _check_priors(self) -> None:
+        """Require a likelihood beside a prior: other costs have another scale."""
+        if self.priors and not (self.criterion.is_likelihood or self.has_default_criterion):
+            raise ValueError(
+                f"{self.priors[0].names[0]!r} has a prior, and the cost of "
+                f"{type(self.criterion).__name__} is not a likelihood to which it could be added: "
+                "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
+                "where variances are known."
+            )
 
     @property
-    def fixed_values(self) -> Mapping[str, float | HeldEstimate]:
-        """Values of `fixed` by name: numbers and earlier fits."""
-        if isinstance(self.fixed, Mapping):
-            return self.fixed
-        require_kind("fixed", self.fixed, HeldEstimate, "{name: value} or a Fit")
+    def declared(self) -> Parameters:
+        """Parameters of model and criterion by their inner names, with their bounds and starts."""
+        return self.resolved.declared
 
-        outside = {name: self.outside(name) for name in self._as_declared}
-        return shared_parameters(self.fixed, outside, "fixed")
+    @property
+    def fixed_values(self) -> FixedValues:
+        """Values of `fixed` by name: numbers and earlier fits."""
+        return self.resolved.fixed_values
 
     @property
     def held_estimates(self) -> dict[str, HeldEstimate]:
         """Earlier fits among the fixed values, by outside name."""
-        return {
-            self.outside(name): v
-            for name, v in self.fixed_values.items()
-            if isinstance(v, HeldEstimate)
-        }
+        return self.resolved.held_estimates
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by outside name, fixed or free as in this problem, without tied ones."""
-        return {self.outside(name): parameter for name, parameter in self._stated.items()}
+        return self.resolved.by_outside_name
 
-    @cached_property
+    @property
     def priors(self) -> tuple[NormalPrior, ...]:
         """Priors of the parameters, by outside name."""
-        # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
-        outside = {name: self.outside(name) for name in self.declared}
-        return tuple(
-            normal_priors(selected(self._stated, self.model.parameters), self.prior, outside)
-        )
+        return self.resolved.priors
 
     @property
     def response(self) -> FrequencyResponse:
@@ -450,9 +325,9 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     def local_values(self, values: Mapping[str, Any]) -> Names:
         """Return the parameters by inside name, ties evaluated, from values by outside name."""
-        local = {name: values[self.outside(name)] for name in self._stated}
+        local = {name: values[self.outside(name)] for name in self.resolved.untied}
         for name, tie in self.tied.items():
-            local[name] = _call(
+            local[name] = evaluated(
                 tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]"
             )
         return Names({name: local[name] for name in self.declared}, self.model.label)
@@ -467,11 +342,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         (part,) = parts
         return part
 
-    @property
-    def has_default_criterion(self) -> bool:
-        """Whether the criterion was left out."""
-        return self.__dict__["_has_default_criterion"]
-
     def with_(self, **changes: Any) -> Self:
         """Return the problem with some fields changed; a criterion that was left out remains so."""
         # A sum may choose another default later.
@@ -481,86 +351,4 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def __repr__(self) -> str:
         return one_line(
             self, repr(self.name), f"{self.model.label} to {self.data!r:.60}", self.criterion.name
-        )
-
-
-def _pair(response: FrequencyResponse) -> str:
-    return f"{response.output}/{response.input}" if response.output and response.input else ""
-
-
-def _responses_by_pair(given: Any) -> list[FrequencyResponse]:
-    """Return the responses of a list, a matrix or a mapping by pair; none for other data."""
-    if isinstance(given, Mapping):
-        responses = []
-        for pair, response in given.items():
-            names = pair if isinstance(pair, tuple) else str(pair).split("/", 1)
-            output, input = names if len(names) == 2 else ("", "")
-            if not (output and input and isinstance(response, FrequencyResponse)):
-                return []
-            responses.append(replace(response, output=output, input=input))
-        return responses
-    if isinstance(given, np.ndarray):
-        given = given.ravel().tolist()
-    if not isinstance(given, list | tuple):
-        return []
-    rows = [row if isinstance(row, list | tuple) else (row,) for row in given]
-    # A pair that was not measured is None in a matrix.
-    responses = [item for row in rows for item in row if item is not None]
-    return responses if all(isinstance(r, FrequencyResponse) for r in responses) else []
-
-
-def _wrong_data(given: Any) -> str:
-    """Describe data of a wrong kind, with the cure."""
-    if isinstance(given, Recording):
-        first = next(iter(given), "MESSAGE")
-        return (
-            f"a log with the messages {', '.join(given):.200}: give one of its records, such as "
-            f"log[{first!r}], or what gb.prepare(log, {{name: 'MESSAGE.Field'}}) makes of several"
-        )
-    if isinstance(given, str | Path):
-        path = str(given)
-        return (
-            f"the path {path!r}: read the file first, gb.read_response({path!r}) for a frequency "
-            f"response or gb.read({path!r}) for records"
-        )
-
-    if isinstance(given, list | tuple):
-        return (
-            f"a list with {len(given)} in it: use gb.several(model, [...]), or gb.Record for arrays"
-        )
-    if isinstance(given, Mapping):
-        return (
-            f"a mapping with the keys {', '.join(map(repr, given)):.200}: give every "
-            "FrequencyResponse by its pair, such as {'p/lat': response} (output/input)"
-        )
-    if hasattr(given, "iloc"):
-        return "a pandas data frame: give gb.Record.from_pandas(frame)"
-    return (
-        f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum; of objects "
-        "of python-control, gb.interop.from_control(...) makes responses"
-    )
-
-
-def _call(function: ParameterFormula, p: Names, what: str) -> Any:
-    """Evaluate a user's function of the parameters, naming it when it fails."""
-    cure = f"a function such as lambda p: 2 * p.{next(iter(p), 'a')}"
-    require_kind(what, function, Callable, cure)
-    return called(what, function, p)
-
-
-def _require_number(value: Any, what: str) -> None:
-    # A comparison has no slope that a solver could follow.
-    if isinstance(value, bool | np.bool_):
-        raise ValueError(
-            f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - "
-            "p.T2."
-        )
-    if not isinstance(value, Real):
-        raise ValueError(
-            f"{what} gives {value!r:.60}: it must give an expression of the parameters."
-        )
-
-    if not math.isfinite(value):
-        raise ValueError(
-            f"{what} is {value} at the start values: correct the function or the starts."
         )

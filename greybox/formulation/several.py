@@ -1,19 +1,42 @@
-"""One model for several records, with shared parameters and parameters of each record."""
+"""One model for several records or responses, with shared parameters and parameters of each."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import as_names
+from greybox.files.arrays import Interval
 from greybox.formulation.problem import Problem
+from greybox.formulation.several_responses import problems_of_responses, responses_in
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model, require_known
 
+Responses = (
+    Sequence[FrequencyResponse]
+    | Sequence[Sequence[FrequencyResponse | None]]
+    | np.ndarray[Any, Any]
+    | Mapping[str, FrequencyResponse]
+    | Mapping[tuple[str, str], FrequencyResponse]
+)
+"""Responses in a list, in a matrix, or by pair."""
+
 
 def several(
-    model: Model, records: Sequence[Record], own: Sequence[str] = (), **options: Any
+    model: Model,
+    data: Sequence[Record | TransientSpectrum] | Responses,
+    own: Sequence[str] = (),
+    *,
+    weight: float | Mapping[str, float] = 1.0,
+    band: Mapping[str, Interval] | None = None,
+    **options: Any,
 ) -> Sum[Problem]:
-    """Return the sum of a problem for every record; all parameters but `own` are shared.
+    """Return the sum of a problem for every record or response of one model.
+
+    All parameters but `own` are shared.
 
     Every record is weighted by its own estimated noise variances: a record that the model fits
     badly has little weight. To give records of one sensor equal weight, give its standard
@@ -24,18 +47,27 @@ def several(
     Parameters
     ----------
     model : Model
-    records : sequence of Record
-        They may have different lengths and rates; every record has its own initial states.
+    data : sequence of Record; or sequence, matrix or mapping by pair of FrequencyResponse
+        Records may have different lengths and rates; every record has its own initial states.
+        Responses by pair are ``{"p/lat": response}`` or ``{("p", "lat"): response}`` (output,
+        input); in a matrix, a pair that was not measured is None. Every response makes a part that
+        is named by its pair. Read them with `gb.data.read_responses`.
     own : sequence of str
-        Parameters of each record, named ``<name>_1``, ``<name>_2`` ...; the biases of the criterion
-        are always such, unless `rename` gives them one name.
+        Parameters of each record or response, named ``<name>_1``, ``<name>_2`` ...; the biases of
+        the criterion are always such, unless `rename` gives them one name.
+    weight : float, or mapping of pair to float
+        Weight of every part in the sum; by pair, ``{"p/lat": 2}``, of single responses.
+    band : mapping of pair to (float, float), rad/s
+        The frequencies to fit of single responses, ``{"p/lat": (0.5, 10)}``.
     options
         Options of every `Problem`: criterion, fixed, tied, constraints ...
 
     Raises
     ------
     ValueError
-        For a name that is not a parameter, or fewer than two records.
+        For a name that is not a parameter, a pair without a response, or fewer than two records.
+    TypeError
+        For a mapping by anything but pairs, and for the `band` of records.
 
     Examples
     --------
@@ -46,19 +78,36 @@ def several(
     >>> len(both.parts)
     2
     """
+    responses = responses_in(data)
+    if responses:
+        problems = problems_of_responses(
+            model, responses, weight=weight, band=band or {}, **options
+        )
+    elif band is None:
+        problems = _problems_of_records(model, data, {"weight": weight, **options})
+    else:
+        raise TypeError("band is for several responses: cut one by .between(low, high).")
+
+    return Sum(tuple(_with_own_parameters(problems, as_names(own))))
+
+
+def _problems_of_records(model: Model, records: Any, options: dict[str, Any]) -> list[Problem]:
+    """Return a problem for every record, so that its noise and its initial states are its own."""
     if not isinstance(records, Sequence) or len(records) < 2:
         raise ValueError(
             "several() takes a list of at least two records: for one, use Problem(model, record)."
         )
+    return [Problem(model, record, **options) for record in records]
 
-    own = as_names(own)
 
-    parts = []
-    for number, record in enumerate(records, start=1):
-        # Each record has its own problem, so that its noise and its initial states are its own.
-        problem = Problem(model, record, **options)
-        require_known(own, problem.declared, "parameter", model.label)
+def _with_own_parameters(problems: Sequence[Problem], own: Sequence[str]) -> list[Problem]:
+    """Return the problems with these parameters renamed by the number of the problem."""
+    if not own:
+        return list(problems)
+
+    renamed = []
+    for number, problem in enumerate(problems, start=1):
+        require_known(own, problem.declared, "parameter", problem.model.label)
         numbered = {name: f"{name}_{number}" for name in own}
-        parts.append(problem.with_(rename={**problem.rename, **numbered}))
-
-    return Sum(tuple(parts))
+        renamed.append(problem.with_(rename={**problem.rename, **numbered}))
+    return renamed

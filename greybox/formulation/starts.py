@@ -12,6 +12,7 @@ import numpy as np
 from greybox.files.argument_checks import is_finite_number, require_whole
 from greybox.files.arrays import Array
 from greybox.files.named_values import Values
+from greybox.files.normalization import normalize
 from greybox.files.printed import one_line
 from greybox.files.wording import counted
 from greybox.modeling.parameter import Parameters
@@ -146,7 +147,8 @@ class Chained(Starts):
 
     def __post_init__(self) -> None:
         """Take over the seed."""
-        vars(self)["seed"] = next((rule.seed for rule in self.rules if rule.seed is not None), None)
+        seeds = (rule.seed for rule in self.rules if rule.seed is not None)
+        normalize(self, seed=next(seeds, None))
 
     def __repr__(self) -> str:
         return one_line(self, str(self))

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import field
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -12,6 +13,7 @@ from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
+from greybox.files.normalization import normalize
 from greybox.files.printed import one_line, preformatted
 from greybox.files.wording import counted, numbered_where_alike
 from greybox.formulation.frequency_criteria import RelativeLikelihood
@@ -70,18 +72,18 @@ class Sum(Addable, Generic[Part]):
     parts: tuple[Part, ...]
     name: str = ""
 
+    # For further sums: `a + b + c` must number biases once, over all records.
+    _as_added: tuple[Part, ...] = field(init=False, repr=False)
+
     def __post_init__(self) -> None:
         """Choose criteria whose costs add, number biases, merge parameters, compare ties."""
         _require_data_once(self)
-        # Stored for further sums: `a + b + c` must number biases once, over all records.
-        vars(self)["_as_added"] = self.parts
-        vars(self)["parts"] = tuple(numbered_parts(_with_costs_that_add(self.parts)))
-        if not self.name:
-            names = unique(part.name for part in self.as_added)
-            if len(names) > 8:  # more names do not fit into a line
-                names = *names[:2], "...", f"{names[-1]} ({len(names)} in all)"
-            vars(self)["name"] = " + ".join(names)
-
+        normalize(
+            self,
+            _as_added=self.parts,
+            parts=tuple(numbered_parts(_with_costs_that_add(self.parts))),
+            name=self.name or _joined_names(self.parts),
+        )
         self._check_ties()
 
     def _check_ties(self) -> None:
@@ -119,7 +121,7 @@ class Sum(Addable, Generic[Part]):
     @property
     def as_added(self) -> tuple[Part, ...]:
         """The parts as they were added, with their own criteria and unnumbered biases."""
-        return self.__dict__["_as_added"]
+        return self._as_added
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
@@ -138,6 +140,14 @@ class Sum(Addable, Generic[Part]):
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), counted(len(self.parts), "part"))
+
+
+def _joined_names(parts: Sequence[Any]) -> str:
+    """Return the names of the parts; more than eight do not fit into a line."""
+    names = unique(part.name for part in parts)
+    if len(names) > 8:
+        names = *names[:2], "...", f"{names[-1]} ({len(names)} in all)"
+    return " + ".join(names)
 
 
 def _require_data_once(problem: Sum[Any]) -> None:

@@ -8,7 +8,7 @@ assumption, which every result reports with the size of its effect.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, get_args
 
@@ -19,13 +19,16 @@ from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.argument_checks import as_names, is_finite_number
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values
+from greybox.files.named_values import Values, attributes
+from greybox.files.normalization import normalize
 from greybox.files.numbers_in_text import number
 from greybox.files.wording import counted
 from greybox.formulation.criterion import AnyCriterion
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.parameter import Parameter
+from greybox.statistics.error_distribution import ErrorDistribution, NormalErrors
+from greybox.statistics.huber import HuberErrors
 
 Inputs = Literal["record", "linear", "held"]
 """How inputs vary between their samples: as the record says, or all of them in one way."""
@@ -74,6 +77,9 @@ def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> Ma
 
     return result
 
+
+ERRORS: dict[str, ErrorDistribution] = {"normal": NormalErrors(), "huber": HuberErrors()}
+"""The included distributions of errors by name."""
 
 ROWS_CONDITION = "independent errors of equal variance in each output"
 SPECTRUM_CONDITION = (
@@ -136,24 +142,24 @@ class TimeCriterion(AnyCriterion):
                 if np.ndim(sigma) > 0:
                     raise ValueError(
                         f"noise gives {name!r} {counted(np.size(sigma), 'number')}, and an output "
-                        "has one standard deviation: for samples of different accuracy, or several "
-                        f"at one time, declare further outputs with the formula of {name!r}, each "
-                        "NaN in the record where it was not measured, with a standard deviation "
-                        "each."
+                        "has one standard deviation: for samples of different accuracy, declare an "
+                        f"input with their standard deviations, divide the formula of {name!r} and "
+                        f"its samples by it, and give noise={{{name!r}: 1.0}}."
                     )
                 if not is_finite_number(sigma) or sigma <= 0:
                     raise ValueError(
                         f"noise gives {name!r} the value {sigma!r}: give a standard deviation "
                         "above 0."
                     )
-        elif self.noise not in ("diagonal", "full"):
+        # An array has no truth value, with which a word could be compared.
+        elif not (isinstance(self.noise, str) and self.noise in ("diagonal", "full")):
             raise ValueError(
-                f"noise {self.noise!r} is not known: use 'diagonal', 'full' or {{output: standard "
-                "deviation}."
+                f"noise {self.noise!r:.60} is not known: use 'diagonal', 'full' or {{output: "
+                "standard deviation}."
             )
 
         require_inputs(self.inputs)
-        vars(self)["biases"] = as_names(self.biases)
+        normalize(self, biases=as_names(self.biases))
         if not isinstance(self.initial, Mapping):
             raise TypeError(
                 f"initial is {self.initial!r:.60}: give {{state: value or function of the "
@@ -168,12 +174,23 @@ class TimeCriterion(AnyCriterion):
                 )
 
     @property
+    def error_distribution(self) -> ErrorDistribution:
+        """How the errors of the outputs are distributed."""
+        return ERRORS["normal"]
+
+    @property
     def description(self) -> str:
         """The rule in words."""
         if isinstance(self.noise, Mapping):
             return f"{self.rule}, given variances"
         estimated = "variances" if self.noise == "diagonal" else "covariance"
         return f"{self.rule}, estimated {estimated}"
+
+    def contains(self, other: AnyCriterion) -> bool:
+        """Return whether this is the `other` criterion, perhaps with more biases."""
+        if not isinstance(other, TimeCriterion) or not {*other.biases} <= {*self.biases}:
+            return False
+        return self == replace(other, biases=self.biases)
 
     def disturbed(self, model: Model, record: Record) -> Model:
         """Return the model with the states of the disturbances that the criterion assumes."""
@@ -250,7 +267,8 @@ class OutputError(TimeCriterion):
 
     Parameters
     ----------
-    errors : "normal" or "huber"
+    errors : "normal", "huber" or ErrorDistribution
+        How the errors are distributed, see `gb.formulation.ErrorDistribution` for one of your own.
         With "huber", errors beyond 1.345 standard deviations count as 1.345, so that outliers of a
         sensor do not decide the estimate; the standard deviation follows from the median. Standard
         errors are those of this M-estimator, with 5 % more variance for normal errors. The cost is
@@ -267,20 +285,31 @@ class OutputError(TimeCriterion):
     True
     """
 
-    errors: Literal["normal", "huber"] = "normal"
+    errors: Literal["normal", "huber"] | ErrorDistribution = "normal"
     rule = "output error"
 
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if self.errors not in ("normal", "huber"):
-            raise ValueError(f"errors is {self.errors!r}: give 'normal' or 'huber'.")
+        if isinstance(self.errors, ErrorDistribution):
+            # An included one has its name, so that both statements are equal and can be stored.
+            names = [name for name, included in ERRORS.items() if included == self.errors]
+            normalize(self, errors=names[0] if names else self.errors)
+        elif self.errors not in [*ERRORS]:
+            raise ValueError(
+                f"errors is {self.errors!r}: give 'normal', 'huber' or an ErrorDistribution."
+            )
+
+    @property
+    def error_distribution(self) -> ErrorDistribution:
+        """How the errors of the outputs are distributed."""
+        return ERRORS[self.errors] if isinstance(self.errors, str) else self.errors
 
     @property
     def description(self) -> str:
         """The rule in words."""
-        bounded = "" if self.errors == "normal" else ", large errors bounded"
-        return super().description + bounded
+        words = self.error_distribution.description
+        return f"{super().description}, {words}" if words else super().description
 
     def condition_on(self, data: Any) -> str:
         """Return the condition; errors of rows without a time cannot be correlated."""
@@ -340,7 +369,7 @@ class PredictionError(TimeCriterion):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        vars(self)["process_noise"] = as_names(self.process_noise)
+        normalize(self, process_noise=as_names(self.process_noise))
         if not isinstance(self.disturbance, Mapping) or {*self.disturbance.values()} - {"colored"}:
             raise ValueError(f"disturbance is {self.disturbance!r}: give {{state: 'colored'}}.")
         if self.driven() and self.corrected:
@@ -388,6 +417,21 @@ class PredictionError(TimeCriterion):
                 about=f"standard deviation of the noise of {output}",
             )
         return result
+
+    def contains(self, other: AnyCriterion) -> bool:
+        """Return whether this is the `other` criterion, perhaps with more gains or noise."""
+        # Without gains and without process noise it is output error.
+        if isinstance(other, OutputError):
+            return OutputError(self.noise, self.inputs, self.biases, self.initial).contains(other)
+        if not isinstance(other, PredictionError):
+            return False
+
+        if self.driven() or other.driven():
+            has_all = set() < {*other.driven()} <= {*self.driven()}
+        else:  # without names, all states are corrected
+            has_all = not self.corrected or set() < {*other.corrected} <= {*self.corrected}
+        own = attributes(self, "corrected", "process_noise", "disturbance")
+        return has_all and super().contains(replace(other, **own))
 
     def driven(self) -> tuple[str, ...]:
         """Return the states with process noise."""

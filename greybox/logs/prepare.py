@@ -12,12 +12,11 @@ from greybox.data.clock import (
     Gaps,
     clock_of,
     lost_rows,
-    median_step,
     require_gaps,
     runs_between_holes,
 )
 from greybox.data.intersample import HELD, intersample
-from greybox.data.record import Record, Recording, require_time
+from greybox.data.record import Record, Recording, require_time, unrounded
 from greybox.data.units import to_si
 from greybox.files.argument_checks import as_names, is_finite_number, require_kind
 from greybox.files.arrays import Array, IntArray
@@ -83,7 +82,8 @@ def prepare(
     `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new rate. Nothing is
     interpolated across a hole of more than one lost row: the record has the same hole, and
     `Record.pieces` are the stretches between holes. A schedule, a change of rate and an irregular
-    clock have no holes, see `greybox.data.clock`.
+    clock have no holes, and of coarse stamps the clock counts that they round, see
+    `greybox.data.clock`.
 
     ArduPilot truncates angles to hundredths of a degree. Half a hundredth is added, see
     `greybox.logs.ardupilot.truncated_angles`.
@@ -246,7 +246,7 @@ def _source(
     record, field = recording.locate(signal)
     require_time(record, "prepare")
     finite = np.isfinite(record[field])
-    time = record.time[finite]
+    time = unrounded(record).time[finite]
     values = record[field][finite]
     if time.size < 2:
         raise ValueError(
@@ -275,9 +275,7 @@ def _source(
 
     inside = time[(time >= start) & (time <= end)]
     inside = inside if inside.size > 1 else time
-    # In coarse stamps, no step is the usual one.
-    clock = clock_of(inside)
-    step = clock.step if clock.kind == "rounded" else median_step(inside)
+    step = clock_of(inside).step
     # Before any filter or interpolation, which would smear a jump from 2π to 0.
     values = np.unwrap(values) if unit == "rad" else values
 

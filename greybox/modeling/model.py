@@ -101,6 +101,15 @@ class Model(ABC):
         """The name of the structure, for tables."""
         return type(self).__name__
 
+    def contains(self, other: "Model") -> Values | None:
+        """Return the values of the parameters that only this model has, at which it is the other.
+
+        By default None, which leaves that to the comparison of two fits: it looks whether the
+        formulas are the same where these parameters are zero. A class may state other values, such
+        as one for an exponent; parameters that it does not name are zero.
+        """
+        return None
+
     def _repr_markdown_(self) -> str:
         return f"**{self.label}**\n\n{equation(self)}"
 

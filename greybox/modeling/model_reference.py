@@ -6,11 +6,13 @@ import pkgutil
 import warnings
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from greybox.files.control_characters import printable
+from greybox.files.named_values import Values
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
@@ -27,6 +29,11 @@ from greybox.modeling.transfer_function import (
 )
 
 POINTS = 3  # at which formulas are compared: at one of them, a branch may be inactive by chance
+SPREADS = (
+    1.0,
+    30.0,
+)  # of signals, where two models are compared: limits have an effect at large ones
+NO_VALUES: Values = MappingProxyType({})
 
 
 def reference(model: Model) -> dict[str, Any]:
@@ -42,47 +49,75 @@ def reference(model: Model) -> dict[str, Any]:
 
 
 @once  # for all parts of a fit
-def formula_values(model: Model) -> list[float | None]:
+def formula_values(
+    model: Model, values: Values = NO_VALUES, spread: float = 1.0
+) -> list[float | None]:
     """Return the values of a model's formulas at a few points, by which a changed one is noticed.
 
     Numbers, unlike the operations, do not change with the version of CasADi or with another way to
     write the same formula. None stands for a value that is not finite; empty if the model cannot be
-    evaluated with numbers.
+    evaluated with numbers. Parameters without one of the `values` differ from point to point, and
+    so do the signals, between -`spread` and `spread`.
     """
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            values = np.concatenate([_values_at(model, k) for k in range(POINTS)])
+            rows = [_values_at(model, k, values, spread) for k in range(POINTS)]
+            numbers = np.concatenate(rows)
     except Exception:  # a formula may raise anything at values that it was not made for
         return []
-    return [value if np.isfinite(value) else None for value in values.tolist()]
+    return [number if np.isfinite(number) else None for number in numbers.tolist()]
 
 
-def _values_at(model: Model, point: int) -> Any:
+def _values_at(model: Model, point: int, values: Values, spread: float) -> Any:
     """Return the values of a model's formulas at one of the points, as real numbers."""
 
-    def numbers(names: Sequence[str], center: float) -> Names:
+    def numbers(names: Sequence[str], center: float) -> dict[str, Any]:
         # By name, since the order of parameters may change: within one of the center.
         shares = [zlib.crc32(f"{name} {point}".encode()) / 2**32 for name in names]
-        return Names(
-            {n: np.float64(center + 2 * h - 1) for n, h in zip(names, shares, strict=True)}
-        )
+        return {n: np.float64(center + 2 * h - 1) for n, h in zip(names, shares, strict=True)}
 
-    p = numbers([*model.parameters], 1.1)
+    def signals(names: Sequence[str]) -> Names:
+        return Names({n: spread * value for n, value in numbers(names, 0.0).items()})
+
+    stated = {name: np.float64(value) for name, value in values.items()}
+    p = Names({**numbers([*model.parameters], 1.1), **stated})
     if isinstance(model, TransferFunction):
-        response = complex(
-            np.asarray(model.response(np.array([0.3 + 0.8j * (point + 1)]), p)).item()
-        )
+        s = spread * np.array([0.3 + 0.8j * (point + 1)])
+        response = complex(np.asarray(model.response(s, p)).item())
         return np.array([response.real, response.imag])
     if not isinstance(model, StateSpace):
         return np.zeros(0)
-    x, u = numbers(model.states, 0.0), numbers(model.inputs, 0.0)
+    x, u = signals(model.states), signals(model.inputs)
     rates: Any = ()
     if model.states:  # the function that a fit has traced already
         rates = derivative_function(model)([*x.values(), *u.values()], [*p.values()])
     delays = [p[model.delays[name]] for name in model.inputs if name in model.delays]
     outputs = [float(value) for value in as_list(model.output(x, u, p))]
     return np.array([*np.asarray(rates).ravel(), *outputs, *delays])
+
+
+def same_formulas(model: Model, other: Model, values: Values, fixed: Values = NO_VALUES) -> bool:
+    """Return whether a model with parameters at `values` has the formulas of the other at `fixed`.
+
+    All other parameters have the same values in both models.
+    """
+    is_finite: Any = False
+    for spread in SPREADS:
+        mine, others = (
+            np.array(formula_values(*pair, spread), dtype=float)
+            for pair in ((model, values), (other, fixed))
+        )
+        if mine.shape != others.shape or not others.size:
+            return False
+        # A thousand times the rounding of a long formula; what cancels leaves 1e-14 of a term.
+        size = np.abs(others[np.isfinite(others)]).max(initial=0.0)
+        if not np.allclose(mine, others, rtol=1e-9, atol=1e-14 * size, equal_nan=True):
+            return False
+        is_finite = is_finite | np.isfinite(others).reshape(POINTS, -1).any(axis=0)
+
+    # Two formulas that are nowhere finite would look alike.
+    return bool(np.all(is_finite))
 
 
 def resolve(stored: Mapping[str, Any], given: Sequence[AnyModel] = ()) -> Model:

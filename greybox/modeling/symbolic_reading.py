@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.files.wording import counted
 from greybox.modeling.formula_arguments import Names
-from greybox.modeling.formula_structure import with_finite_slopes
+from greybox.modeling.formula_structure import has_switches, with_finite_slopes
 from greybox.modeling.model import Model, ParameterFormula
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.traced_once import once
@@ -120,24 +120,49 @@ def derivative_function(model: StateSpace) -> ca.Function:
     return ca.Function("derivative", [z, p], [traced_column(model, "derivative", z, p)])
 
 
+RAMP = (
+    "Write the switch as a ramp one sample wide: gb.maximum(gb.minimum((a - b) / step + 0.5, 1), "
+    "0) in place of a > b."
+)
+
+
 def switching_parameters(model: Model) -> tuple[str, ...]:
     """Return the parameters that a model's formulas contain only where they have no slope.
 
     These are thresholds in a condition or a sign, and what is rounded. Empty for a model without
     states and outputs.
     """
+    return tuple(name for name, (_, slopes) in _formulas_of(model).items() if slopes.nnz() == 0)
+
+
+def limited_parameters(model: Model) -> tuple[str, ...]:
+    """Return the parameters that have a slope, but in formulas that switch: it may be zero here.
+
+    These are limits and dead zones, and what acts beyond them. Empty for a model without states and
+    outputs.
+    """
+    return tuple(
+        name
+        for name, (formulas, slopes) in _formulas_of(model).items()
+        if slopes.nnz() > 0 and has_switches(formulas)
+    )
+
+
+def _formulas_of(model: Model) -> dict[str, tuple[ca.SX, ca.SX]]:
+    """Return the formulas that contain each parameter and their slopes, if there are any."""
     if not isinstance(model, StateSpace):
-        return ()
+        return {}
     z, p = symbols(model)
     formulas = ca.vertcat(
         traced_column(model, "derivative", z, p), traced_column(model, "output", z, p)
     )
     slopes = ca.sparsify(ca.jacobian(formulas, p))
-    return tuple(
-        name
-        for k, name in enumerate(model.parameters)
-        if ca.depends_on(formulas, p[k]) and slopes[:, k].nnz() == 0
-    )
+    result = {}
+    for k, name in enumerate(model.parameters):
+        rows = [row for row in range(formulas.numel()) if ca.depends_on(formulas[row], p[k])]
+        if rows:
+            result[name] = formulas[rows], slopes[rows, k]
+    return result
 
 
 def state_starts(model: StateSpace, p: Any) -> list[Any]:

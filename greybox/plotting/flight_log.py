@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.data.clock import median_step
+from greybox.data.clock import clock_of, runs_between_holes
 from greybox.data.excited_segment import Segment, Segments, checked_segments
-from greybox.data.record import Record, Recording, runs_between_gaps
+from greybox.data.record import Record, Recording
 from greybox.files.arrays import Array
 from greybox.files.grouping import grouped
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, require_drawable
@@ -125,9 +125,10 @@ def recording(
 
 
 def signal_line(name: str, time: Array, values: Array, color: int) -> Series:
-    """Return a signal over time; gaps of more than ten median steps interrupt the line."""
+    """Return a signal over time; holes of more than ten usual steps interrupt the line."""
     # Raw logs drop single messages: with a smaller limit a lossy log would be dots, not lines.
-    x, y = drawn_line(time, values, runs_between_gaps(time, 10.0 * median_step(time)))
+    clock = clock_of(time)
+    x, y = drawn_line(time, values, runs_between_holes(time, clock, 10.0 * clock.step))
     return Series(name, "line", x, y, color)
 
 

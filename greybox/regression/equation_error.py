@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from greybox.data.clock import runs_between_holes
 from greybox.data.record import Record, require_time, unrounded
 from greybox.files.argument_checks import require_kind
 from greybox.files.arrays import Array, sum_of_squares
@@ -169,8 +170,8 @@ def equation_error(
 
     system = dynamics(model)
     record = unrounded(record)
-    for piece in record.pieces:
-        check_uniform(piece.time, record)
+    for rows in runs_between_holes(record.time, record.clock):
+        check_uniform(record.time[rows], record)
     start = start_values(unknown)
     equations = regressions(system, record.signals, constants)
     _require_equations(model, equations, record)

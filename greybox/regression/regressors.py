@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.data.clock import median_step
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.files.arrays import Array
@@ -14,6 +13,7 @@ from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
     differentiate,
     low_pass,
+    mean_step,
     reach,
     smooth,
     stretches,
@@ -49,7 +49,6 @@ def regressors(
         If no stretch is long enough.
     """
     time = record.time
-    step = median_step(time)
     x = np.full((len(equations.state_names), time.size), np.nan)
     derivatives: dict[str, Array] = {}
     cutoffs: dict[str, float] = {}
@@ -70,7 +69,7 @@ def regressors(
     for row, name, delay in zip(u, equations.input_names, delays, strict=True):
         course = between[name]
         row[:] = _delayed(time, without_holes(time, record[name]), delay + course.late, course.held)
-        lateness = max(lateness, delay + (step if course.held else course.late))
+        lateness = max(lateness, delay + (record.step if course.held else course.late))
 
     base, slopes = [matrix.full() for matrix in equations.rows(x, u, p)]
     slopes = slopes.reshape(len(base), time.size, -1)
@@ -90,9 +89,13 @@ def regressors(
         columns = np.column_stack([target, base[k], slopes[k]])
         # The filter is less accurate near the ends of a stretch, and at its beginning delayed
         # inputs are not known.
-        edge, late = math.ceil(reach(band) / step), math.ceil(lateness / step)
         parts = [columns[:0]]
         for rows in stretches(time, columns.sum(axis=1)):
+            if rows.stop - rows.start < FEWEST:
+                continue
+            step = mean_step(time[rows])
+            # Rounding must not turn a delay of whole samples into one sample more.
+            edge, late = math.ceil(reach(band) / step), math.ceil(lateness / step - 1e-6)
             if rows.stop - rows.start >= 2 * edge + late + FEWEST:
                 part = low_pass(columns[rows], step, band)
                 parts.append(part[edge + late : len(part) - edge])
@@ -100,11 +103,11 @@ def regressors(
 
     columns = np.vstack(filtered)
     if not len(columns):
-        longest = max(rows.stop - rows.start for rows in stretches(time, time))
+        longest = max(np.ptp(time[rows]) for rows in stretches(time, time))
         lost = 2 * reach(min(bands)) + lateness
         raise ValueError(
             "no stretch without a gap is long enough: the longest piece of the record has "
-            f"{longest * step:.3g} s, of which smoothing and delays need {lost:.3g} "
+            f"{longest:.3g} s, of which smoothing and delays need {lost:.3g} "
             "s at its ends; give a longer or less noisy record."
         )
     equation = np.repeat(np.arange(len(base)), [len(rows) for rows in filtered])

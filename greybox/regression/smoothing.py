@@ -17,9 +17,8 @@ import math
 
 import numpy as np
 
-from greybox.data.clock import ONE_LOST, median_step
-from greybox.data.record import runs_between_gaps
-from greybox.files.arrays import Array, IntArray, sum_of_squares
+from greybox.data.clock import clock_of
+from greybox.files.arrays import Array, BoolArray, IntArray, sum_of_squares
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
@@ -29,8 +28,9 @@ SHORTEST = 12
 def smooth(time: Array, values: Array) -> tuple[Array, float]:
     """Smooth a signal, stretch by stretch, never across a gap.
 
-    A single missing sample is interpolated; two or more in a row are a gap, as in `Record`. One
-    cutoff serves all: generalized cross-validation takes everything but white noise for signal.
+    A single missing value is interpolated; two or more in a row are a gap, and so is a hole in the
+    times, see `greybox.data.clock`. One cutoff serves all: generalized cross-validation takes
+    everything but white noise for signal.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
     Parameters
     ----------
     time : (n,) array, s
-        Uniform except for gaps.
+        Uniform between gaps.
     values : (n,) array
         NaN marks missing samples.
 
@@ -52,7 +52,6 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
     ValueError
         If no stretch has 12 samples.
     """
-    step = median_step(time)
     values = without_holes(time, values)
     parts = [rows for rows in stretches(time, values) if rows.stop - rows.start >= SHORTEST]
     if not parts:
@@ -61,7 +60,7 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
             f"{values.size}, of which {int(np.isfinite(values).sum())} are finite: put it on the "
             "time base of its own sensor with gb.prepare."
         )
-    sines = [_sines(values[rows], step) for rows in parts]
+    sines = [_sines(values[rows], mean_step(time[rows])) for rows in parts]
     amplitude, omega = map(np.concatenate, zip(*sines, strict=True))
     # A straight line leaves nothing but rounding errors.
     is_line = sum_of_squares(amplitude) <= 1e-24 * float(np.nansum(values**2))
@@ -69,7 +68,7 @@ def smooth(time: Array, values: Array) -> tuple[Array, float]:
 
     smoothed = np.full(values.size, np.nan)
     for rows in parts:
-        smoothed[rows] = low_pass(values[rows], step, cutoff)
+        smoothed[rows] = low_pass(values[rows], mean_step(time[rows]), cutoff)
     return smoothed, cutoff
 
 
@@ -101,10 +100,14 @@ def reach(cutoff: float) -> float:
     return math.log(10) / (math.sin(math.pi / POWER) * cutoff)
 
 
+def mean_step(time: Array) -> float:
+    """Return the step of uniform times (n,), s."""
+    return float((time[-1] - time[0]) / (time.size - 1))
+
+
 def stretches(time: Array, values: Array) -> list[slice]:
     """Return the runs of rows in which no value is missing and time has no gap."""
-    # Time is uniform except for gaps.
-    runs = _cut(time, np.flatnonzero(np.isfinite(values)), 1.5)
+    runs = _cut(time, np.isfinite(values), 1)
     return [slice(int(rows[0]), int(rows[-1]) + 1) for rows in runs if rows.size]
 
 
@@ -114,7 +117,7 @@ def without_holes(time: Array, values: Array) -> Array:
 
     filled = np.array(values, dtype=float)
     present = np.isfinite(values)
-    for part in _cut(time, np.flatnonzero(present), ONE_LOST):
+    for part in _cut(time, present, 2):
         if part.size < 4:  # a cubic needs four samples
             continue
         holes = np.setdiff1d(np.arange(part[0], part[-1]), part)
@@ -123,9 +126,12 @@ def without_holes(time: Array, values: Array) -> Array:
     return filled
 
 
-def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
-    """Cut rows where time advances by more than `gap` median steps."""
-    return [rows[run] for run in runs_between_gaps(time[rows], gap * median_step(time))]
+def _cut(time: Array, present: BoolArray, apart: int) -> list[IntArray]:
+    """Cut the rows that are present (n,) at holes in time and where they are further `apart`."""
+    rows = np.flatnonzero(present)
+    piece = np.searchsorted(clock_of(time).holes, rows)
+    ends = (np.diff(rows) > apart) | (np.diff(piece) > 0)
+    return np.split(rows, np.flatnonzero(ends) + 1)
 
 
 def _sines(values: Array, step: float) -> tuple[Array, Array]:

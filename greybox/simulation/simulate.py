@@ -1,5 +1,6 @@
 """Simulation and prediction of records with a model at one estimate."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -150,6 +151,8 @@ def simulate(
             )
         for name, row in {**signals, **of_outputs}.items():
             columns[name][stretch.own_rows] = row[stretch.own]
+    if simulator.doubt:
+        warnings.warn(simulator.doubt, stacklevel=2)
 
     units = {
         n: record.units[signal]
@@ -206,7 +209,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
         default those named above, on a record that the fit does not have; with ``()``, the values
         of the fit are used.
 
-    The other parameters are those of `simulate`.
+    The other parameters are those of `simulate`, which also says how exact the integration is.
 
     Raises
     ------
@@ -288,7 +291,9 @@ def predict_windows(
         own = model.own if new else ()
     model, values, notes = with_own_values(model, windows, integrator, as_names(own))
     simulator = Simulator(model, windows.outputs, integrator)
-    simulated = simulator.windows(windows)
+    simulated = simulator.windows(windows, checked=True)
+    if simulator.doubt:
+        warnings.warn(simulator.doubt, stacklevel=3)
     error, unknown = simulator.standard_errors(simulated)
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
 

@@ -1,7 +1,6 @@
 """Runs a model over stretches or windows: outputs, states and their standard errors."""
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
@@ -124,9 +123,20 @@ class _Run:
         """Return the derivatives of the outputs by first states and active values."""
         return self.segments.output_sensitivities(self.along)
 
+    def stepped(self, step: SampleStep) -> "_Run":
+        """Return the run with other steps from the same initial states."""
+        old = self.segments
+        return replace(self, segments=Segments(step, old.count, old.length, old.active))
+
 
 class Simulator:
-    """A model at an estimate, run with as many substeps as it turns out to need."""
+    """A model at an estimate, run with as many substeps as it turns out to need.
+
+    Attributes
+    ----------
+    doubt : str
+        A sentence for the user, if halved substeps changed the motion of a run.
+    """
 
     @one_thread_at_a_time
     def __init__(
@@ -142,6 +152,7 @@ class Simulator:
         self._integrator = integrator or RungeKutta()
         self._is_automatic = integrator is None
         self._substeps = self._integrator.substeps or 0
+        self.doubt = ""
         system = model.system.observed(outputs)
         self._initial = InitialStates(system)
         # For an integrator and a number of substeps.
@@ -209,10 +220,13 @@ class Simulator:
             unknown,
         )
 
-    def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
+    def windows(
+        self, windows: Windows, active: IntArray | None = None, *, checked: bool = False
+    ) -> WindowSimulations:
         """Estimate the state of every window from its lead-in, and simulate the window from there.
 
-        Derivatives are by the `active` values, by default the uncertain ones.
+        Derivatives are by the `active` values, by default the uncertain ones. If `checked`,
+        substeps are halved until this does not change the motion of a window.
         """
         model = self._model
         active = model.uncertain if active is None else active
@@ -251,7 +265,8 @@ class Simulator:
             whole = Segments(step, w, length, active)
             return _Run(whole, estimates.states, model.q, _columns(whole, predicting), estimates)
 
-        result = self._accurate(float(data[-1].max()), run)
+        run_until = self._agreeing if checked else self._accurate
+        result = run_until(float(data[-1].max()), run)
         assert result.estimates is not None
         segments = result.segments
         return WindowSimulations(
@@ -355,7 +370,7 @@ class Simulator:
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 
     def _agreeing(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
-        """Run until halved substeps give the same motion; warn if no number of them does.
+        """Run until halved substeps give the same motion; `doubt` says if no number of them does.
 
         Small errors in a sample add up to a large one where the motion is sensitive to them: a
         relaxation oscillation jumps too late, a chaotic one loses its phase.
@@ -375,13 +390,14 @@ class Simulator:
             if not change < explicit[-1]:
                 self._integrator, self._substeps, result, change = explicit
         if DISAGREEMENT < change < math.inf:
-            cure = "" if self._integrator.implicit else "give integrator=gb.Radau(), "
-            warnings.warn(
-                f"the simulation of {self._model.label} is not exact: halving its "
+            kind = "prediction" if result.estimates else "simulation"
+            shorter = "shorter windows" if result.estimates else "a shorter one"
+            radau = "" if self._integrator.implicit else "integrator=gb.Radau(), "
+            self.doubt = (
+                f"the {kind} of {self._model.label} is not exact: halving its "
                 f"{counted(self._substeps, 'step')} per sample changes a state by up to "
                 f"{100 * change:.2g} % of its largest value. The motion is stiff or sensitive to "
-                f"small errors: {cure}give a record with a higher rate, or a shorter one.",
-                stacklevel=4,
+                f"small errors: give {radau}a record with a higher rate, or {shorter}."
             )
         return result
 
@@ -389,15 +405,21 @@ class Simulator:
         """Double the substeps until this changes no state noticeably; return the last change."""
         while True:
             states = result.along.states
-            if not np.all(np.abs(states) < DIVERGED):
+            usable = np.all(np.abs(states) < DIVERGED, axis=0)
+            if not (usable.any() if result.estimates else usable.all()):
                 return result, math.inf
-            finer = run(self._step(self._integrator, 2 * self._substeps))
-            change = relative_change(finer.along.states - states, states)
+            finer = result.stepped(self._step(self._integrator, 2 * self._substeps))
+            if result.estimates:
+                # Windows in which a formula has left its domain are left out.
+                usable &= np.all(np.abs(finer.along.states) < DIVERGED, axis=0)
+            change = relative_change((finer.along.states - states)[:, usable], states[:, usable])
             # Implicit steps take ten times as long: they are judged, not halved again.
             is_last = self._integrator.implicit or self._substeps >= MOST_SUBSTEPS
             if change <= AGREEMENT or is_last:
                 return result, change if math.isfinite(change) else math.inf
-            self._substeps, result = 2 * self._substeps, finer
+            self._substeps *= 2
+            # States that were estimated with longer steps are estimated again.
+            result = run(finer.segments.step) if result.estimates else finer
 
     def _local_error(self, result: _Run) -> float:
         """Return the mean change in a sample by halved substeps, over the size of its state."""

@@ -157,7 +157,8 @@ def one_step_errors(
             h = sensitivities[:, t, j]
             present = np.isfinite(e[:, t, j])
             s = np.einsum("wij,wj->wi", P, h)
-            total = np.einsum("wi,wi->w", s, h) + variance[j]
+            # Rounding may make the variance of a sensitive motion negative.
+            total = np.maximum(np.einsum("wi,wi->w", s, h), 0.0) + variance[j]
             error = e[:, t, j] - np.einsum("wi,wi->w", h, x)
             result[:, t, j] = error / np.sqrt(total)
 

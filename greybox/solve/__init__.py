@@ -11,6 +11,8 @@ Begin with `search`.
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
 | `shared_solver` | many responses that share one solve: starts with process noise, no IPOPT |
 | `batched_newton` | Newton's method from many points |
+| `newton_iteration` | one iteration as two CasADi functions |
+| `barrier_levels` | the levels through which a search passes |
 | `process_noise_start` | starts of state spaces by output error with process noise |
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |
@@ -19,7 +21,8 @@ Begin with `search`.
 | `stationarity` | whether the end of a run is a minimum |
 | `discretization_error` | finer integration steps |
 | `robust_fit` | fits in which large errors are bounded |
-| `runs`, `minima` | the results of runs, and their storage; distinct minima |
+| `runs`, `minima` | the results of runs; distinct minima |
+| `run_storage` | storage for runs as they finish |
 | `other_minima` | minima beside one that all runs reach |
 | `executors` | runs in other processes, with one thread for matrix products |
 | `interruption` | Ctrl-C, and how long a search may take |

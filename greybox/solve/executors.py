@@ -25,6 +25,7 @@ import pickle
 import signal
 import sys
 import threading
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
@@ -49,7 +50,8 @@ from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import Stored
 from greybox.solve.interruption import ENDING, interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.local_solver import Runner
-from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Memory, Outcome, Outcomes, has_raised
+from greybox.solve.run_storage import Memory
+from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Outcome, Outcomes, has_raised
 
 Batch = list[tuple[int, Array]]
 Made = Iterator[tuple[int, Array, Outcome]]
@@ -208,6 +210,7 @@ def _on_workers(
     # The scheduler holds all tasks that are handed out.
     most = min(max(MOST_BYTES // len(payload), 2), 128)
     waiting: deque[tuple[Batch, Future[Outcomes]]] = deque()
+    warned: set[str] = set()
 
     def submitted(batch: Batch, recalled: Outcomes | None = None) -> tuple[Batch, Future[Outcomes]]:
         if recalled is not None:
@@ -243,20 +246,30 @@ def _on_workers(
                 continue
             if outcomes is None:
                 outcomes = [solver.without_end(batch[0][1], WORKER_LOST)]
-            yield from _stored(memory, batch, _made_here(solver, batch, outcomes))
+            yield from _stored(memory, batch, _made_here(solver, batch, outcomes, warned))
     finally:
         _cancel(waiting)
 
 
-def _made_here(solver: Runner, batch: Batch, outcomes: Outcomes) -> Outcomes:
+def _made_here(solver: Runner, batch: Batch, outcomes: Outcomes, warned: set[str]) -> Outcomes:
     """Return the outcomes of a task; batches in which a run raised an error are made again, here.
 
-    A worker may lack what the run needs; an error of the model comes again.
+    A worker may lack what the run needs; an error of the model comes again. An error of the worker
+    alone is a warning, unless its status is in `warned`, to which it is added.
     """
     size = solver.together
     for k in range(0, len(batch), size):
-        if any(has_raised(outcome.status) for outcome in outcomes[k : k + size]):
+        there = outcomes[k : k + size]
+        if any(has_raised(outcome.status) for outcome in there):
             outcomes[k : k + size] = solver.outcomes(_starts(batch[k : k + size]))
+        for old, new in zip(there, outcomes[k : k + size], strict=True):
+            if has_raised(old.status) and not has_raised(new.status) and old.status not in warned:
+                warned.add(old.status)
+                warnings.warn(
+                    f"a worker could not make a run ({old.status}), and this process could: the "
+                    "run was made here. The worker may lack a file or a package of this process.",
+                    stacklevel=2,
+                )
     return outcomes
 
 

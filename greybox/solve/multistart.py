@@ -22,15 +22,14 @@ from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.other_minima import points_beside
 from greybox.solve.promising import Promising
 from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
+from greybox.solve.run_storage import Memory, RunStorage, continuation
 from greybox.solve.runs import (
     CUT_SHORT,
     NOT_FINITE,
     SCREENED,
-    Memory,
     Outcome,
     Run,
     Runs,
-    RunStorage,
     has_no_end,
     has_raised,
 )
@@ -205,11 +204,10 @@ def _continued(
     if has_ended or has_no_end(outcome.status) or not outcome.cost < lowest or stop_requested():
         return outcome
 
-    # Runs that do not begin at a start have negative numbers.
-    later = memory.recall(-1 - number, outcome.estimate)
+    later = memory.recall(continuation(number), outcome.estimate)
     if later is None:
         later = solver.continued(outcome)
-        memory.keep(-1 - number, outcome.estimate, later)
+        memory.keep(continuation(number), outcome.estimate, later)
     return later
 
 

@@ -170,7 +170,7 @@ class ResponseSolver(Descent):
         stages = [self._stages[-1].variant(changed)] if options else self._stages
         for stage in stages:
             if status not in CUT_SHORT:
-                z, status, count = stage.solve(z, p, self._bounds)
+                z, status, count = self._limited(stage, iterations).solve(z, p, self._bounds)
                 iterations += count
 
         # IPOPT scales the cost by its gradient at the start. At a steep one, its tolerance is loose
@@ -180,13 +180,19 @@ class ResponseSolver(Descent):
         if not (converged or status in (*CUT_SHORT, EXCEEDED)):
             # Beyond a bound, which IPOPT widens by 1e-8, the others settle in the wrong place.
             within = {**CONFIRMING, "bound_relax_factor": 0.0}
-            near = own.variant({**within, **self._options})
+            near = self._limited(own.variant({**within, **self._options}), iterations)
             end, again, count = near.solve(z, p, self._bounds)
             iterations += count
             if self._is_minimum(near, end, p):
                 z, status, converged = end, again, True
         seconds = time.perf_counter() - began
         return Outcome(nlp.estimate_at(z), status, iterations, seconds, converged)
+
+    def _limited(self, stage: Ipopt, iterations: int) -> Ipopt:
+        """Return IPOPT with what `iterations` leave of a stated limit for the whole run."""
+        if "max_iter" not in self._options or not iterations:
+            return stage
+        return stage.variant({"max_iter": max(self.limits["max_iterations"] - iterations, 0)})
 
     def _is_minimum(self, stage: Ipopt, z: Array, p: Array) -> bool:
         """Return whether z (p,) is a minimum of IPOPT's program with the parameters p."""

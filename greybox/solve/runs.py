@@ -1,12 +1,10 @@
 """Runs of a search: statuses, the result of one run, and all runs in columns.
 
 There may be 100 000 runs, and a run as an object takes half a kilobyte.
-
-Storage for the runs of a search as they finish, so that a killed search can resume.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, overload
 
@@ -17,7 +15,6 @@ from greybox.files.arrays import AnyArray, Array, BoolArray, IntArray
 from greybox.files.frozen_values import frozen
 from greybox.files.printed import one_line
 from greybox.files.wording import counted
-from greybox.modeling.fingerprint import value_fingerprint
 
 # Statuses of a run besides those of its solver: it could not begin, ended where the integration
 # misleads, was cut short, made no progress without being at a minimum, ended its process every time
@@ -226,74 +223,3 @@ class Runs(Sequence[Run]):
         return one_line(
             self, counted(len(self), "run"), f"{np.count_nonzero(self.converged)} converged"
         )
-
-
-class RunStorageError(ValueError):
-    """Stored runs belong to another search, or cannot be read."""
-
-
-class RunStorage:
-    """The stored runs of one problem by number of the start, negative if they began elsewhere.
-
-    This class itself stores none.
-    """
-
-    def stored(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
-        """Return start (p,) and outcome of the stored runs by number.
-
-        `fingerprint` identifies the compiled problem and the options of its solver.
-
-        Raises
-        ------
-        RunStorageError
-            If the runs are those of another problem or of other options, or cannot be read.
-        """
-        return {}
-
-    def add(self, number: int, start: Array, outcome: Outcome) -> None:
-        """Store a run as soon as it is finished, in any order."""
-
-    def write_due(self) -> None:
-        """Write the runs that are due; called often."""
-
-
-class Memory:
-    """The runs of an earlier search by a `solver`, and storage for new ones; empty without one."""
-
-    def __init__(self, storage: RunStorage | None = None, solver: Any = None) -> None:
-        self._storage = storage or RunStorage()
-        self._stored = storage.stored(value_fingerprint(solver)) if storage else {}
-        self._added: set[int] = set()
-        self.write_due = self._storage.write_due
-
-    def recall(self, number: int, start: Array) -> Outcome | None:
-        """Return the stored outcome of a run; None without one.
-
-        Raises
-        ------
-        RunStorageError
-            If the run of this number began at another start.
-        """
-        stored_start, outcome = self._stored.get(number, (start, None))
-        if np.array_equal(stored_start, start):
-            return outcome
-        # Runs near an end begin elsewhere if an option has changed: they are made again.
-        if number < 0:
-            return None
-        raise RunStorageError(
-            f"the stored runs began at other starts, from number {number} on: "
-            "give the same rule and seed."
-        )
-
-    def keep(self, number: int, start: Array, outcome: Outcome) -> None:
-        """Store a run, unless it is stored already, or has to be made again.
-
-        Runs that were cut short have to be, and those that raised an error, whose cause may be gone
-        the next time.
-        """
-        # A task may be looked at twice: when it is finished, and when its turn comes.
-        is_new = number not in self._added and self.recall(number, start) is None
-        is_whole = outcome.status not in CUT_SHORT and not has_raised(outcome.status)
-        if is_new and is_whole:
-            self._added.add(number)
-            self._storage.add(number, start, outcome)

@@ -1,8 +1,7 @@
 """The first of the three steps of a fit: from a compiled problem to its minima."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,8 @@ from greybox.solve.minima import Multistart
 from greybox.solve.multistart import ProgressReport, multistart
 from greybox.solve.not_finite import explained
 from greybox.solve.robust_fit import with_robust_errors
-from greybox.solve.runs import SEARCH_OVER, RunStorage
+from greybox.solve.run_storage import RunStorage
+from greybox.solve.runs import SEARCH_OVER
 
 
 @frozen
@@ -121,7 +121,11 @@ def search_minima(
     return Search(found, solver, error, rule.seed, str(rule), len(points), interrupted)
 
 
-def _with_progress(run: Any, count: int, progress: bool | ProgressReport) -> Multistart:
+def _with_progress(
+    run: Callable[[ProgressReport | None], Multistart],
+    count: int,
+    progress: bool | ProgressReport,
+) -> Multistart:
     """Return what `run` finds from this many starts, its progress shown or reported."""
     # A bar would be in the way of a function that reports progress in another form.
     if callable(progress) or not progress:

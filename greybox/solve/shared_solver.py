@@ -16,7 +16,8 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.cached_property import cached_property
-from greybox.solve.batched_newton import BARRIERS, LAST, BatchedNewton, Ends, continued
+from greybox.solve.barrier_levels import BARRIERS, LAST
+from greybox.solve.batched_newton import BatchedNewton, Ends, continued
 from greybox.solve.minima import RIVAL, Minimum, likelihood_unit
 from greybox.solve.process_noise_start import ProcessNoise
 from greybox.solve.promising import Promising

@@ -1,33 +1,33 @@
-"""Errors with bounded large values, so that outliers do not decide an estimate.
+"""Huber's distribution: errors beyond a bound count as the bound, so outliers do not decide."""
 
-An estimate is robust if errors count as ψ(e), with Huber's ψ, which is linear up to a bound and
-constant beyond it. Least squares on the *pseudo-values* model + ψ(e) / mean(ψ') have the same
-estimate, and the covariance of that M-estimator. So everything made for least squares, including
-correlated errors, works with outliers, too.
-
-Source: Huber and Ronchetti (2009), Robust Statistics, 2nd ed., sections 7.4 and 7.8.
-"""
-
-from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.files.arrays import Array
+from greybox.statistics.error_distribution import ErrorDistribution
 
 
-def robust_deviation(errors: Array) -> Array:
-    """Return the standard deviations (k, 1) of errors (k, n), NaN if missing, by their medians."""
-    # The median size of normal errors times 1.4826 is their standard deviation.
-    deviation = 1.4826 * np.nanmedian(np.abs(errors), axis=1, keepdims=True)
-    # Where more than half of all errors are zero, as in rounded signals, there is no scale.
-    return np.where(deviation > 0, deviation, np.inf)
+@dataclass(frozen=True)
+class HuberErrors(ErrorDistribution):
+    """Normal errors with exponential tails: ψ is linear up to a bound, and constant beyond it.
 
+    Parameters
+    ----------
+    bound : float
+        In standard deviations. 1.345 is 95 % efficient for normal errors.
 
-def bounded(stretches: Sequence[Array]) -> list[Array]:
-    """Return ψ(e) / mean(ψ') of the errors (k, n) of several stretches, NaN if missing."""
-    errors = np.hstack(stretches)
-    # This bound is 95 % efficient for normal errors (Huber and Ronchetti).
-    limit = 1.345 * robust_deviation(errors)
-    beyond = np.sum(np.abs(errors) > limit, axis=1, keepdims=True)
-    share = 1 - beyond / np.sum(np.isfinite(errors), axis=1, keepdims=True)
-    return [np.clip(e, -limit, limit) / share for e in stretches]
+    Source: Huber and Ronchetti (2009), Robust Statistics, 2nd ed., section 7.8.
+    """
+
+    bound: float = 1.345
+    description: ClassVar[str] = "large errors bounded"
+
+    def influence(self, errors: Array) -> Array:
+        """Return the errors within the bound, and the bound for those beyond it."""
+        return np.clip(errors, -self.bound, self.bound)
+
+    def slope(self, errors: Array) -> Array:
+        """Return one within the bound, and zero beyond it."""
+        return np.where(np.abs(errors) > self.bound, 0.0, 1.0)

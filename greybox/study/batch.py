@@ -45,7 +45,8 @@ from greybox.solve.interruption import (
 from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
-from greybox.solve.runs import Outcome, RunStorageError
+from greybox.solve.run_storage import RunStorageError
+from greybox.solve.runs import Outcome
 from greybox.study.data_file import UnreadableError
 from greybox.study.database import is_study
 from greybox.study.members import StudyMember, add_members
@@ -364,7 +365,7 @@ def _key(member: Member, *, formulas_alone: bool = False) -> str:
     with suppress(Exception):
         if formulas_alone:
             return value_fingerprint(formulas)
-        stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
+        stated = [[getattr(p, field.name) for field in fields(p) if field.init] for p in parts]
         return value_fingerprint((formulas, stated, by.method, by.search, dict(by.options)))
     return ""
 

@@ -18,7 +18,8 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.covariance import Accuracy, accuracy_at
+from greybox.estimate.accuracy import Accuracy
+from greybox.estimate.covariance import accuracy_at
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
@@ -39,7 +40,8 @@ from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import ProgressReport, multistart, solver_for
-from greybox.solve.runs import Memory, Outcomes
+from greybox.solve.run_storage import Memory
+from greybox.solve.runs import Outcomes
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.replicates import Replicates
 from greybox.study.response_replicates import ResponseReplicates, response_draws

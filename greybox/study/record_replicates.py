@@ -10,7 +10,8 @@ import numpy as np
 
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.estimate.covariance import Accuracy, PartAccuracy
+from greybox.estimate.accuracy import Accuracy
+from greybox.estimate.part_accuracy import PartAccuracy
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.solve.gauss_newton.driver import GaussNewton

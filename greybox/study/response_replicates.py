@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import Accuracy, PartAccuracy, known_covariances
+from greybox.estimate.accuracy import Accuracy
+from greybox.estimate.covariance import known_covariances
+from greybox.estimate.part_accuracy import PartAccuracy
 from greybox.files.arrays import Array, ComplexArray, real_root, sum_of_squares
 from greybox.files.frozen_values import frozen
 from greybox.modeling.cached_property import cached_property

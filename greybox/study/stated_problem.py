@@ -21,6 +21,7 @@ from greybox.files.named_values import selected, without
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
+from greybox.formulation.several_responses import responses_in
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.identification.identify import filter_model
@@ -121,7 +122,7 @@ def _problem_of_model(options: Mapping[str, Any], read: Callable[..., Any]) -> A
     choices = selected(options, OF_FILES)
     given = [read(x, model, **choices) if isinstance(x, str | Path) else x for x in options["data"]]
     # A file may have the responses of several pairs.
-    data = [item for x in given for item in (x if isinstance(x, tuple) else (x,))]
+    data = [item for x in given for item in responses_in(x) or (x,)]
     # All responses of one plant have passed the filters that the first one names.
     for word in options.get("through", ()):
         for known_filter in filters_of(word, data[0]):

@@ -17,7 +17,8 @@ from greybox.files.arrays import Array
 from greybox.files.bounded_json import parsed
 from greybox.files.packed import packed
 from greybox.solve.interruption import Response, responding
-from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome, RunStorage, RunStorageError
+from greybox.solve.run_storage import RunStorage, RunStorageError
+from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
 from greybox.study.database import (
     DATABASE,
     MARK_ANSWERS,

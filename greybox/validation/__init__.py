@@ -10,7 +10,7 @@ Begin with `compare`.
 | `measures` | the rows of the table, and one likelihood for fits by different criteria |
 | `significance` | the sentences: which of two models is closer to the data |
 | `parsimony` | the smallest structure that the data support |
-| `nested_models` | the test of terms that only the larger of two models has, if it is larger |
+| `nesting`, `nested_models` | whether one fit contains another; the test of its further terms |
 | `held_out` | predictions of the same windows by all fits |
 | `stepwise` | terms chosen from a list of candidates |
 | `differences` | which parameters differ between fits to different data |

@@ -16,12 +16,8 @@ from greybox.statistics.correlation_statistics import mean_test, whiteness
 from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT
 from greybox.validation.held_out import Predictions
 from greybox.validation.measures import Likelihoods
-from greybox.validation.nested_models import (
-    NestedTest,
-    NotNestedError,
-    nested_test_at,
-    nested_values,
-)
+from greybox.validation.nested_models import NestedTest, nested_test_at
+from greybox.validation.nesting import NotNestedError, nested_values
 from greybox.validation.same_data import other_samples
 
 

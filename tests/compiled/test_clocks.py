@@ -93,28 +93,42 @@ def deviation(answer, name, truth):
     return abs(answer.estimate[name] - truth) / answer.standard_error[name]
 
 
-@pytest.mark.parametrize(
-    ("rate", "quantum", "is_uniform"),
-    [(75, 0.01, False), (90, 0.01, False), (714, 1e-3, True), (833, 1e-3, True), (607, 1e-3, True)],
-)
-def test_coarse_stamps_of_a_uniform_clock_are_not_cut(rate, quantum, is_uniform):
-    """Stamps that every k-th lost row would leave count as they are, others as the uniform clock.
-
-    A wrong time of half a quantum is noise; a new stretch behind it was a bias of 25 %.
-    """
-    tau, time, u = 20.8 / rate, np.arange(1500) / rate, commands(1500)
-    y = lag(time, u, tau) + noise(1500)
+def in_stamps(rate, quantum, count=1500):
+    """A fit from stamps of a uniform clock, and the same from its own times."""
+    tau, time, u = 20.8 / rate, np.arange(count) / rate, commands(count)
+    y = lag(time, u, tau) + noise(count)
     answer = fit(record(np.round(time / quantum) * quantum, u, y))
     (part,) = answer.records
     assert part.initial["y"].size == 1
-    assert (part.compared, part.unused) == (1500, 0)
-    assert f"stamps of {1e3 * quantum:.3g} ms that round a clock of" in str(answer)
-    assert answer.estimate["tau"] == pytest.approx(tau, rel=0.02)
+    assert (part.compared, part.unused) == (count, 0)
     assert deviation(answer, "tau", tau) < 5
-    if is_uniform:
-        exact = fit(record(time, u, y))
-        assert answer.standard_error["tau"] < 1.2 * exact.standard_error["tau"]
-        assert abs(answer.estimate["tau"] - exact.estimate["tau"]) < exact.standard_error["tau"]
+    return answer, fit(record(time, u, y))
+
+
+@pytest.mark.parametrize(
+    ("rate", "quantum"),
+    [(75, 0.01), (90, 0.01), (714, 1e-3), (833, 1e-3), (607, 1e-3), (62, 1 / 64)],
+)
+def test_coarse_stamps_of_a_uniform_clock_cost_nothing(rate, quantum):
+    """A wrong time of half a quantum is noise; a new stretch behind it was a bias of 25 %."""
+    answer, exact = in_stamps(rate, quantum)
+    assert f"stamps of {1e3 * quantum:.4g} ms that round a clock of" in str(answer)
+    assert answer.standard_error["tau"] < 1.2 * exact.standard_error["tau"]
+    assert abs(answer.estimate["tau"] - exact.estimate["tau"]) < exact.standard_error["tau"]
+
+
+@pytest.mark.parametrize(("rate", "quantum"), [(38.4, 1 / 64), (29, 1 / 64), (400, 1e-3)])
+def test_stamps_of_two_neighboring_multiples_of_any_unit_cost_nothing(rate, quantum):
+    """Where all stamps are within a quarter of a step, too, and a unit is 1/64 s."""
+    answer, exact = in_stamps(rate, quantum)
+    for both in (answer.estimate, exact.estimate), (answer.standard_error, exact.standard_error):
+        assert both[0]["tau"] == pytest.approx(both[1]["tau"], rel=1e-3)
+
+
+def test_few_stamps_beside_the_usual_step_cost_nothing():
+    """Six steps of two ticks in 148 of one were six holes, with a new stretch behind each."""
+    answer, exact = in_stamps(100 / 1.044, 0.01, 148)
+    assert answer.standard_error["tau"] < 1.2 * exact.standard_error["tau"]
 
 
 random = np.random.default_rng(5)

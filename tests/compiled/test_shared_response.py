@@ -62,7 +62,7 @@ def problem(criterion, seed=0, kind=Roll, **about):
                     **about,
                 )
             )
-    return gb.Problem(model, responses, criterion=criterion, weight={"p/lat": 2.0})
+    return gb.several(model, responses, criterion=criterion, weight={"p/lat": 2.0})
 
 
 HOLD = {"kind": RollAtOnce, "about": {"hold of the input, s": "0.02"}}

@@ -35,6 +35,43 @@ def test_coarse_stamps_are_those_of_a_uniform_clock(rate, quantum, rounding):
     assert cuts(gb.Record(time[there], {"u": moving(2000)[there]})) == [899]
 
 
+@pytest.mark.parametrize("ticks", [1.044, 1.0383, 1.3, 1.74, 1.93])
+def test_short_records_show_coarse_stamps(ticks):
+    """A clock of 150 samples whose step is so many ticks; four of its steps are unlike the others."""
+    for offset in np.arange(0, 1, 0.1):
+        time = np.round(ticks * np.arange(150) + offset)
+        record = gb.Record(time, {"u": moving(150)})
+        assert record.clock.kind == "rounded", offset
+        # The first and the last of the stamps are rounded.
+        assert record.step == pytest.approx(ticks, abs=1 / 149)
+        assert not cuts(record)
+
+
+@pytest.mark.parametrize("steps", [[1, 1, 1, 2, 3], [1, 1, 1, 2, 3, 5], [1, 1, 2], [1, 2]], ids=str)
+@pytest.mark.parametrize("count", [20, 60, 200])
+def test_whole_steps_in_random_order_are_no_coarse_stamps(steps, count):
+    """Times of a schedule that were taken for stamps were moved by more than a step."""
+    random = np.random.default_rng(count)
+    kinds = [kind(np.cumsum(random.choice(steps, count)).astype(float)) for _ in range(300)]
+    assert kinds.count("rounded") <= 6  # one in a hundred by chance
+
+
+@pytest.mark.parametrize("every", [7, 10, 26])
+def test_signals_tell_coarse_stamps_from_rows_that_are_lost_at_equal_intervals(every):
+    """Both clocks have the same stamps: every so many steps of one tick, one of two."""
+    rows = np.flatnonzero(np.arange(400) % every != every - 1)
+    time = 0.01 * rows
+    uniform = 0.01 * np.arange(rows.size)
+    for moments, expected in ((time, "regular"), (uniform, "rounded")):
+        y = np.sin(3 * moments) + 0.002 * moving(rows.size)
+        record = gb.Record(time, {"u": moving(rows.size, 1), "y": y})
+        assert record.clock.kind == expected
+        lost = np.sum(np.diff(rows) > 1) if expected == "regular" else 0
+        assert abs(len(cuts(record)) - lost) <= 1  # one is too near to an end
+    # Without a smooth signal, nothing speaks for lost rows.
+    assert not cuts(gb.Record(time, {"u": moving(rows.size)}))
+
+
 @pytest.mark.parametrize(
     "time",
     [

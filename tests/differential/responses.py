@@ -178,6 +178,29 @@ def cost(rng: np.random.Generator) -> str | None:
     return None
 
 
+def cost_of_ties(rng: np.random.Generator) -> str | None:
+    """Return where the cost of two responses with different ties is not that of their formula."""
+    system, first, criterion, formula, _ = _case(rng)
+    values = {n: v * float(rng.uniform(0.5, 2)) for n, v in system.truth.items() if n != "K"}
+    model, want, parts = system.model(rng), 0.0, []
+    for number in (1, 2):
+        clean = system.response(first.omega, system.truth)[:, 0]
+        data = measurement(rng, first.omega, clean)
+        factor = system.truth["K"] / system.truth["w"] * float(rng.uniform(0.5, 2))
+        tied = {"K": lambda p, factor=factor: factor * p.w}
+        name = f"response {number}"
+        parts.append(
+            gb.Problem(model, data, criterion, tied=tied, rename={"K": f"K_{number}"}, name=name)
+        )
+        all_values = values | {"K": factor * values["w"]}
+        want += float(formula(system.response(data.omega, all_values), data)[0])
+    found = gb.cost(parts[0] + parts[1], values)
+    if not abs(found - want) < 1e-6 * (1 + abs(want)):
+        what = f"two of {system.name}, {type(criterion).__name__}, tied K"
+        return f"{what}: cost {found:.9g}, by its formula {want:.9g}"
+    return None
+
+
 def _ends_above(rng: np.random.Generator, damping, starts) -> str | None:
     """Return where a fit ends above what SciPy reaches from the truth."""
     system, data, criterion, formula, problem = _case(rng, damping)
@@ -395,6 +418,7 @@ def response_of_states(rng: np.random.Generator) -> str | None:
 
 FAMILIES = {
     "cost": cost,
+    "cost-ties": cost_of_ties,
     "response": response,
     "light-mode": light_mode,
     "start-response": start,

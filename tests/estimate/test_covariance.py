@@ -15,16 +15,10 @@ from scipy.stats import binom, t
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import (
-    Accuracy,
-    accuracy_at,
-    degrees,
-    determined_directions,
-    directions_beside,
-    known_directions,
-    propagate,
-)
-from greybox.estimate.identifiability import collinear_groups, invisible_groups
+from greybox.estimate.accuracy import Accuracy, degrees, propagate
+from greybox.estimate.active_limits import determined_directions
+from greybox.estimate.combinations import collinear_groups, invisible_groups
+from greybox.estimate.covariance import accuracy_at, directions_beside, known_directions
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt
 

@@ -42,10 +42,13 @@ class Root(gb.StateSpace):
         return (gb.sqrt(x.h),)
 
 
-def unfinished(criterion=gb.OutputError, iterations=4, **start):
+def unfinished(criterion=gb.OutputError, iterations=4, tied=None, **start):
     clean = gb.simulate(Lag(), {"a": 3.0, "k": 20.0}, gb.Record(TIME, {"u": U}), inputs="held")["x"]
     problem = gb.Problem(
-        Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), criterion(inputs="held")
+        Lag(),
+        gb.Record(TIME, {"u": U, "x": clean + NOISE}),
+        criterion(inputs="held"),
+        tied=tied or {},
     )
     options = {"solver_options": {"max_iter": iterations}, "progress": False}
     with without_continued_runs():
@@ -94,6 +97,19 @@ def test_a_failed_fit_says_how_its_best_end_is_simulated_which_works():
     motion = gb.simulate(Lag(), fit.best_effort, record=record)
     by_values = gb.simulate(Lag(), {n: fit.best_effort[n] for n in Lag.parameters}, record=record)
     assert np.array_equal(motion["x"], by_values["x"])
+
+
+def test_tied_parameters_are_part_of_the_best_effort(tmp_path):
+    """Without them a simulation from there would take their declared starts."""
+    fit = unfinished(tied={"mass": lambda p: 2 * p.a + p.held})
+    ended = fit.best_effort
+    assert ended is not None
+    assert ended["a"] != 1.0
+    assert ended["mass"] == pytest.approx(2 * ended["a"] + 0.5)
+    assert "mass" in str(fit).split("best effort, no estimate")[1]
+    assert np.isnan(fit.estimate["mass"])
+    gb.save(fit, tmp_path / "failed.h5")
+    assert gb.load(tmp_path / "failed.h5").best_effort == ended
 
 
 def test_an_estimate_leaves_no_best_effort():

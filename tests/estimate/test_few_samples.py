@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
+from scipy.optimize import curve_fit, minimize_scalar
 
 import greybox as gb
 
@@ -54,6 +54,24 @@ def test_a_decay_of_few_samples(samples):
     low, high = fit.interval()["k"]
     assert low < 0.8 < high
     assert not [text for text in fit.warnings if "same response" in text or "outlier" in text]
+
+
+def test_replicates_at_one_time_are_a_record_each():
+    """Three tubes at each of six times: as SciPy from all samples together."""
+    time = np.array([0.0, 1.0, 2.0, 3.0, 5.0, 8.0])
+    tubes = np.exp(-0.4 * time) + 0.03 * np.random.default_rng(3).normal(size=(3, 6))
+    with pytest.raises(ValueError, match="replicates as one record each"):
+        gb.Record(np.repeat(time, 3), {"x": tubes.T.ravel()})
+
+    records = [gb.Record(time, {"x": x}) for x in tubes]
+    criterion = gb.OutputError(initial={"x": 1.0})
+    fit = gb.fit(gb.several(Decay(), records, criterion=criterion), 3, progress=False)
+    (k,), covariance = curve_fit(
+        lambda t, k: np.exp(-k * t), np.tile(time, 3), tubes.ravel(), p0=[0.5]
+    )
+    assert fit.estimate["k"] == pytest.approx(k, rel=1e-4)
+    # SciPy takes the errors as white, the fit as correlated as its residuals are.
+    assert fit.standard_error["k"] == pytest.approx(np.sqrt(covariance[0, 0]), rel=0.3)
 
 
 @pytest.mark.parametrize("samples", [1, 2, 9])

@@ -228,7 +228,7 @@ def test_standard_errors_of_many_responses_with_white_errors_are_those_of_the_in
             gb.FrequencyResponse(omega, G, u, y, variance=size**2)
             for (u, y), G, size in zip(pairs, exact + deviation * errors, deviation, strict=True)
         ]
-        problem = gb.Problem(Lateral(), data, gb.MaximumLikelihood())
+        problem = gb.several(Lateral(), data, criterion=gb.MaximumLikelihood())
         fit = gb.fit(problem, starts=[LATERAL], profiles=False, progress=False)
         ratios.append([fit.standard_error[name] for name in names] / wanted)
     # Residuals that exceed the given variances of a response by chance widen them by 1.04 in the

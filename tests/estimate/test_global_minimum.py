@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.estimate.accuracy import Accuracy
 from greybox.estimate.checks.discontinuous_cost import discontinuous_cost
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.few_agreeing_starts import few_agreeing_starts
 from greybox.estimate.checks.rival_minima import rival_minima
 from greybox.estimate.checks.several_estimates import several_estimates
 from greybox.estimate.checks.unfinished_runs import unfinished_runs
-from greybox.estimate.covariance import Accuracy
 from greybox.models.rate import DampedRate
 from greybox.problems import pitch_hover
 from greybox.solve.runs import TOO_COARSE, Run

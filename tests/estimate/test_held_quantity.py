@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.profile import HeldMinima, NoProfileError, Point, slope_of, steep_equation
+from greybox.estimate.held_minima import HeldMinima, NoProfileError, Point, slope_of, steep_equation
 from greybox.solve.runs import Outcome
 
 

@@ -9,12 +9,12 @@ import greybox as gb
 from greybox.estimate.identifiability import (
     DeterminedCombination,
     Identifiability,
-    KnownDirections,
     _condition,
     _products,
     _sums,
     identifiability,
 )
+from greybox.estimate.known_directions import KnownDirections
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

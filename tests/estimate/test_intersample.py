@@ -244,8 +244,8 @@ def test_samples_of_outputs_without_a_lag_give_the_parameters(model):
         )
         for output, values in zip(model.output_names, exact[..., 0].T, strict=True)
     ]
-    for measured in ([*data], data[-1]):
-        fit = gb.fit(gb.Problem(model, measured), starts=[truth], progress=False)
+    for problem in (gb.several(model, data), gb.Problem(model, data[-1])):
+        fit = gb.fit(problem, starts=[truth], progress=False)
         assert_allclose([*fit.estimate.values()], [*truth.values()], rtol=1e-3)
 
 
@@ -297,8 +297,8 @@ def late_responses(late, hold=0.05):
 def test_the_fraction_of_a_sample_decides_what_is_folded_back(late):
     measured = late_responses(late)
     start = {"L": 18.0, "Lp": 3.0, "T": 0.05 * late + 0.004}
-    for model, data in ((LateRoll(), measured), (LateRate(), measured[0])):
-        fit = gb.fit(gb.Problem(model, data), starts=[start], progress=False)
+    for problem in (gb.several(LateRoll(), measured), gb.Problem(LateRate(), measured[0])):
+        fit = gb.fit(problem, starts=[start], progress=False)
         values = [fit.estimate[name] for name in ("L", "Lp", "T")]
         # Of a hold, a thousandth.
         assert_allclose(values, [20, 2.5, 0.05 * late], rtol=1e-3, atol=5e-5)

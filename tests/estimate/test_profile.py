@@ -474,7 +474,7 @@ def test_many_responses_are_profiled_by_the_search_of_their_fit(monkeypatch):
             noise = 0.05 * random.standard_normal((2, omega.size))
             measured = exact * (1 + noise[0] + 1j * noise[1])
             responses.append(gb.FrequencyResponse(omega, measured, input=u, output=y))
-    problem = gb.Problem(Pair(), responses, gb.SquaredRelativeError())
+    problem = gb.several(Pair(), responses, criterion=gb.SquaredRelativeError())
     fit = gb.fit(problem, starts=2, progress=False)
     low, high = gb.profile(fit, "Lv")["Lv"].interval
     assert_allclose((low, high), fit.interval()["Lv"], atol=0.05 * (high - low))

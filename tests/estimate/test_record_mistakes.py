@@ -116,8 +116,14 @@ class Wild(gb.StateSpace):
             lambda: gb.Problem(Spring(), gb.Record(DATA.time, {"x": DATA["x"]})),
             "needs the input 'F'",
         ),
-        (lambda: gb.Record(np.zeros(3), {}), "time does not increase after 0.000000 s"),
-        (lambda: gb.Record([0.0, 1.0, 0.5], {}), "time does not increase after 1.000000 s"),
+        (
+            lambda: gb.Record(np.zeros(3), {}),
+            r"time does not increase after 0.000000 s .*replicates as one record each, gb.several",
+        ),
+        (
+            lambda: gb.Record([0.0, 1.0, 0.5], {}),
+            r"time does not increase after 1.000000 s \(index 1\): sort the samples.$",
+        ),
         (
             lambda: gb.Problem(Spring(), DATA, gb.OutputError(initial={"y": 0.0})),
             "no state 'y'; it has x, v",
@@ -136,6 +142,10 @@ class Wild(gb.StateSpace):
         (
             lambda: gb.OutputError(noise="white"),
             "noise 'white' is not known: use 'diagonal', 'full' or",
+        ),
+        (
+            lambda: gb.OutputError(noise=np.ones(3)),
+            r"noise array.*is not known: use 'diagonal', 'full' or \{output: standard deviation\}",
         ),
         (lambda: gb.OutputError(noise={"x": 0.0}), "give a standard deviation above 0"),
         (

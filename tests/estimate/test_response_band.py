@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import f, t
 
 import greybox as gb
-from greybox.estimate.identifiability import KnownDirections
+from greybox.estimate.known_directions import KnownDirections
 from greybox.estimate.response_band import ResponseBand, band_of, radius, t_quantile
 from greybox.models.tilt import NonlinearTilt
 

@@ -5,7 +5,7 @@ import pytest
 from classic_structures import STRUCTURES
 
 import greybox as gb
-from greybox.estimate.identifiability import Combination
+from greybox.estimate.combinations import Combination
 from greybox.estimate.structural_identifiability import StructuralIdentifiability, _times
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
 
@@ -268,3 +268,63 @@ def test_what_a_motor_determines_beside_a_product_is_counted():
     motor = next(s.model for s in STRUCTURES if s.model.label == "Motor")
     # The response has three coefficients; only that of s², L J/Km, is a product.
     assert "L J/Km and 2 combinations" in str(gb.structural_identifiability(motor))
+
+
+class Driven(gb.StateSpace):
+    """A lag behind an element with a threshold c."""
+
+    states = outputs = ("y",)
+    inputs = ("u",)
+    a = gb.Parameter(1.0, bounds=(0.5, 2))
+    c = gb.Parameter(0.5, bounds=(0.1, 1))
+
+    def element(self, u, p):
+        return gb.where(u < p.c, p.a, 0)
+
+    def derivative(self, x, u, p):
+        return (self.element(u.u, p) - x.y,)
+
+    def output(self, x, u, p):
+        return (x.y,)
+
+
+class DeadZone(Driven):
+    def element(self, u, p):
+        return p.a * u + gb.maximum(u - p.c, 0) + gb.minimum(u + p.c, 0)
+
+
+class WideDeadZone(DeadZone):
+    c = gb.Parameter(25.0, bounds=(20, 30))
+
+
+class Limit(Driven):
+    c = gb.Parameter(25.0, bounds=(20, 30))
+
+    def element(self, u, p):
+        return p.a * gb.maximum(gb.minimum(u, p.c), -p.c)
+
+
+class Absent(Driven):
+    def element(self, u, p):
+        return p.a * gb.maximum(u, 0)
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (Driven(), "c enters only through a switch or a rounding, which has no slope"),
+        (WideDeadZone(), "c has no effect on what was tried here, but its formula has a switch"),
+        (Limit(), "c has no effect on what was tried here, but its formula has a switch"),
+        (Absent(), "c has no effect: fix it or remove it."),
+    ],
+    ids=lambda case: getattr(case, "label", ""),
+)
+def test_a_threshold_is_not_said_to_have_no_effect(model, said):
+    answer = gb.structural_identifiability(model)
+    assert lost(answer) == [{"c"}]
+    assert said in str(answer)
+    assert set(answer.reasons) == ({"c"} if type(model) is not Absent else set())
+
+
+def test_a_dead_zone_that_inputs_exceed_is_determined():
+    assert gb.structural_identifiability(DeadZone()).identifiable == ("a", "c")

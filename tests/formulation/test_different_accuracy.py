@@ -49,8 +49,29 @@ def test_further_outputs_weigh_samples_like_scipy(is_poor):
     assert fit.estimate["k"] == pytest.approx(expected[1], rel=1e-5)
 
 
-def test_a_standard_deviation_for_every_sample_is_refused_with_that_way():
-    with pytest.raises(
-        ValueError, match=r"'y' 100 numbers.*further outputs with the formula of 'y'"
-    ):
-        gb.OutputError(noise={"y": np.ones(100)})
+class ScaledDecay(gb.StateSpace):
+    """A decay whose samples are divided by their standard deviations."""
+
+    states, inputs, outputs = ("x",), ("sigma",), ("y",)
+    k = gb.Parameter(0.5, bounds=(0.01, 10))
+
+    def derivative(self, x, u, p):
+        return (-p.k * x.x,)
+
+    def output(self, x, u, p):
+        return (x.x / u.sigma,)
+
+
+def test_a_standard_deviation_for_every_sample_is_refused_with_a_way_that_works_like_scipy():
+    sigma = 0.01 * np.exp(RANDOM.uniform(0, 4, TIME.size))
+    y = 3 * np.exp(-0.8 * TIME) + sigma * RANDOM.normal(size=TIME.size)
+    with pytest.raises(ValueError, match=r"'y' 100 numbers.*divide the formula of 'y' and its"):
+        gb.OutputError(noise={"y": sigma})
+
+    record = gb.Record(TIME, {"sigma": sigma, "y": y / sigma})
+    problem = gb.Problem(ScaledDecay(), record, gb.OutputError(noise={"y": 1.0}))
+    fit = gb.fit(problem, starts=2, progress=False)
+    expected, _ = curve_fit(
+        lambda t, x0, k: x0 * np.exp(-k * t), TIME, y, (1, 1), sigma=sigma, absolute_sigma=True
+    )
+    assert fit.estimate["k"] == pytest.approx(expected[1], rel=1e-5)

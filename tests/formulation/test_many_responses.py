@@ -52,7 +52,7 @@ def test_every_form_of_a_matrix_makes_the_same_sum(tmp_path):
     by_pair = {(r.output, r.input): r for r in flat}
     for form in (rows, flat, named, by_pair, np.array(rows, dtype=object),
                  gb.data.read_responses(tmp_path / "matrix.csv")):  # fmt: skip
-        problem = gb.Problem(Roll(), form)
+        problem = gb.several(Roll(), form)
         assert [part.name for part in problem.parts] == ["v/lat", "v/ped", "p/lat", "p/ped"]
         assert_allclose([p.response.response for p in problem.parts], [r.response for r in flat])
 
@@ -63,7 +63,7 @@ def test_every_form_of_a_matrix_makes_the_same_sum(tmp_path):
 
 def test_weights_and_bands_go_to_their_pairs():
     rows = [[matrix()[0][0], None], matrix()[1]]
-    problem = gb.Problem(Roll(), rows, weight={"p/lat": 2.0}, band={"p/ped": (1.0, 10.0)})
+    problem = gb.several(Roll(), rows, weight={"p/lat": 2.0}, band={"p/ped": (1.0, 10.0)})
     assert {part.name: part.weight for part in problem.parts} == {
         "v/lat": 1.0, "p/lat": 2.0, "p/ped": 1.0,
     }  # fmt: skip
@@ -71,19 +71,19 @@ def test_weights_and_bands_go_to_their_pairs():
     assert len(v) == len(lat) == 8
     assert_allclose(ped, OMEGA[(OMEGA >= 1) & (OMEGA <= 10)])
     with pytest.raises(ValueError, match="no pair 'p/pedal'"):
-        gb.Problem(Roll(), rows, weight={"p/pedal": 2.0})
+        gb.several(Roll(), rows, weight={"p/pedal": 2.0})
 
 
 def test_a_band_of_a_single_response_is_refused_with_what_cuts_it():
     with pytest.raises(TypeError, match=r"band is for several responses: .*\.between\(low, high\)"):
-        gb.Problem(Roll(), matrix()[0][0], band=(1.0, 10.0))
+        gb.several(Roll(), matrix()[0][0], band={"v/lat": (1.0, 10.0)})
 
 
 def test_responses_of_one_name_are_numbered_once_however_they_are_added():
     (first, other), _ = matrix()
     again = gb.FrequencyResponse(1.1 * OMEGA, first.response, input="lat", output="v")
     names = ["v/lat 1", "v/ped", "v/lat 2"]
-    together = gb.Problem(Roll(), [first, other, again])
+    together = gb.several(Roll(), [first, other, again])
     one_by_one = sum(gb.Problem(Roll(), response) for response in (first, other, again))
     for problem in (together, one_by_one):
         assert [part.name for part in problem.parts] == names
@@ -96,7 +96,7 @@ def test_an_frd_of_python_control_is_a_matrix():
     control = pytest.importorskip("control")
     values = np.array([[r.response for r in row] for row in matrix()])
     system = control.frd(values, OMEGA, inputs=["lat", "ped"], outputs=["v", "p"])
-    problem = gb.Problem(Roll(), gb.interop.from_control(system))
+    problem = gb.several(Roll(), gb.interop.from_control(system))
     assert_allclose([p.response.response for p in problem.parts], values.reshape(4, 8))
 
 
@@ -112,9 +112,31 @@ def test_names_with_underscores_need_their_pairs(tmp_path):
         gb.data.read_responses(path)
 
 
+@pytest.mark.parametrize("form", ["list", "rows", "array", "by pair"])
+def test_a_problem_of_several_responses_is_refused_and_the_function_named(form):
+    rows = matrix()
+    flat = [r for row in rows for r in row]
+    data = {
+        "list": flat,
+        "rows": rows,
+        "array": np.array(rows, dtype=object),
+        "by pair": {r.pair: r for r in flat},
+    }[form]
+    with pytest.raises(TypeError, match=r"gb\.several\(model, ") as caught:
+        gb.Problem(Roll(), data)
+    assert "\n" not in str(caught.value)
+    assert len(gb.several(Roll(), data).parts) == 4
+
+
+def test_parameters_of_each_response_have_its_number():
+    lat, ped = matrix()[1]
+    both = gb.several(Roll(), [lat, ped], own=["Lp"])
+    assert {"Lp_1", "Lp_2", "Lv"} < {*both.parameters}
+
+
 def test_a_mapping_by_anything_but_pairs_names_its_keys():
     with pytest.raises(TypeError, match=r"keys 'roll': give every FrequencyResponse by its pair"):
-        gb.Problem(Roll(), {"roll": matrix()[0][0]})
+        gb.several(Roll(), {"roll": matrix()[0][0]})
 
 
 def test_the_cost_of_every_pair_is_that_of_cifer_and_stands_in_the_details():
@@ -122,7 +144,7 @@ def test_the_cost_of_every_pair_is_that_of_cifer_and_stands_in_the_details():
     rows = matrix()
     rows[1][0] = gb.FrequencyResponse(OMEGA, 1.1 * rows[1][0].response, input="lat", output="p")
     fixed = {name: value for name, value in TRUTH.items() if name != "Lped"}
-    fit = gb.fit(gb.Problem(Roll(), rows, fixed=fixed), starts=1, progress=False)
+    fit = gb.fit(gb.several(Roll(), rows, fixed=fixed), starts=1, progress=False)
     weight = 1.58 * (1 - np.exp(-1))
     expected = 20 * weight**2 * (20 * np.log10(1.1)) ** 2
     costs = {part.name: part.magnitude_phase_cost for part in fit.responses}
@@ -137,7 +159,7 @@ def test_the_cost_of_every_pair_is_that_of_cifer_and_stands_in_the_details():
 def test_a_response_that_the_model_lacks_is_not_explained():
     # Without Lped and Lv, the pedals do not reach p.
     names = {"Lped": 0.0, "Lv": 0.0}
-    fit = gb.fit(gb.Problem(Roll(), matrix(), fixed=names), starts=1, progress=False)
+    fit = gb.fit(gb.several(Roll(), matrix(), fixed=names), starts=1, progress=False)
     assert not np.any(fit.responses[3].response)
     assert "does not explain the data" in str(fit)
     assert "a response of p to ped" in str(fit)

@@ -393,3 +393,38 @@ def test_a_record_that_does_not_meet_the_criterion_is_refused(criterion, signals
     record = gb.Record(np.arange(5.0), dict.fromkeys(signals, np.array([0.0, 1.0, 0.5, 2.0, 1.0])))
     with pytest.raises(ValueError, match=f"^{re.escape(words)}"):
         criterion.compared(Spring(), record)
+
+
+MORE_NOISE = gb.PredictionError(process_noise=("v", "q"))
+
+
+@pytest.mark.parametrize(
+    ("large", "small", "contains"),
+    [
+        (gb.OutputError(), gb.OutputError(), True),
+        (gb.OutputError(biases=("a", "b")), gb.OutputError(biases=["b"]), True),
+        (gb.OutputError(biases=("a",)), gb.OutputError(biases=("b",)), False),
+        (gb.OutputError(noise="full"), gb.OutputError(), False),
+        (gb.OutputError(errors="huber"), gb.OutputError(), False),
+        (gb.OutputError(initial={"v": 0.0}), gb.OutputError(), False),
+        (gb.PredictionError(), gb.OutputError(), True),
+        (gb.PredictionError(), gb.OutputError(errors="huber"), False),
+        (gb.PredictionError(inputs="held"), gb.OutputError(), False),
+        (gb.OutputError(), gb.PredictionError(), False),
+        (gb.PredictionError(), gb.PredictionError(corrected=("v",)), True),
+        (gb.PredictionError(corrected=("v", "q")), gb.PredictionError(corrected=("v",)), True),
+        (gb.PredictionError(corrected=("v",)), gb.PredictionError(), False),
+        (MORE_NOISE, gb.OutputError(), True),
+        (MORE_NOISE, gb.PredictionError(process_noise=("v",)), True),
+        (gb.PredictionError(process_noise=("v",)), MORE_NOISE, False),
+        (MORE_NOISE, gb.PredictionError(), False),
+        (gb.PredictionError(), MORE_NOISE, False),
+        (gb.RelativeError(), gb.RelativeError(), True),
+        (gb.RelativeError(), gb.SquaredRelativeError(), False),
+        (gb.OutputError(), gb.RelativeError(), False),
+    ],
+    ids=str,
+)
+def test_a_criterion_contains_those_without_some_of_its_parameters(large, small, contains):
+    """Klein and Morelli, chapter 6: without gains or process noise, filter error is output error."""
+    assert large.contains(small) == contains

@@ -58,6 +58,15 @@ def test_the_default_rate_is_that_of_the_slowest():
     assert gb.prepare(log, {"x": "A.x", "y": "B.y"}).rate == pytest.approx(25)
 
 
+def test_coarse_stamps_count_as_the_clock_that_they_round():
+    """A sine at 833 Hz in stamps of 1 ms, which are up to 0.5 ms off."""
+    exact = np.arange(3000) / 833
+    log = Record(np.round(exact, 3), {"y": np.sin(20 * exact)})
+    prepared = gb.prepare(log, {"y": "y"})
+    assert prepared.rate == pytest.approx(833, rel=1e-5)
+    assert np.abs(prepared["y"] - np.sin(20 * prepared.time)).max() < 0.1 * 20 * 0.5e-3
+
+
 @pytest.mark.parametrize(
     ("omega", "kept"), [(2 * np.pi * 5, 1.0), (2 * np.pi * 17, 1.0), (2 * np.pi * 60, 0.0)]
 )

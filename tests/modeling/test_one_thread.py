@@ -33,7 +33,7 @@ def test_all_responses_of_a_fit_share_one_trace_that_ends_with_it():
         for y in model.outputs
     ]
     model.calls = 0
-    fit = gb.fit(gb.Problem(model, responses), starts=4, progress=False)
+    fit = gb.fit(gb.several(model, responses), starts=4, progress=False)
     assert fit.estimate["k"] == pytest.approx(2.0)
     assert model.calls == 1
 

@@ -50,6 +50,13 @@ def test_gaps_stay_open():
     assert np.isnan(axes.lines[0].get_ydata()).sum() == 1
 
 
+def test_a_change_of_rate_is_no_gap():
+    """Steps of 0.5 s behind steps of 0.01 s: a line, not points that nobody sees."""
+    time = np.r_[np.arange(1000) * 0.01, 10 + np.arange(100) * 0.5]
+    (axes,) = gb.plotting.traces(Record(time, {"x": np.sin(time)}))
+    assert np.isfinite(axes.lines[0].get_ydata()).all()
+
+
 def test_a_recording_is_drawn_with_its_tests_shaded():
     degrees = Record(
         TIME, {"DesPitch": TIME, "Pitch": (10 * TIME) % 360}, {"DesPitch": "deg", "Pitch": "deg"}

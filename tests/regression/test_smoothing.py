@@ -245,3 +245,15 @@ def test_of_a_smooth_curve_without_noise_all_passes(curve):
     """No cutoff above the highest of the sines is tried: there is nothing beyond."""
     _, cutoff = smooth(TIME[:200], curve(TIME[:200]))
     assert cutoff == pytest.approx(np.pi * 198 / TIME[199], rel=1e-6)
+
+
+def test_a_slower_clock_behind_a_hole_is_smoothed_at_its_own_step():
+    """Its steps are 1.6 times the median one, and no rows are missing there."""
+    time = np.r_[np.arange(1000) * 0.01, 12 + np.arange(400) * 0.016]
+    wave = np.sin(2 * time)
+    known, _ = smooth(time, wave + 1e-3 * np.random.default_rng(0).standard_normal(time.size))
+    assert np.abs(known - wave).max() < 2e-3
+    assert [rows.start for rows in stretches(time, known)] == [0, 1000]
+    slope = differentiate(time, known)
+    inside = np.r_[100:900, 1060:1340]
+    assert np.abs(slope - 2 * np.cos(2 * time))[inside].max() < 0.05

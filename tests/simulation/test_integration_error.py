@@ -33,23 +33,25 @@ class Lorenz(gb.StateSpace):
         return (x.x,)
 
 
+def scipy_motion(time):
+    """Return the first state (n,) of the oscillation for µ = 100, from x = 2."""
+
+    def slope(_, x):
+        return [x[1], 100 * (1 - x[0] ** 2) * x[1] - x[0]]
+
+    span = (0, time[-1])
+    return solve_ivp(slope, span, [2, 0], "Radau", time, rtol=1e-9, atol=1e-11).y[0]
+
+
 def test_a_relaxation_oscillation_jumps_when_it_does_by_scipy():
     time = np.linspace(0, 170, 1701)
     record = gb.Record(time, {"u": np.zeros(time.size)})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         motion = gb.simulate(VanDerPol(), {"mu": 100.0}, record=record, initial={"x": 2.0})
-    exact = solve_ivp(
-        lambda t, x: [x[1], 100 * (1 - x[0] ** 2) * x[1] - x[0]],
-        (0, time[-1]),
-        [2, 0],
-        method="Radau",
-        rtol=1e-9,
-        atol=1e-11,
-        t_eval=time,
-    )
-    assert np.abs(exact.y[0]).min() < 1.5  # it has jumped
-    assert np.abs(motion["x"] - exact.y[0]).max() < 2e-3  # of a range of 4
+    exact = scipy_motion(time)
+    assert np.abs(exact).min() < 1.5  # it has jumped
+    assert np.abs(motion["x"] - exact).max() < 2e-3  # of a range of 4
 
 
 def test_a_chaotic_motion_is_said_to_depend_on_the_steps():
@@ -61,3 +63,24 @@ def test_a_chaotic_motion_is_said_to_depend_on_the_steps():
         warnings.simplefilter("error")
         short = gb.Record(time[:251], {"u": np.zeros(251)})
         gb.simulate(Lorenz(), {"rho": 28.0}, record=short, initial={"x": 1.0, "y": 1.0, "z": 1.0})
+
+
+def test_a_prediction_jumps_when_it_does_by_scipy_or_says_that_it_does_not():
+    time = np.arange(90.0)
+    exact = scipy_motion(time)
+    record = gb.Record(time, {"u": np.zeros(time.size), "x": exact})
+
+    def predicted(**options):
+        return gb.predict(VanDerPol(), {"mu": 100.0}, record, lead=5, horizon=80, **options)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        windows = predicted()
+    assert windows.measured("x").min() < -1.5  # it has jumped
+    assert np.abs(windows.residual("x")).max() < 1e-6  # of a range of 4
+
+    with pytest.warns(
+        UserWarning, match="prediction of VanDerPol is not exact: .* shorter windows"
+    ):
+        windows = predicted(integrator=gb.RungeKutta())
+    assert np.abs(windows.residual("x")).max() > 1e-5

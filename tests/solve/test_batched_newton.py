@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from greybox.compiled.vectorized import second_order
-from greybox.solve.batched_newton import SMOOTHINGS, BatchedNewton
+from greybox.solve.barrier_levels import SMOOTHINGS
+from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import limited
 
 FAR = np.full(2, 9.0)

@@ -157,7 +157,7 @@ def pair(criterion, **options):
         data.append(
             gb.FrequencyResponse(OMEGA, measured, input=input, output=output, variance=variance)
         )
-    return gb.Problem(Pair(), data, criterion=criterion, **options)
+    return gb.several(Pair(), data, criterion=criterion, **options)
 
 
 RESPONSES = {

@@ -39,7 +39,8 @@ from greybox.solve.executors import (
     run_starts,
 )
 from greybox.solve.local_solver import LocalSolver, Runner
-from greybox.solve.runs import Memory, Outcome
+from greybox.solve.run_storage import Memory
+from greybox.solve.runs import Outcome
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

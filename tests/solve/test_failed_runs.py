@@ -67,9 +67,11 @@ def test_a_run_that_raises_fails_alone_here_and_on_workers(runner):
         assert [found[k].estimate[0] for k in (2, 4, 11)] == [4, 8, 22]
 
 
-def test_a_run_that_raises_only_on_a_worker_is_made_here():
-    with gb.solve.WorkerPool(1) as workers:
+def test_a_run_that_raises_only_on_a_worker_is_made_here_with_a_word():
+    said = r"a worker could not make a run \(error: .*ZeroDivisionError: three is not doubled\)"
+    with gb.solve.WorkerPool(1) as workers, pytest.warns(UserWarning, match=said) as warned:
         found = ends(Failing(os.getpid()), workers)
+    assert len(warned) == 1
     assert all(outcome.converged for outcome in found.values())
     assert found[3].estimate[0] == 6
 

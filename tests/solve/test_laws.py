@@ -6,6 +6,7 @@ precise and exact data, wrong models, records of which one disagrees, constraint
 
 import numpy as np
 import pytest
+from driven_lag import Lag
 
 import greybox as gb
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
@@ -28,20 +29,6 @@ class Mode(gb.TransferFunction):
     def response(self, s, p):
         mode = s * s + 2 * p.z * p.w * s + p.w**2
         return p.g * (s + p.a) / mode * gb.exp(-s * p.T)
-
-
-class Lag(gb.StateSpace):
-    """tau y' = g u - y."""
-
-    states, inputs, outputs = ("y",), ("u",), ("y",)
-    g = gb.Parameter(3.0, bounds=(0.1, 30))
-    tau = gb.Parameter(0.4, bounds=(0.02, 5), unit="s")
-
-    def derivative(self, x, u, p):
-        return ((p.g * u.u - x.y) / p.tau,)
-
-    def output(self, x, u, p):
-        return (x.y,)
 
 
 class TwoLags(gb.StateSpace):

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.solve.batched_newton import (
+from greybox.solve.barrier_levels import LAST
+from greybox.solve.newton_iteration import (
     COST,
     END,
     IS_NEWTON,
     ITERATIONS,
-    LAST,
     LEVEL,
     RADIUS,
     SWITCHED,

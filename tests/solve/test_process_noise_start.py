@@ -69,7 +69,7 @@ def test_the_search_finds_the_minimum_in_wide_boxes():
          for i, u in enumerate(Axes.inputs)]
         for k, y in enumerate(Axes.outputs)
     ]  # fmt: skip
-    problem = gb.Problem(Axes(), matrix, criterion=gb.SquaredRelativeError())
+    problem = gb.several(Axes(), matrix, criterion=gb.SquaredRelativeError())
     fit = gb.fit(problem, starts=32, profiles=False, progress=False)
     # 11 of 32, and 4 without process noise.
     assert fit.agreeing > 6
@@ -135,7 +135,7 @@ def test_the_search_finds_states_that_no_output_shows():
         for i, input in enumerate(Rotor.inputs)
         for k, output in enumerate(Rotor.outputs)
     }
-    problem = gb.Problem(Rotor(), data, criterion=gb.SquaredRelativeError())
+    problem = gb.several(Rotor(), data, criterion=gb.SquaredRelativeError())
     fit = gb.fit(problem, starts=32, profiles=False, progress=False)
     # 20 of 32, 2 without process noise, and 3 if it is small from the beginning.
     assert fit.agreeing > 8
@@ -154,7 +154,7 @@ def test_ties_and_constraints_keep_the_search_of_many_responses():
     }
 
     def fitted(**options):
-        problem = gb.Problem(Rotor(), data, criterion=gb.SquaredRelativeError(), **options)
+        problem = gb.several(Rotor(), data, criterion=gb.SquaredRelativeError(), **options)
         start = {name: 0.9 * FLAPPING[name] for name in problem.parameters}
         return gb.fit(problem, starts=[start], profiles=False, progress=False)
 
@@ -184,7 +184,7 @@ def test_the_error_with_process_noise_is_the_least_over_all_states():
         for k, output in enumerate(Axes.outputs)
         if (i, k) != (2, 1)
     }
-    nlp = compile_problem(gb.Problem(Axes(), data, criterion=gb.SquaredRelativeError()))
+    nlp = compile_problem(gb.several(Axes(), data, criterion=gb.SquaredRelativeError()))
     z, ratio = nlp.scaling.to_solver(other)[:, None], np.array([[0.7]])
     error = ProcessNoise(nlp.programs[-1].shared, z)
     [cost], gradient, _ = error(z, ratio, ratio)
@@ -226,7 +226,7 @@ def test_states_follow_outputs_that_have_frequencies_of_their_own():
             for i, input in enumerate(Axes.inputs)
             for k, (output, own) in enumerate(zip(Axes.outputs, places, strict=True))
         }
-        nlp = compile_problem(gb.Problem(Axes(), data, criterion=gb.SquaredRelativeError()))
+        nlp = compile_problem(gb.several(Axes(), data, criterion=gb.SquaredRelativeError()))
         z, ratio = nlp.scaling.to_solver(other)[:, None], np.array([[30.0]])
         return ProcessNoise(nlp.programs[-1].shared, z)(z, ratio, ratio)[0].item()
 

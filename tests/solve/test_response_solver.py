@@ -13,8 +13,9 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.vectorized import second_order
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
-from greybox.solve.batched_newton import RADIUS, BatchedNewton, bounded, layout
+from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.newton_iteration import RADIUS, bounded, layout
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Run, Runs
 

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from greybox.modeling.fingerprint import value_fingerprint
-from greybox.solve.runs import (
-    INTERRUPTED,
-    SEARCH_OVER,
-    Memory,
-    Outcome,
-    RunStorage,
-    RunStorageError,
-)
+from greybox.solve.run_storage import Memory, RunStorage, RunStorageError
+from greybox.solve.runs import INTERRUPTED, SEARCH_OVER, Outcome
 
 START = np.array([1.0, 2.0])
 DONE = Outcome(START + 1, "done", 3, 10.0, converged=True)

@@ -1,5 +1,7 @@
 """Many responses of one model: a search that takes long still ends at a minimum."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -56,11 +58,38 @@ def test_the_fit_of_a_wrong_model_ends_at_a_minimum_from_nearly_every_start(star
             errors = 0.03 * random.normal(size=(2, omega.size))
             measured = exact * (1 + errors[0] + 1j * errors[1])
             responses.append(gb.FrequencyResponse(omega, measured, input=u, output=y))
-    problem = gb.Problem(Hover(), responses, fixed={"L_lon": 0.0, "M_lat": 0.0, "M_p": 0.0})
+    problem = gb.several(Hover(), responses, fixed={"L_lon": 0.0, "M_lat": 0.0, "M_p": 0.0})
 
     fit = gb.fit(problem, starts=starts, profiles=False, progress=False)
     assert fit.agreeing >= starts - 1
     assert fit.cost < 43.156  # a run of IPOPT from the declared values ends at 43.1551
+
+
+class Lagged(Hover):
+    """Hover behind two lags of one control."""
+
+    states = (*Hover.states, "near", "far")
+    T1, T2 = (gb.Parameter(0.15, bounds=(0.01, 2), unit="s") for _ in range(2))
+
+    def derivative(self, x, u, p):
+        delayed = SimpleNamespace(lat=x.far, lon=u.lon)
+        lags = (u.lat - x.near) / p.T1, (x.near - x.far) / p.T2
+        return *super().derivative(x, delayed, p), *lags
+
+
+def test_a_search_from_two_equal_lags_does_not_end_at_the_saddle_between_them():
+    truth = {**TRUTH, "L_lat": 0.09, "L_lon": 0.012, "M_lat": -0.006, "M_lon": 0.035}
+    truth |= {"T1": 0.04, "T2": 0.6, "tau": 0.03}
+    omega = np.geomspace(0.3, 25, 12)
+    responses = [
+        gb.frequency_response(Lagged(), truth, omega, input=u, output=y)
+        for y in Hover.outputs
+        for u in Hover.inputs
+    ]
+    start = {**truth, "T1": 0.15, "T2": 0.15}
+    fit = gb.fit(gb.Problem(Lagged(), responses), [start], profiles=False, progress=False)
+    lags = fit.estimate["T1"], fit.estimate["T2"]
+    assert sorted(lags) == pytest.approx([0.04, 0.6], rel=1e-3)
 
 
 class Rate(gb.StateSpace):

@@ -28,7 +28,7 @@ def test_few_starts_stagnate_at_relative_errors_of_a_ten_thousandth():
     assert found.agreeing > 15
 
 
-def fitted(seed):
+def fitted(seed, starts=20, **options):
     omega, random = np.geomspace(0.5, 30, 40), np.random.default_rng(seed)
     error = 1e-4 * (random.normal(size=40) + 1j * random.normal(size=40)) / np.sqrt(2)
     exact = gb.modeling.frequency_response(Tilt(), TRUTH, omega).response
@@ -36,4 +36,10 @@ def fitted(seed):
     problem = gb.Problem(
         Tilt(), measured, gb.RelativeLikelihood(), fixed={"a5": 0.16}, free=("T_rotor", "T_delay")
     )
-    return gb.fit(problem, starts=20, seed=0, search="multistart", progress=False, profiles=False)
+    options |= {"search": "multistart", "progress": False, "profiles": False}
+    return gb.fit(problem, starts=starts, seed=0, **options)
+
+
+def test_a_stated_number_of_iterations_limits_a_run_with_both_of_its_criteria():
+    found = fitted(1, starts=6, solver_options={"max_iter": 50})
+    assert found.runs.iterations.max() == 50

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
-from greybox.statistics.huber import bounded, robust_deviation
+from greybox.statistics.error_distribution import robust_deviation
+from greybox.statistics.huber import HuberErrors
 
 NORMAL = norm.ppf((np.arange(20000) + 0.5) / 20000)
 
@@ -20,7 +21,7 @@ def test_the_deviation_of_normal_errors_ignores_gaps_and_outliers():
 
 def test_bounded_errors_have_nineteen_twentieths_of_the_efficiency():
     """The mean of normal errors has the variance 1/n, that of Huber's bound 1/0.95 n."""
-    first, second = bounded([np.array([NORMAL[::2]]), np.array([NORMAL[1::2]])])
+    first, second = HuberErrors().pseudo_errors([np.array([NORMAL[::2]]), np.array([NORMAL[1::2]])])
     psi = np.hstack([first, second])
     assert np.mean(psi**2) == pytest.approx(1 / 0.95, rel=1e-3)
     # All errors within the bound are divided by their share, and the others are at the bound.
@@ -32,7 +33,10 @@ def test_gaps_do_not_count_and_errors_that_are_mostly_zero_have_no_bound():
     errors = np.array([NORMAL, 0 * NORMAL])
     errors[1, :100] = 5.0
     gaps = np.insert(errors, 7000, np.full((3000, 2), np.nan), axis=1)
-    (with_gaps,), (without,) = bounded([gaps]), bounded([errors])
+    (with_gaps,), (without,) = (
+        HuberErrors().pseudo_errors([gaps]),
+        HuberErrors().pseudo_errors([errors]),
+    )
     assert_allclose(np.delete(with_gaps, range(7000, 10000), axis=1), without)
     assert np.isnan(with_gaps[:, 7000:10000]).all()
     assert_allclose(without[1], errors[1])

@@ -51,7 +51,7 @@ def deviations(share, seeds=12):
             )
             for k, (gain, error) in enumerate(zip(GAINS, own, strict=True))
         ]
-        problem = gb.Problem(Rates(), responses, criterion=gb.SquaredRelativeError())
+        problem = gb.several(Rates(), responses, criterion=gb.SquaredRelativeError())
         fit = gb.fit(problem, 1, profiles=False, progress=False)
         rows.append([(fit.estimate[n] - TRUTH[n]) / fit.standard_error[n] for n in TRUTH])
     return np.array(rows)

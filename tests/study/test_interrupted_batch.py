@@ -65,7 +65,7 @@ def coupled():
         data = noisy(exact.response, len(responses))
         responses.append(gb.FrequencyResponse(OMEGA, data, input=input, output=output))
     # With a constraint, no batch of expressions: the responses share one solve.
-    return gb.Problem(Coupled(), responses, constraints=[lambda p: 20 - p.p1 - p.p2])
+    return gb.several(Coupled(), responses, constraints=[lambda p: 20 - p.p1 - p.p2])
 
 
 RESPONSE = gb.Problem(SampledLag(), lag_response())

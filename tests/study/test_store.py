@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from greybox.solve.runs import IMPROVED, Outcome, RunStorageError
+from greybox.solve.run_storage import RunStorageError
+from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.database import DATABASE
 from greybox.study.members import add_members, read_members
 from greybox.study.stored_runs import UNWRITTEN, StoredRuns, folder_beside, runs_beside

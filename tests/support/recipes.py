@@ -140,6 +140,20 @@ class DiagonalPrediction(gb.TimeCriterion):
         return tuple((name, name) for name in outputs if name in model.states)
 
 
+@dataclass(frozen=True)
+class SoftErrors(gb.formulation.ErrorDistribution):
+    """Errors with tails: what `scipy.optimize.least_squares` calls soft_l1."""
+
+    bound: float = 1.5
+    description: ClassVar[str] = "large errors softly bounded"
+
+    def influence(self, errors):
+        return errors / np.sqrt(1 + (errors / self.bound) ** 2)
+
+    def slope(self, errors):
+        return (1 + (errors / self.bound) ** 2) ** -1.5
+
+
 class Hold(gb.Controller):
     """Holds the position of the mass."""
 

@@ -1,4 +1,6 @@
-"""Models are nested when the equations of one are those of the other with terms removed, whatever their names say."""
+"""Fits are nested where criterion, class or user say so, or the formulas agree at zero; never by names alone."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from drag_flights import Drag, LinearDrag, QuadraticDrag, fitted, flight
 
 import greybox as gb
 from greybox.models.tilt import PAPER_G
-from greybox.validation.nested_models import NotNestedError, nested_values
+from greybox.validation.nesting import NotNestedError, nested_values
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 
@@ -22,13 +24,16 @@ def record():
 FITS = {}
 
 
-def place(record, small, large, **options):
+NOTHING = {}
+
+
+def place(record, small, large, at=NOTHING, **options):
     """The values of the terms in the smaller model; both are fitted to a record, each only once."""
     fits = [
         fitted_once(record, model, **{k: v[i] for k, v in options.items() if v[i]})
         for i, model in enumerate((small, large))
     ]
-    return nested_values(*fits, NAMES)
+    return nested_values(*fits, NAMES, at)
 
 
 def fitted_once(record, model, **options):
@@ -84,6 +89,16 @@ class LaggedDrag(LinearDrag):
         return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v + p.k * x.w, x.v - 2 * x.w)
 
 
+class LaggedQuadraticDrag(LaggedDrag):
+    """With a quadratic term beside."""
+
+    c = gb.Parameter(0.05, bounds=(-1, 2))
+
+    def derivative(self, x, u, p):
+        slope, lag = super().derivative(x, u, p)
+        return (slope - p.c * abs(x.v) * x.v, lag)
+
+
 class RenamedDrag(Drag):
     """The same in a state of another name."""
 
@@ -114,14 +129,43 @@ class Squared(LinearDrag):
         return (PAPER_G * gb.tan(u.theta) - p.a5 * x.v - (p.w**2 - 0.25) * abs(x.v) * x.v,)
 
 
-def test_a_term_that_is_zero_one_at_a_bound_fixed_or_tied_makes_a_model_nested(record):
+def test_a_term_that_is_zero_fixed_or_tied_makes_a_model_nested(record):
     assert place(record, LinearDrag(), Drag()) == {"C_x": 0.0}
-    assert place(record, LinearDrag(), PowerDrag()) == {"n": 1.0}
-    assert place(record, LinearDrag(), Squared()) == {"w": 0.5}
     assert place(record, QuadraticDrag(), Drag()) == {"a5": 0.0}
     assert place(record, Drag(), Drag(), fixed=({"C_x": 0.04}, None)) == {"C_x": 0.04}
     tied = place(record, Drag(), Drag(), tied=({"C_x": lambda p: 0.25 * p.a5}, None))
     assert list(tied) == ["C_x"]
+
+
+class StatedPower(PowerDrag):
+    """States what it contains, for comparisons that nobody can ask."""
+
+    def contains(self, other):
+        return {"n": 1.0} if isinstance(other, LinearDrag) else None
+
+
+def test_terms_that_vanish_elsewhere_are_stated_by_the_class_or_the_user(record):
+    for model, at in ((PowerDrag(), {"n": 1.0}), (Squared(), {"w": 0.5})):
+        with pytest.raises(NotNestedError, match=r"large is not small where . is 0; .* at=\{"):
+            place(record, LinearDrag(), model)
+        assert place(record, LinearDrag(), model, at) == at
+    assert place(record, LinearDrag(), StatedPower()) == {"n": 1.0}
+
+    small, large = (fitted_once(record, model) for model in (LinearDrag(), PowerDrag()))
+    stated = fitted_once(record, StatedPower())
+    test = gb.validation.nested_test(small, large, at={"n": 1.0})
+    assert test == replace(gb.validation.nested_test(small, stated), large="PowerDrag")
+    assert str(test).startswith("n is ")
+    with pytest.raises(ValueError, match="is not shown to be PowerDrag with terms removed"):
+        gb.validation.nested_test(small, large)
+    with pytest.raises(ValueError, match="has no term 'a5'; it has n"):
+        gb.validation.nested_test(small, large, at={"a5": 1.0})
+    # At a value that the larger model cannot have, it is not the smaller one.
+    with pytest.raises(ValueError, match=r"cannot have n = 0: it is fixed or bounded elsewhere"):
+        gb.validation.nested_test(small, large, at={"n": 0.0})
+
+    assert gb.compare(small, stated).verdict.startswith("StatedPower contains LinearDrag, and n is")
+    assert "contains" not in gb.compare(small, large).verdict
 
 
 def test_biases_and_gains_of_a_criterion_are_terms_that_are_zero(record):
@@ -131,7 +175,10 @@ def test_biases_and_gains_of_a_criterion_are_terms_that_are_zero(record):
     biased = gb.OutputError(biases=["theta", "v"])
     both = place(record, LinearDrag(), Drag(), criterion=(output, biased))
     assert both == {"C_x": 0.0, "theta_bias": 0.0, "v_bias": 0.0}
+    bounded = gb.OutputError(errors="huber")
     for criteria in (
+        (bounded, gb.PredictionError()),
+        (output, bounded),
         (output, gb.OutputError(noise={"v": 0.1})),
         (output, gb.OutputError(inputs="held")),
         (gb.PredictionError(), output),
@@ -142,30 +189,38 @@ def test_biases_and_gains_of_a_criterion_are_terms_that_are_zero(record):
 
 
 def test_names_alone_do_not_make_models_nested(record):
-    with pytest.raises(NotNestedError, match="where C_x is 0, 1 or at a bound"):
+    with pytest.raises(NotNestedError, match="large is not small where C_x is 0"):
         place(record, LinearDrag(), OtherDrag())
+    with pytest.raises(NotNestedError, match=r"large is not small$"):
+        place(record, Drag(), OtherDrag(), fixed=({"C_x": 0.0}, None))
     with pytest.raises(NotNestedError, match="estimates no more numbers"):
         place(record, LinearDrag(), QuadraticDrag())
-    with pytest.raises(NotNestedError, match="where C_x is 0, 1 or at a bound"):
+    with pytest.raises(NotNestedError, match="large cannot have C_x = 0"):
         place(record, LinearDrag(), PositiveDrag())
     with pytest.raises(NotNestedError, match="estimates no more numbers"):
         place(record, LinearDrag(), LinearDrag())
 
 
 def test_a_parameter_that_is_held_elsewhere_makes_another_model(record):
-    with pytest.raises(NotNestedError, match="large is not small where c and v_s"):
+    with pytest.raises(NotNestedError, match="large has a5 fixed, and small has not"):
         place(record, LinearDrag(), SaturatingDrag(), fixed=(None, {"a5": 0.3}))
+    small, large = LaggedDrag(), LaggedQuadraticDrag()
+    with pytest.raises(NotNestedError, match="large has a5 fixed, and small has not"):
+        place(record, small, large, fixed=({"a5": 0.3}, {"a5": 0.2}))
+    assert place(record, small, large, fixed=({"a5": 0.3}, {"a5": 0.3})) == {"c": 0.0}
 
 
-def test_states_are_met_by_their_names(record):
-    assert place(record, LinearDrag(), LaggedDrag()) == {"k": 0.0}
+def test_of_a_model_with_more_states_the_user_says_so(record):
+    with pytest.raises(NotNestedError, match="is not small where k is 0"):
+        place(record, LinearDrag(), LaggedDrag())
+    assert place(record, LinearDrag(), LaggedDrag(), {"k": 0.0}) == {"k": 0.0}
     with pytest.raises(NotNestedError, match="is not small where C_x"):
         place(record, LinearDrag(), RenamedDrag())
 
 
 def test_a_term_without_effect_where_another_is_zero_is_reported(record):
     with pytest.raises(ValueError, match="v_s of large has no effect"):
-        place(record, LinearDrag(), SaturatingDrag())
+        place(record, LinearDrag(), SaturatingDrag(), {"v_s": 0.5})
     with pytest.raises(ValueError, match="v_s of large has no effect"):
         place(record, SaturatingDrag(), SaturatingDrag(), fixed=({"c": 0.0, "v_s": 0.5}, None))
     held = place(record, LinearDrag(), SaturatingDrag(), fixed=(None, {"v_s": 0.5}))
@@ -244,7 +299,7 @@ def test_transfer_functions_of_records_are_compared_in_the_plane():
 
     small, delayed, third = map(fit, (LagLag(), LagLagDelay(), Third()))
     assert nested_values(small, delayed, NAMES) == {"tau": 0.0}
-    with pytest.raises(NotNestedError, match="large is not small where c is 0, 1"):
+    with pytest.raises(NotNestedError, match="large is not small where c is 0"):
         nested_values(small, third, NAMES)
 
     class InTime(gb.StateSpace):

@@ -321,7 +321,7 @@ def test_two_terms_that_are_missing_together_are_found():
             errors = random.standard_normal((2, omega.size)) * 0.05 / np.sqrt(2)
             noisy = exact * (1 + errors[0] + 1j * errors[1])
             data.append(gb.FrequencyResponse(omega, noisy, input=i, output=o))
-    problem = gb.Problem(Rates(), data, gb.SquaredRelativeError())
+    problem = gb.several(Rates(), data, criterion=gb.SquaredRelativeError())
     chosen = gb.stepwise(problem, ["Mp", "Mlat"], starts=1)
     assert chosen.terms == ("Mp", "Mlat")
     assert all(trial.p_value < 1e-3 for trial in chosen.trials)

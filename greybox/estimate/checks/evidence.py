@@ -4,7 +4,7 @@ from functools import cached_property
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
-from greybox.estimate.covariance import Accuracy
+from greybox.estimate.accuracy import Accuracy
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array

@@ -3,12 +3,12 @@
 import math
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.estimate.accuracy import Accuracy
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.estimate.covariance import Accuracy
-from greybox.estimate.identifiability import Combination
+from greybox.estimate.combinations import Combination
 from greybox.files.wording import counted, listed
-from greybox.modeling.symbolic_reading import switching_parameters
+from greybox.modeling.symbolic_reading import RAMP, switching_parameters
 
 
 def not_determined(evidence: Evidence) -> Findings:
@@ -28,8 +28,7 @@ def undetermined(accuracy: Accuracy) -> Findings:
             yield Finding(
                 f"{combination.names[0]} is not determined: it enters the model only through a "
                 "switch or a rounding, which has no slope that a solver could follow, so its value "
-                "is that of a start. Write the switch as a ramp one sample wide: "
-                "gb.maximum(gb.minimum((a - b) / step + 0.5, 1), 0) in place of a > b."
+                f"is that of a start. {RAMP}"
             )
         elif math.isinf(combination.index):
             yield Finding(_not_determined(combination))

@@ -10,7 +10,8 @@ from greybox.estimate.largest_deviation import SIZE
 from greybox.files.arrays import Array
 from greybox.files.numbers_in_text import number
 from greybox.files.wording import listed
-from greybox.statistics.huber import bounded, robust_deviation
+from greybox.statistics.error_distribution import robust_deviation
+from greybox.statistics.huber import HuberErrors
 from greybox.statistics.metrics import is_resolved
 
 
@@ -53,7 +54,8 @@ def outlying_samples(evidence: Evidence) -> Findings:
             count = np.count_nonzero(size > -stdtrit(0.37 * samples, SIZE / 2 / samples))
             if not count:
                 continue
-            gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
+            (bounded,) = HuberErrors().pseudo_errors([residual])
+            gain = np.nanmean(residual**2) / np.nanmean(bounded**2)
             # At this factor on the variance standard errors are 12 % larger. Normal errors have
             # 0.95.
             if gain > 1.25:

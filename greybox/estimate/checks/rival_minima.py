@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.estimate.accuracy import propagate
 from greybox.estimate.checks.evidence import Evidence
 from greybox.estimate.checks.finding import Finding, Findings
-from greybox.estimate.covariance import propagate
 from greybox.files.arrays import Array
 from greybox.files.numbers_in_text import number
 from greybox.files.wording import listed
