@@ -548,11 +548,11 @@ def _estimates(lines: Lines, bands: Sequence[Band]) -> EstimatedPoints:
         coherences.append(coherence_of_band)
         input_noises.append(input_noise_of_band)
 
-    omega, response, error, spread, alone = (
+    response = np.concatenate([np.zeros(0, dtype=complex), *responses])
+    omega, error, spread, alone = (
         np.concatenate([np.zeros(0), *arrays])
         for arrays in (
             [band.omega for band in bands],
-            responses,
             [band.squared_error for band in bands],
             spreads,
             spreads_alone,
