@@ -54,13 +54,14 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
 
     Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders.
     """
-    pieces = [
-        sliding_window_view(values[rows], len(weights), axis=0) @ weights[::-1]
-        for weights, stretches in zip(filters, outputs, strict=True)
-        for rows in stretches
-        if len(rows) >= len(weights)
-    ]
-    return np.vstack([values[:0], *pieces])
+    pieces = [values[:0]]
+    for weights, stretches in zip(filters, outputs, strict=True):
+        for rows in stretches:
+            # A stretch that is shorter than the filter leaves nothing.
+            if len(rows) >= len(weights):
+                windows = sliding_window_view(values[rows], len(weights), axis=0)
+                pieces.append(windows @ weights[::-1])
+    return np.vstack(pieces)
 
 
 def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: int) -> Array:
@@ -70,8 +71,11 @@ def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: i
     every output white, but process noise reaches several outputs, some of them later.
     """
     signals = np.zeros(columns.T.shape)
-    rows = [rows[len(w) - 1 :] for w, each in zip(filters, outputs, strict=True) for rows in each]
-    signals[:, np.concatenate(rows)] = whitened(columns, filters, outputs).T
+    # The rows that the filters leave: each stretch loses its first ones.
+    remaining = []
+    for weights, stretches in zip(filters, outputs, strict=True):
+        remaining += [rows[len(weights) - 1 :] for rows in stretches]
+    signals[:, np.concatenate(remaining)] = whitened(columns, filters, outputs).T
     signals = signals.reshape(len(signals), -1, width)
     signals = np.append(signals, signals[:1] != 0, axis=0)
     terms, shared = signals[1:-1], 0.0
