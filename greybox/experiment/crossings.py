@@ -88,10 +88,12 @@ class Crossings:
         # The rows of a plant are in the order of frequency.
         rank = np.arange(len(self.plant)) - np.searchsorted(self.plant, self.plant)
         count = np.count_nonzero(self.plant == 0)
-        return {
-            f"{name} {k + 1}": self.where(rank == k).smallest(values[rank == k])
-            for k in range(count if count > 1 else 0)
-        }
+        if count < 2:
+            return {}
+        answer = {}
+        for k in range(count):
+            answer[f"{name} {k + 1}"] = self.where(rank == k).smallest(values[rank == k])
+        return answer
 
 
 def crossings(values: Array, omega: Array) -> Crossings:

@@ -289,11 +289,11 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     controllers = checked_items("the controller", controller, Controller, "a controller or several")
     # The controller of each gain, and its name; gains with the same name have a prefix.
     counts = Counter(name for c in controllers for name in c.parameters)
-    owners = {
-        name if counts[name] == 1 else f"{type(c).__name__}.{name}": (k, name)
-        for k, c in enumerate(controllers)
-        for name in c.parameters
-    }
+    owners = {}
+    for k, c in enumerate(controllers):
+        for name in c.parameters:
+            label = name if counts[name] == 1 else f"{type(c).__name__}.{name}"
+            owners[label] = (k, name)
     if len(gains) not in POINTS:
         raise ValueError(
             f"{len(gains)} gains were given: give one, two or three of {listed([*owners])}."

@@ -278,12 +278,10 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
 
     # A control that is computed from this sample reaches the plant after it.
     outputs = outside_names(loop.controllers, "outputs")
-    now = [
-        queue[count] if not part and (count or name not in outputs) else previous
-        for name, queue, previous, count, part in zip(
-            system.inputs, waiting(), early, periods, parts, strict=True
-        )
-    ]
+    now = []
+    for k, (name, queue) in enumerate(zip(system.inputs, waiting(), strict=True)):
+        is_new = not parts[k] and (periods[k] or name not in outputs)
+        now.append(queue[periods[k]] if is_new else early[k])
     y = {
         n: measured_signal(loop.label, system, n, x, ca.vertcat(*now), loop.p) + errors[k]
         for k, n in enumerate(loop.measured)

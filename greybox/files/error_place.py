@@ -42,13 +42,15 @@ def error_place(error: BaseException) -> str:
     file = getattr(error, "filename", None) or "<"
     if isinstance(error, SyntaxError) and not file.startswith(OTHERS):
         return f"{Path(file).name}, line {error.lineno}: "
-    # An error in a user's file may be raised anew, with the original as its cause.
-    places = [
-        f"{_name(Path(frame.f_code.co_filename))}, line {line}: "
-        for cause in (error, error.__cause__)
-        for frame, line in traceback.walk_tb(cause and cause.__traceback__)
-        if not frame.f_globals.get("__name__", "").startswith("greybox.")
-        and not frame.f_code.co_filename.startswith(OTHERS)
-        and "site-packages" not in frame.f_code.co_filename  # of another environment
-    ]
-    return places[-1] if places else ""
+
+    place = ""
+    # An error in a user's file may be raised anew, with the original as its cause. The last place
+    # counts.
+    for cause in (error, error.__cause__):
+        for frame, line in traceback.walk_tb(cause and cause.__traceback__):
+            code = frame.f_code.co_filename
+            is_ours = frame.f_globals.get("__name__", "").startswith("greybox.")
+            is_package = code.startswith(OTHERS) or "site-packages" in code  # or of another one
+            if not is_ours and not is_package:
+                place = f"{_name(Path(code))}, line {line}: "
+    return place

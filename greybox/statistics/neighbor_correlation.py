@@ -158,14 +158,17 @@ def judged_together(
     evidence = share * alone + (1 - share) * (1 - alone)
     together = softmax(np.log(evidence).sum(axis=1)) @ (share * alone / evidence)
 
-    # Above this posterior probability errors count as independent. Intervals of a response with 8
-    # to 40 points of independent errors are then 2 to 18 % wider in the mean, and cover 95 to 97 %.
-    return [
-        None
-        if p > 0.6
-        else replace(errors, weight=np.append(p, errors.weight[1:] * (1 - p) / (1 - q)))
-        for errors, p, q in zip(responses, together, alone, strict=True)
-    ]
+    judged: list[NeighborCorrelation | None] = []
+    for errors, posterior, prior in zip(responses, together, alone, strict=True):
+        # Above this posterior probability errors count as independent. Intervals of a response with
+        # 8 to 40 points of independent errors are then 2 to 18 % wider in the mean, and cover 95 to
+        # 97 %.
+        if posterior > 0.6:
+            judged.append(None)
+            continue
+        correlated = errors.weight[1:] * (1 - posterior) / (1 - prior)
+        judged.append(replace(errors, weight=np.append(posterior, correlated)))
+    return judged
 
 
 def averaged_meat(

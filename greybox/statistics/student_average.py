@@ -29,15 +29,13 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
 
     deviation = np.sqrt(variance)
     tails = (1 - np.array(LEVELS)) / 2
-    half_widths: Any = (
-        brentq(
-            lambda size, tail=tail: stdtr(dof, -size / deviation) @ weight - tail,
-            0,
-            -1.01 * stdtrit(dof, tail) * deviation.max(),  # that of the widest
-        )
-        for tail in tails
-    )
-    inner, outer = half_widths
+
+    def half_width(tail: float) -> Any:
+        """Return the half-width of the interval that leaves this share at each side."""
+        widest = -1.01 * stdtrit(dof, tail) * deviation.max()
+        return brentq(lambda size: stdtr(dof, -size / deviation) @ weight - tail, 0, widest)
+
+    inner, outer = map(half_width, tails)
     if math.isinf(dof):
         return float((inner / stdtrit(dof, tails[0])) ** 2), dof
 

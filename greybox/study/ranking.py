@@ -35,11 +35,11 @@ EVIDENCE = "BIC less the least"  # the row of `fit_rows`
 PREDICTION = "error of held-out predictions, % of the signal"
 EQUAL = 0.05  # relative difference of errors that makes no difference to a user of the model
 
+# A number by data set and structure, the lower the better.
 Table = dict[str, dict[str, float]]
-"""A number by data set and structure, the lower the better."""
 
+# A structure, a data set, the fit, and its `held_out_error`, if data are held out.
 Result = tuple[str, str, Fit, float | str | None]
-"""A structure, a data set, the fit, and its `held_out_error`, if data are held out."""
 
 
 @unchanged()  # equal models share what is compiled

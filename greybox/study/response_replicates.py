@@ -164,14 +164,17 @@ class ResponseReplicates(Replicates):
             from_near=True,
             given=data,
         )
-        return [
-            Outcome(self.nlp.estimate_at(z), AT_MINIMUM, count, 0.0, converged=True, stage=IMPROVED)
-            if at_minimum
-            else self._by_ipopt(column)
-            for z, count, at_minimum, column in zip(
-                ends.z.T, ends.iterations.tolist(), ends.at_minimum, data.T, strict=True
+
+        outcomes = []
+        for k, z in enumerate(ends.z.T):
+            if not ends.at_minimum[k]:
+                outcomes.append(self._by_ipopt(data[:, k]))
+                continue
+            estimate, count = self.nlp.estimate_at(z), int(ends.iterations[k])
+            outcomes.append(
+                Outcome(estimate, AT_MINIMUM, count, 0.0, converged=True, stage=IMPROVED)
             )
-        ]
+        return outcomes
 
     def _by_ipopt(self, data: Array) -> Outcome:
         # IPOPT takes much longer than a batch: check the time limit before each solve.

@@ -28,7 +28,7 @@ from greybox.files.wording import counted, some
 from greybox.modeling.model import require_known
 from greybox.study.latex import latex_number, latex_symbol, latex_table
 from greybox.study.members import FACTORS, Status, StudyMember, read_members
-from greybox.study.ranking import ranking
+from greybox.study.ranking import Result, ranking
 from greybox.validation.comparison import Comparison
 
 FAILURES = ("failed", "members", "reason and cure")  # columns of the table of failures
@@ -172,13 +172,16 @@ class Study(Printed):
             if _cost(member) <= _cost(best.get(key, member)):
                 best[key] = member
         named = [(name, m.factors["data"], m) for (name, *_), m in best.items() if name]
-        # A fit is read when its turn comes: those of a large study do not fit into memory.
-        return ranking(
-            (name, data, fit, member.answer.get("held_out"))
-            for results in grouped(named, itemgetter(1))
-            for name, data, member in results
-            if (fit := member.fit)
-        )
+
+        def fits() -> Iterator[Result]:
+            # A fit is read when its turn comes: those of a large study do not fit into memory.
+            for results in grouped(named, itemgetter(1)):
+                for name, data, member in results:
+                    fit = member.fit
+                    if fit:
+                        yield name, data, fit, member.answer.get("held_out")
+
+        return ranking(fits())
 
     @property
     def failures(self) -> str:
