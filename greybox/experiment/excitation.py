@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +10,6 @@ import numpy as np
 from greybox.data.record import NOT_STORED, Record
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values
-
-NOTHING: Values = MappingProxyType({})  # where no noise, limit or start is given
 
 
 class Maneuver(NamedTuple):

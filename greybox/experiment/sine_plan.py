@@ -14,13 +14,13 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_band import require_band
 from greybox.data.record import Record
 from greybox.experiment.controller import Controllers
-from greybox.experiment.excitation import NOTHING, Excitation
+from greybox.experiment.excitation import Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sine_schedules import sine_schedule
 from greybox.files.arrays import Array, BoolArray, IntArray, Interval, positive_or_one
 from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values, array_of
+from greybox.files.named_values import NOTHING, Values, array_of
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response

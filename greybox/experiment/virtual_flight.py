@@ -24,13 +24,13 @@ from greybox.experiment.controller import (
     run_controllers,
     sensors_of,
 )
-from greybox.experiment.excitation import NOTHING, Excitation
+from greybox.experiment.excitation import Excitation
 from greybox.experiment.sampled_loop import in_periods, measured_signal
 from greybox.files.argument_checks import is_finite_number, require_whole
 from greybox.files.arrays import Array
 from greybox.files.frozen_values import frozen
 from greybox.files.grouping import unique
-from greybox.files.named_values import Values
+from greybox.files.named_values import NOTHING, Values
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time

@@ -1,6 +1,7 @@
 """Values by name: some of them, and their places and values in arrays."""
 
 from collections.abc import Container, Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from greybox.files.arrays import AnyArray, IntArray
 
 Values = Mapping[str, float]  # of parameters or signals
+NOTHING: Values = MappingProxyType({})  # as a default
 
 
 def attributes(value: Any, *names: str) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list
 from greybox.modeling.traced_once import once
 
+# A term as a function of states, inputs and parameters, ``lambda x, u, p: ...``.
 Formula = Callable[[Any, Any, Any], Any]
-"""A term as a function of states, inputs and parameters, ``lambda x, u, p: ...``."""
 
 POINTS = 8  # at which formulas are compared: at one of them, slopes may be zero by chance
 
