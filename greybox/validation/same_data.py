@@ -98,6 +98,12 @@ def why_not_comparable(fits: Fits, names: Sequence[str]) -> str:
     samples = other_samples(fits, names)
     if samples:
         return samples
+    bounded = next((name for fit, name in zip(fits, names, strict=True) if _is_robust(fit)), "")
+    if bounded:
+        return (
+            f"the large errors of {bounded} are bounded, errors='huber' or another one, by values "
+            "in place of the measured ones"
+        )
     # A weight is a factor on the cost: costs in different units have no difference.
     weights = unique(tuple(part.weight for part in fit.parts) for fit in fits)
     if len(weights) > 1:
@@ -112,6 +118,11 @@ def why_not_comparable(fits: Fits, names: Sequence[str]) -> str:
         criteria = unique(map(_criteria, fits))
         return f"they are of different criteria ({'; '.join(criteria)})"
     return ""
+
+
+def _is_robust(fit: Fit) -> bool:
+    """Return whether the errors of a record have another distribution than the normal one."""
+    return any(part.settings.get("errors", "normal") != "normal" for part in fit.records)
 
 
 def _criteria(fit: Fit) -> str:

@@ -87,7 +87,7 @@ def test_a_search_from_two_equal_lags_does_not_end_at_the_saddle_between_them():
         for u in Hover.inputs
     ]
     start = {**truth, "T1": 0.15, "T2": 0.15}
-    fit = gb.fit(gb.Problem(Lagged(), responses), [start], profiles=False, progress=False)
+    fit = gb.fit(gb.several(Lagged(), responses), [start], profiles=False, progress=False)
     lags = fit.estimate["T1"], fit.estimate["T2"]
     assert sorted(lags) == pytest.approx([0.04, 0.6], rel=1e-3)
 

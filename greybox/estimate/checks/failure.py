@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.record_part import RecordPart
 from greybox.estimate.checks.finding import Finding, Findings
 from greybox.estimate.checks.not_determined import undetermined
 from greybox.estimate.covariance import accuracy_at
@@ -21,7 +23,7 @@ def failure(result: Search) -> Findings:
     yield Finding(
         f"run {run.index} came closest, cost {run.cost:.6g} after "
         f"{counted(run.iterations, 'iteration')} ({run.status}); its values are no "
-        f"estimate: {_cure(run)}."
+        f"estimate: {_cure(run, solver.nlp)}."
     )
     # A run that was cut short says nothing about what blocks it.
     if run.status in CUT_SHORT:
@@ -51,12 +53,19 @@ def failure(result: Search) -> Findings:
     yield from undetermined(accuracy)
 
 
-def _cure(run: Run) -> str:
+def _cure(run: Run, nlp: CompiledProblem) -> str:
     status = run.status.lower().replace("_", " ")
     if run.status in CUT_SHORT[1:]:
         return "give it more time"
     if "iterations" in status or "relaxations" in status:
         return "give it more iterations (the option max_iter of the solver)"
-    return (
+    cure = (
         "start elsewhere, narrow the start boxes, or fix parameters that the data do not determine"
     )
+    records = nlp.parts_of(RecordPart)
+    hidden = [part for part in records if part.unknown_initial_states > len(part.outputs)]
+    if hidden:
+        # As a chain of tanks, of which the last level alone is measured.
+        state = hidden[0].system.states[0]
+        cure += f", or give initial states that you know, OutputError(initial={{{state!r}: ...}})"
+    return cure

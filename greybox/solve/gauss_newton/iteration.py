@@ -4,7 +4,7 @@ A run that fails begins once more, at its start, with nodes that are simulated. 
 iterations, a run counts if it has arrived.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,11 @@ from greybox.solve.stationarity import ROUNDING
 
 SINGULAR = "singular"  # the nodes of a record are not determined
 EXCEEDED = "iterations exceeded"
+
+# Iterations between two looks at what noise hides, and at the limit of stable steps. With 50, 20
+# unknown initial states take a third more time; on 29 hard problems neither time nor success
+# change.
+LOOKS = 10
 
 
 @frozen
@@ -99,110 +104,215 @@ def _at_whole_samples(parts: AllParts, end: End, iterations: int) -> End:
     return replace(rest, status=status, iterations=end.iterations + rest.iterations)
 
 
-def _attempted(parts: AllParts, iterate: Iterate, *options: Any, states_only: bool) -> End:
+def _attempted(
+    parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
+) -> End:
     if not iterate.finite:
         return End(iterate, NOT_FINITE, 0)
     try:
-        return _iterated(parts, iterate, *options, states_only=states_only)
+        return _Attempt(parts, iterate, progress, states_only).end_after(iterations)
     except np.linalg.LinAlgError:
         return End(iterate, SINGULAR, 0)
 
 
-def _iterated(
-    parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
-) -> End:
-    weights = list[Array]()
-    linearizations = list[Any]()
-    last_look = np.inf
-    for count in range(iterations):
-        # Runs would creep along the limit of stable steps, beyond which the minimum may lie.
-        is_stable = states_only or count % 10 or parts.has_stable_steps(iterate)
-        if reason := reason_to_end() if is_stable else TOO_COARSE:
-            return End(iterate, reason, count)
+@dataclass
+class _Attempt:
+    """A run from an iterate, which it replaces by better ones.
 
+    Attributes
+    ----------
+    parts : AllParts
+    iterate : Iterate
+    progress : Progress
+    states_only : bool
+        Whether the parameters are held.
+    weights : list of array
+        Of the residuals of every part.
+    linearizations : list
+        Those of every part at the iterate; empty after a step.
+    last_look : float
+        Merit at the last look at what noise hides.
+    """
+
+    parts: AllParts
+    iterate: Iterate
+    progress: Progress
+    states_only: bool
+    weights: list[Array] = field(default_factory=list)
+    linearizations: list[Any] = field(default_factory=list)
+    last_look: float = np.inf
+
+    def end_after(self, iterations: int) -> End:
+        """Iterate at most so often, and return where the run ends."""
+        for count in range(iterations):
+            if end := self._advance(count):
+                return end
+        end = End(self.iterate, EXCEEDED, iterations)
+        if self.progress.is_exact:
+            return _arrived(self.parts, end, states_only=self.states_only)
+        return end
+
+    @property
+    def nodes_alone(self) -> bool:
+        """Whether the parameters are held in this iteration."""
+        return self.states_only or self.progress.state_iterations > 0
+
+    def _advance(self, count: int) -> End | None:
+        """Make one iteration; return the end of the run if this is the last one."""
+        if reason := self._reason_to_end(count):
+            return End(self.iterate, reason, count)
         # As long as continuity is a penalty, nodes keep an unstable predictor near the data.
-        iterate = simulate_stable(parts, iterate) if progress.is_exact else iterate
-        # Linearize, unless the last step failed, and step.
-        if not linearizations:
-            weights = (
-                parts.residual_weights(iterate)
-                if progress.is_exact
-                # As long as continuity is a penalty, errors have an assumed size.
-                else [part.initial_weight() for part in parts.parts]
-            )
-            linearizations = parts.linearize(iterate, weights)
-            # The first linearization gives the variances of the gaps.
-            pairs = zip(parts.parts, linearizations, strict=True)
-            variances = progress.gap_variance or [part.continuity_variance(b) for part, b in pairs]
-            progress = replace(progress, gap_variance=variances)
-        nodes_alone = states_only or progress.state_iterations > 0
-        step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
-        progress = progress.with_penalties(step)
-        merit = merit_function(parts, weights, progress)
-        start = merit(iterate)
+        if self.progress.is_exact:
+            self.iterate = simulate_stable(self.parts, self.iterate)
+        # After a step that failed, only the damping is another one.
+        if not self.linearizations:
+            self._linearize()
 
-        # Converged?
-        settled = _is_settled(parts, iterate, step, start, progress, states_only=nodes_alone)
-        if settled and step.distance <= parts.settings.tol:
-            # The step is known already: polishing then has one less to compute.
-            end = followed(parts, iterate, step)
-            return End(end or iterate, CONVERGED, count, step.hessian)
-        # With 50 iterations between two of these looks, 20 unknown initial states take a third more
-        # time; on 29 hard problems neither time nor success change.
-        looks = progress.is_exact and not nodes_alone and (count + 1) % 10 == 0
-        if looks and (end := _end_within_noise(parts, iterate, step, progress)):
-            return End(end, CONVERGED, count, step.hessian)
-        # Beside a kink, as at a whole sample of a delay, steps to and fro gain as little as
-        # rounding, and none fails: 9 of 80 fits of a held input ended after 2100 iterations.
-        rests = looks and last_look - start <= 10 * ROUNDING * abs(start)
-        last_look = start if looks else last_look
-
-        # Line search.
-        trial, length = line_search(parts, iterate, step, merit, start)
-        # Where poles meet at the stability limit, it has no tangent: runs would creep for thousands
-        # of steps, for hundredths of the cost.
-        at_limit = (
-            progress.is_exact
-            and progress.damping >= 1e3
-            and any(gain.is_at_limit(t) for gain, t in predictors(parts, iterate))
+        step = gauss_newton_step(
+            self.parts,
+            self.iterate,
+            self.linearizations,
+            self.progress,
+            states_only=self.nodes_alone,
         )
-        if at_limit or (trial is None and settled and step.distance <= 1e3 * parts.settings.tol):
-            # The merit function shows only rounding.
-            return End(iterate, CONVERGED, count, step.hessian)
+        self.progress = self.progress.with_penalties(step)
+        merit = merit_function(self.parts, self.weights, self.progress)
+        start = merit(self.iterate)
+        is_settled = self._is_settled(step, start)
+        looks = self.progress.is_exact and not self.nodes_alone and (count + 1) % LOOKS == 0
+        if end := self._minimum(step, is_settled=is_settled, looks=looks):
+            return End(end, CONVERGED, count, step.hessian)
+        rests = looks and self._rests(start)
+
+        trial, length = line_search(self.parts, self.iterate, step, merit, start)
+        # The merit function shows only rounding.
+        is_rounding = is_settled and step.distance <= 1e3 * self.parts.settings.tol
+        if self._is_at_limit() or (trial is None and is_rounding):
+            return End(self.iterate, CONVERGED, count, step.hessian)
+        if self._tries_again(trial):
+            return None
+        if end := self._standstill(step, trial, count, rests=rests):
+            return end
+        self._accept(step, trial, start, 0.0 if trial is None else start - merit(trial), length)
+        return None
+
+    def _reason_to_end(self, count: int) -> str:
+        """Return why the run has to end before it makes a step; empty if it need not."""
+        # Runs would creep along the limit of stable steps, beyond which the minimum may lie.
+        looks = not (self.states_only or count % LOOKS)
+        if looks and not self.parts.has_stable_steps(self.iterate):
+            return TOO_COARSE
+        return reason_to_end() or ""
+
+    def _linearize(self) -> None:
+        parts = self.parts
+        if self.progress.is_exact:
+            self.weights = parts.residual_weights(self.iterate)
+        else:
+            # As long as continuity is a penalty, errors have an assumed size.
+            self.weights = [part.initial_weight() for part in parts.parts]
+        self.linearizations = parts.linearize(self.iterate, self.weights)
+
+        # The first linearization gives the variances of the gaps.
+        if not self.progress.gap_variance:
+            pairs = zip(parts.parts, self.linearizations, strict=True)
+            variances = [part.continuity_variance(b) for part, b in pairs]
+            self.progress = replace(self.progress, gap_variance=variances)
+
+    def _is_settled(self, step: Step, merit: float) -> bool:
+        """Return whether little is left to gain, also by a step that is not damped."""
+        progress = self.progress
+        negligible = max(self.parts.settings.tol, ROUNDING * abs(merit))
+        little = (1 + progress.damping) * step.decrease <= negligible
+        if not (progress.is_exact and little and self.parts.is_continuous(self.iterate)):
+            return False
+        if not progress.damping:
+            return True
+        undamped = gauss_newton_step(
+            self.parts,
+            self.iterate,
+            step.linearizations,
+            replace(progress, damping=0.0),
+            states_only=self.nodes_alone,
+        )
+        return undamped.decrease <= progress.undamped_decrease
+
+    def _minimum(self, step: Step, *, is_settled: bool, looks: bool) -> Iterate | None:
+        """Return the minimum if the run has arrived there."""
+        if is_settled and step.distance <= self.parts.settings.tol:
+            # The step is known already: polishing then has one less to compute.
+            return followed(self.parts, self.iterate, step) or self.iterate
+        return _end_within_noise(self.parts, self.iterate, step, self.progress) if looks else None
+
+    def _rests(self, merit: float) -> bool:
+        """Return whether the merit has hardly fallen since the last look.
+
+        Beside a kink, as at a whole sample of a delay, steps to and fro gain as little as rounding,
+        and none fails: 9 of 80 fits of a held input ended after 2100 iterations.
+        """
+        rests = self.last_look - merit <= 10 * ROUNDING * abs(merit)
+        self.last_look = merit
+        return rests
+
+    def _is_at_limit(self) -> bool:
+        """Return whether a damped run has arrived at the limit of stable predictors.
+
+        Where poles meet there, it has no tangent: runs would creep for thousands of steps, for
+        hundredths of the cost.
+        """
+        is_damped = self.progress.is_exact and self.progress.damping >= 1e3
+        return is_damped and any(
+            gain.is_at_limit(trajectory)
+            for gain, trajectory in predictors(self.parts, self.iterate)
+        )
+
+    def _tries_again(self, trial: Iterate | None) -> bool:
+        """Return whether the next iteration tries another step from here, and prepare it."""
+        progress = self.progress
         if trial is None and progress.damping <= LARGEST_DAMPING:
-            progress = replace(progress, damping=after_failure(progress.damping))
-            continue
+            self.progress = replace(progress, damping=after_failure(progress.damping))
+            return True
         # If heavy damping has not helped, delays at which the cost jumps block the steps. Holding
         # these delays halves the time where a held input reaches an output directly. Otherwise a
         # run whose minimum lies at a jump may take 2000 iterations, and the fit may choose another
         # minimum.
-        blocked = parts.is_discontinuous.any() and not np.any(progress.held)
-        if blocked and progress.is_exact and progress.damping >= 1e2:
-            progress = replace(progress, held=parts.is_discontinuous, damping=0.0)
-            continue
-        fails = progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING)
-        ends = fails or rests
-        closed = parts.made_continuous(iterate, step) if ends else iterate
-        status = status_at_kink(parts, closed, states_only=nodes_alone) if ends else STALLED
-        # A run that rests elsewhere continues.
-        if fails or status != STALLED:
-            return End(closed, status, count)
+        is_blocked = self.parts.is_discontinuous.any() and not np.any(progress.held)
+        if is_blocked and progress.is_exact and progress.damping >= 1e2:
+            self.progress = replace(progress, held=self.parts.is_discontinuous, damping=0.0)
+            return True
+        return False
 
-        # Accept.
-        gained = 0.0 if trial is None else start - merit(trial)
-        following = progress.after(step, start, gained, length)
-        becomes_exact = following.is_exact and not (progress.is_exact or states_only)
-        progress = following
-        iterate = trial or iterate
+    def _standstill(
+        self, step: Step, trial: Iterate | None, count: int, *, rests: bool
+    ) -> End | None:
+        """Return the end of a run that makes no progress, perhaps at a kink; None if it goes on."""
+        progress = self.progress
+        fails = progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING)
+        if not (fails or rests):
+            return None
+        closed = self.parts.made_continuous(self.iterate, step)
+        status = status_at_kink(self.parts, closed, states_only=self.nodes_alone)
+        # A run that rests elsewhere continues.
+        return End(closed, status, count) if fails or status != STALLED else None
+
+    def _accept(
+        self, step: Step, trial: Iterate | None, merit: float, gained: float, length: float
+    ) -> None:
+        """Go on from the trial, or in the next stage where there is none."""
+        following = self.progress.after(step, merit, gained, length)
+        becomes_exact = following.is_exact and not (self.progress.is_exact or self.states_only)
+        self.progress = following
+        self.iterate = trial or self.iterate
+        # For a long record, they take an eighth of the memory.
+        self.linearizations = []
+        if not becomes_exact:
+            return
+
         # Without good gains to begin with, and stable predictors that are simulated, at most one of
         # 7 runs reaches the predictors of the tilt plant.
-        z = best_gains(parts, iterate, progress.gap_variance) if becomes_exact else iterate.z
-        iterate = iterate if z is iterate.z else parts.at(z, iterate.nodes)
-        # For a long record, they take an eighth of the memory.
-        del step, trial, closed
-        linearizations = []
-    end = End(iterate, EXCEEDED, iterations)
-    return _arrived(parts, end, states_only=states_only) if progress.is_exact else end
+        z = best_gains(self.parts, self.iterate, following.gap_variance)
+        if z is not self.iterate.z:
+            self.iterate = self.parts.at(z, self.iterate.nodes)
 
 
 def _arrived(parts: AllParts, end: End, *, states_only: bool) -> End:
@@ -227,32 +337,6 @@ def followed(parts: AllParts, iterate: Iterate, step: Step) -> Iterate | None:
     end = parts.made_continuous(parts.moved(iterate, step, 1.0), step)
     dearer = parts.cost(end) > with_rounding(parts.cost(iterate))
     return None if dearer or not (parts.is_continuous(end) and are_stable(parts, end)) else end
-
-
-def _is_settled(
-    parts: AllParts,
-    iterate: Iterate,
-    step: Step,
-    merit: float,
-    progress: Progress,
-    *,
-    states_only: bool,
-) -> bool:
-    """Return whether little is left to gain, also by a step that is not damped."""
-    negligible = max(parts.settings.tol, ROUNDING * abs(merit))
-    little = (1 + progress.damping) * step.decrease <= negligible
-    if not (progress.is_exact and little and parts.is_continuous(iterate)):
-        return False
-    if not progress.damping:
-        return True
-    undamped = gauss_newton_step(
-        parts,
-        iterate,
-        step.linearizations,
-        replace(progress, damping=0.0),
-        states_only=states_only,
-    )
-    return undamped.decrease <= progress.undamped_decrease
 
 
 def _end_within_noise(
