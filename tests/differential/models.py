@@ -37,9 +37,13 @@ class Nonlinearity:
     embedded: bool = False
 
 
+# No motion leaves a table: what lies beyond is another model for each of its readers.
+REACH = 400.0
+
+
 def table(rng: np.random.Generator) -> Nonlinearity:
     """Return a random table, read by linear interpolation."""
-    grid = np.linspace(-8.0, 8.0, 33)
+    grid = np.linspace(-REACH, REACH, 1601)
     values = np.arcsinh(grid * rng.uniform(0.7, 1.5)) + rng.uniform(-0.2, 0.2)
     lookup = ca.interpolant("lookup", "linear", [grid], values)
     return Nonlinearity("table", lookup, lambda x: np.interp(x, grid, values), False, True)
@@ -48,7 +52,7 @@ def table(rng: np.random.Generator) -> Nonlinearity:
 def spline(rng: np.random.Generator) -> Nonlinearity:
     """Return a random table, read by a cubic spline."""
     slope = rng.uniform(0.7, 1.5)
-    grid = np.linspace(-8.0, 8.0, 33)
+    grid = np.linspace(-REACH, REACH, 1601)
     lookup = ca.interpolant("lookup", "bspline", [grid], np.arcsinh(grid * slope))
 
     def numeric(x):
