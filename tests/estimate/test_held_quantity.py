@@ -94,7 +94,7 @@ def test_costs_with_a_parameter_or_a_quantity_held_rise_as_those_of_least_square
 def test_where_no_minimum_is_found_again_there_is_an_error(held, monkeypatch):
     nlp = held[0]
     lost = Outcome(np.zeros(2), "iterations exceeded", 3, 0.1, converged=False)
-    monkeypatch.setattr("greybox.estimate.profile.GaussNewton.near", lambda *_: lost)
+    monkeypatch.setattr("greybox.estimate.held_minima.GaussNewton.near", lambda *_: lost)
     with pytest.raises(NoProfileError, match="from the estimate: iterations exceeded"):
         HeldMinima(nlp, held[3][:2])
 
