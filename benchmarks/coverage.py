@@ -5,9 +5,9 @@ python benchmarks/coverage.py [--repeats 1000] [--only tilt] [--output FILE]
 Synthetic truths with isotropic complex normal noise are fitted again and again. The table counts
 how often the interval contains the truth. For speed, a cell is compiled once, its cost taken from
 the criterion with the data as symbols, and all repeats are minimized together by Newton's method
-from the truth; the standard errors are those of a fit (`greybox.estimate.covariance.accuracy_at`). The
-first repeats of every cell, and those that end outside the bounds, are done by `gb.fit` itself: the
-table says how far the two ways differ, in standard errors.
+from the truth; the standard errors are those of a fit. The first repeats of every cell, and those
+that end outside the bounds, are done by `gb.fit` itself: the table says how far the two ways
+differ, in standard errors.
 """
 
 import argparse
