@@ -17,11 +17,13 @@ points, and of all runs of this benchmark. Times are of the processor. A differe
 where a sign test on the runs and fits that changed does not reject chance at 5 %.
 
 The problems were chosen before anything was switched off, from `tests/support/hard_models.py`:
-- those of `tests/solve/test_hard_models.py`: tanks, guarded tanks (roots of levels, after Wigren
+- those of `tests/engine/solve/test_hard_models.py`: tanks, guarded tanks (roots of levels, after
+Wigren
   and Schoukens (2013), Three free data sets for development and benchmarking in nonlinear system
   identification), reactor (ignition), chain and unseen (unmeasured states), overflow (a limit that
   no start reaches), too simple (a wrong model, with diagonal and full covariance);
-- those of `tests/solve/test_published_cases.py` and the like: Lotka and Volterra, a pendulum with
+- those of `tests/engine/solve/test_published_cases.py` and the like: Lotka and Volterra, a pendulum
+with
   two samples and a half a period, Lorenz (1963), a damped swing whose stiffnesses may swap, direct
   delay (the cost jumps), a long record;
 - flights of the unstable tilt plant: output error in the declared boxes; with gusts that the model
@@ -60,7 +62,7 @@ import hard_models as hard  # noqa: E402
 import numpy as np  # noqa: E402
 
 import greybox as gb  # noqa: E402
-from greybox.solve.gauss_newton.settings import Settings  # noqa: E402
+from greybox.engine.solve.gauss_newton.settings import Settings  # noqa: E402
 
 LIMIT = 40  # s of one fit
 BASE = "usual limits"

@@ -1,6 +1,6 @@
 """How close the tests come to their limits, and which of them another processor would break.
 
-    python benchmarks/assert_margins.py tests/statistics tests/solve [--folder FOLDER]
+    python benchmarks/assert_margins.py tests/statistics tests/engine/solve [--folder FOLDER]
     python benchmarks/assert_margins.py --folder FOLDER        compare what it holds, run nothing
 
 Run the tests once for each of several machines and record, for every numerical comparison of an

@@ -89,7 +89,7 @@ def measured():
 
 def by_greybox(starts):
     import greybox as gb  # noqa: PLC0415
-    from greybox.compiled.vectorized import Columns  # noqa: PLC0415
+    from greybox.engine.compiled.vectorized import Columns  # noqa: PLC0415
     from greybox.problems import pitch_hover, sitl_drag  # noqa: PLC0415
 
     evaluated = Columns.__call__

@@ -18,9 +18,9 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.stats import t as student
 
-from greybox.compiled.colored_errors import colored_errors
-from greybox.estimate.checks.slow_errors import EVIDENCE, FEWEST_LINES
-from greybox.files.arrays import Array, BoolArray
+from greybox.assessment.checks.slow_errors import EVIDENCE, FEWEST_LINES
+from greybox.data.files.arrays import Array, BoolArray
+from greybox.engine.compiled.colored_errors import colored_errors
 
 STEP = 0.05  # s
 SENSOR = 0.05  # standard deviation of the white noise

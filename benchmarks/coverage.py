@@ -25,10 +25,10 @@ import scipy
 from scipy.special import stdtrit
 
 import greybox as gb
-from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.accuracy import degrees, propagate
-from greybox.estimate.covariance import accuracy_at
+from greybox.engine.compiled.compiled_problem import compile_problem
+from greybox.engine.compiled.response_part import ResponsePart
+from greybox.engine.covariance.accuracy import degrees, propagate
+from greybox.engine.covariance.covariance import accuracy_at
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt

@@ -38,7 +38,7 @@ from typing import NoReturn
 
 import numpy as np
 
-import greybox.logs.readers
+import greybox.data.logs.readers
 
 ROOT = Path(__file__).parents[1]
 LARGEST = 200_000  # bytes
@@ -278,7 +278,7 @@ ENDS = ("read", "refused", "memory")  # by the exit status of a fork
 def unguarded(numbers: range, seed: int) -> Counter:
     """Read damaged HDF5 and MATLAB files in forks, without the limits; count how these end."""
     files, counts = seeds(), Counter()
-    named_arrays = importlib.import_module("greybox.logs.readers.named_arrays")
+    named_arrays = importlib.import_module("greybox.data.logs.readers.named_arrays")
     named_arrays.read_in_subprocess = importlib.import_module("read_here").read_here
     for name in ("h5py", "scipy.io"):
         importlib.import_module(name)  # once, not in every fork
@@ -307,7 +307,7 @@ def _read_and_exit(path: str) -> NoReturn:
     os.dup2(nowhere, 2)
     end = "read"
     try:
-        greybox.logs.readers.read(path)
+        greybox.data.logs.readers.read(path)
     except MemoryError:
         end = "memory"
     except BaseException:  # whatever the libraries raise
@@ -360,7 +360,7 @@ def main():
     parser.add_argument("--progress", type=Path, help="file that names the input under way")
     parser.add_argument("--unguarded", action="store_true", help="HDF5 and MATLAB, in forks")
     options = parser.parse_args()
-    entry = greybox.logs.readers.read if options.entry == "read" else inspect
+    entry = greybox.data.logs.readers.read if options.entry == "read" else inspect
     numbers = (
         range(options.count) if options.only is None else range(options.only, options.only + 1)
     )

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from greybox.files.sealed_files import BLOCK
+from greybox.data.files.sealed_files import BLOCK
 
 ROOT = Path(__file__).parents[1]
 SECONDS, MEMORY = 2.0, 500e6  # for one file; bytes

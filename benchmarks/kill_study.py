@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from greybox.estimate.fit import fingerprint
+from greybox.assessment.fit import fingerprint
 from greybox.models.tilt import LinearTilt
 from greybox.problems import pitch_hover, rotors
-from greybox.study.database import DATABASE, is_study
-from greybox.study.members import read_members
-from greybox.study.stored_runs import StoredRuns
+from greybox.workflows.study.database import DATABASE, is_study
+from greybox.workflows.study.members import read_members
+from greybox.workflows.study.stored_runs import StoredRuns
 
 # Of the time of the study in one process, after which it is killed once it has written: thirty
 # kills go through all of it on two workers.

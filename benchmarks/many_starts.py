@@ -18,8 +18,8 @@ from pathlib import Path
 
 import greybox as gb
 from greybox.problems import pitch_hover
-from greybox.study.database import DATABASE
-from greybox.study.members import read_members
+from greybox.workflows.study.database import DATABASE
+from greybox.workflows.study.members import read_members
 
 
 def peak():

@@ -6,7 +6,7 @@ Every plant is flown in the loop of its controller, with noise of the gyro and g
 rounded to the steps of a 16-bit gyro. The test is a sweep at the control, a sweep at the setpoint,
 or a multisine at the setpoint. From each flight: response, fit, margins of the loop broken at the
 control. The true margins are those of the true plant, whose loop diverges in a flight with more
-gain (see tests/experiment/test_margins.py).
+gain (see tests/workflows/experiment/test_margins.py).
 Printed: the share of intervals that hold the truth in percent, and half the mean width.
 """
 

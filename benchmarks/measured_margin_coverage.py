@@ -13,7 +13,7 @@ import numpy as np
 from margin_coverage import PLANTS, Rate, RateLoop, flown
 
 import greybox as gb
-from greybox.experiment import broken_loop
+from greybox.workflows.experiment import broken_loop
 
 NAMES = (
     "phase margin",

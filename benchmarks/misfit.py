@@ -21,9 +21,9 @@ import time
 import numpy as np
 
 import greybox as gb
-import greybox.estimate.fit
+import greybox.assessment.fit
 
-FIT = sys.modules["greybox.estimate.fit"]
+FIT = sys.modules["greybox.assessment.fit"]
 LENGTHS, STEP = (330, 1000, 600, 3300, 10000), 0.03  # samples, s
 BOUNDS = (0.0, 500.0)
 

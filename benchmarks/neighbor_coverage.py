@@ -24,7 +24,7 @@ import scipy
 from coverage import TRUTH, Case, Outcome, Part
 
 import greybox as gb
-from greybox.compiled.response_part import ResponsePart
+from greybox.engine.compiled.response_part import ResponsePart
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt, TiltRate
 

@@ -15,9 +15,9 @@ from importlib.metadata import version
 import numpy as np
 
 import greybox as gb
-from greybox.experiment import SinePlan, plan_sines, sine_schedule
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
+from greybox.workflows.experiment import SinePlan, plan_sines, sine_schedule
 
 VALUES = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0, "C_x": 0.05}
 WANTED = {"a1": 0.05, "a2": 0.008, "a3": 0.012, "a4": 0.4}

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.formulation.included_criteria import CRITERIA
+from greybox.modeling.formulation.included_criteria import CRITERIA
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured

@@ -25,11 +25,11 @@ from pathlib import Path
 import numpy as np
 from pymavlink.DFReader import DFReader_binary
 
-import greybox.logs.readers
+import greybox.data.logs.readers
 
 MEMORY = """
 import sys
-import greybox.logs.readers.dataflash as dataflash
+import greybox.data.logs.readers.dataflash as dataflash
 def peak():
     lines = open("/proc/self/status")
     return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM"))
@@ -127,7 +127,7 @@ def synthetic(path: Path, megabytes: float) -> None:
 def ours(path: Path, messages: list[str] | None) -> float:
     """Read with greybox; s."""
     began = time.perf_counter()
-    greybox.logs.readers.read(path, messages)
+    greybox.data.logs.readers.read(path, messages)
     return time.perf_counter() - began
 
 

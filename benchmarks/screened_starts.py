@@ -26,9 +26,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np  # noqa: E402
 
 import greybox as gb  # noqa: E402
-from greybox.compiled.compiled_problem import compile_problem  # noqa: E402
-from greybox.solve.gauss_newton.driver import GaussNewton  # noqa: E402
-from greybox.solve.multistart import multistart  # noqa: E402
+from greybox.engine.compiled.compiled_problem import compile_problem  # noqa: E402
+from greybox.engine.solve.gauss_newton.driver import GaussNewton  # noqa: E402
+from greybox.engine.solve.multistart import multistart  # noqa: E402
 
 VALUES = {
     "CD0": 0.12, "CDV": -0.065, "CDa": 0.32, "CL0": -0.093, "CLV": 0.15, "CLa": 4.3,

@@ -25,9 +25,10 @@ import casadi as ca
 import numpy as np
 
 import greybox as gb
-from greybox.compiled.compiled_problem import compile_problem
-from greybox.formulation.starts import Sobol
+from greybox.engine.compiled.compiled_problem import compile_problem
+from greybox.engine.solve.multistart import multistart, solver_for
 from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.formulation.starts import Sobol
 from greybox.models.polynomial import Polynomial
 from greybox.models.tilt import PAPER_G
 from greybox.problems import (
@@ -38,7 +39,6 @@ from greybox.problems import (
     rotors,
     yaw_hover,
 )
-from greybox.solve.multistart import multistart, solver_for
 
 PAPER = (pitch_hover, roll_hover, yaw_hover, pitch_5deg, rotors)
 SUCCESS = 1.001  # of the lowest cost

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import freqz, lfilter
 
-from greybox.logs import sine_detection
-from greybox.spectral import local_polynomials, sweeps_and_noise
+from greybox.data.logs import sine_detection
+from greybox.data.spectral import local_polynomials, sweeps_and_noise
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from resonance_records import RATE, flown_sweep, record, resonance

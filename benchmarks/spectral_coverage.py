@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from greybox.spectral import spectral_response
+from greybox.data.spectral import spectral_response
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from known_systems import EXAMPLE, LAG, LIGHT, MODE, NOTCH, System, flown, maximum_likelihood

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 
 GRAVITY = 9.8065  # m/s², the paper's
 STEP = 0.01  # s

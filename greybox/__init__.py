@@ -1,7 +1,7 @@
 """Grey-box estimation: declare a model structure once, fit it, know how far to believe the answer.
 
 Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, state a `Problem`
-(model, data, criterion), `fit` it, and print the `Fit`. The folders are namespaces:
+(model, data, criterion), `fit` it, and print the `Fit`. These are its namespaces:
 
 | namespace | contents |
 | --- | --- |
@@ -22,10 +22,15 @@ Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, sta
 """
 
 import ast as _ast
+import sys as _sys
 from importlib import import_module as _import_module
+from importlib.abc import Loader as _Loader, MetaPathFinder as _MetaPathFinder
+from importlib.machinery import ModuleSpec as _ModuleSpec
 from pathlib import Path as _Path
+from types import ModuleType as _ModuleType
+from typing import Any as _Any
 
-from greybox.files.version import __version__ as __version__
+from greybox.data.files.version import __version__ as __version__
 
 
 def _public_names() -> dict[str, str]:
@@ -38,13 +43,45 @@ def _public_names() -> dict[str, str]:
 _MODULES = _public_names()
 
 
+def _is_folder(name: str) -> bool:
+    """Return whether a public name is that of a folder: then its name leads there."""
+    if name not in _MODULES:
+        return False
+    place = _Path(__file__).parents[1].joinpath(*_MODULES[name].split("."), name)
+    return (place / "__init__.py").is_file()
+
+
+class _Namespaces(_MetaPathFinder, _Loader):
+    """Finds ``greybox.spectral`` where the folder stands, ``greybox.spectral``."""
+
+    def find_spec(self, fullname: str, path: _Any = None, target: _Any = None) -> _Any:
+        first, _, rest = fullname.removeprefix("greybox.").partition(".")
+        if not fullname.startswith("greybox.") or not _is_folder(first):
+            return None
+        place = ".".join(filter(None, [_MODULES[first], first, rest]))
+        return None if place == fullname else _ModuleSpec(fullname, self, loader_state=place)
+
+    def create_module(self, spec: _ModuleSpec) -> _ModuleType:
+        module = _import_module(spec.loader_state)
+        # The import system gives the module the specification that it has asked for.
+        spec.loader_state = module.__spec__
+        return module
+
+    def exec_module(self, module: _ModuleType) -> None:
+        assert module.__spec__ is not None
+        module.__spec__ = module.__spec__.loader_state
+
+
+_sys.meta_path.insert(0, _Namespaces())
+
+
 def __getattr__(name: str) -> object:
     """Import a public name at its first use: everything at once takes a second."""
     if name not in _MODULES:
         raise AttributeError(f"module 'greybox' has no attribute {name!r}")
 
     module = _MODULES[name]
-    if module == __name__:
+    if _is_folder(name):
         value = _import_module(f"{module}.{name}")
     else:
         value = getattr(_import_module(module), name)

@@ -18,7 +18,7 @@ def main() -> int:
 
 
 def _unraisable(error: "sys.UnraisableHookArgs") -> None:
-    """Do not report Ctrl-C in a destructor: `greybox.solve.interruption` notes it."""
+    """Do not report Ctrl-C in a destructor: `greybox.engine.solve.interruption` notes it."""
     if not isinstance(error.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(error)
 

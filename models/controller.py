@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 
 import greybox as gb
-from greybox.experiment.controller import sensors_of
-from greybox.experiment.sampled_loop import linear_controller
-from greybox.files.optional_package import required
+from greybox.data.files.optional_package import required
 from greybox.modeling.parameter import is_finite_number
+from greybox.workflows.experiment.controller import sensors_of
+from greybox.workflows.experiment.sampled_loop import linear_controller
 
 
 def _limited(value, limit):

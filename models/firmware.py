@@ -8,23 +8,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import greybox as gb
+from greybox.data.files.text_table import text_table
 from greybox.data.intersample import response_of_hold
-from greybox.experiment.control_check import ControlCheck, check_controller
-from greybox.experiment.controller import sensors_of
-from greybox.experiment.measured_loop import broken_loop
-from greybox.experiment.safe_gains import RANDOM_ERROR
-from greybox.experiment.sampled_loop import DOT, linear_controller
-from greybox.files.text_table import text_table
-from greybox.logs.ardupilot.signals import SYSTEMID_AXES
-from greybox.logs.axis_signals import NAMES
-from greybox.logs.flight_controllers import AXES, axis_of, named_filters, passed_filters
-from greybox.logs.loop_rate import GYRO_RATE
-from greybox.logs.named_columns import in_si
-from greybox.logs.px4 import AXES as PX4_AXES
+from greybox.data.logs.ardupilot.signals import SYSTEMID_AXES
+from greybox.data.logs.axis_signals import NAMES
+from greybox.data.logs.flight_controllers import AXES, axis_of, named_filters, passed_filters
+from greybox.data.logs.loop_rate import GYRO_RATE
+from greybox.data.logs.named_columns import in_si
+from greybox.data.logs.px4 import AXES as PX4_AXES
 from greybox.modeling.model import require_known
 from greybox.models import ardupilot, betaflight, px4
 from greybox.models.controller import ControlUnit
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
+from greybox.workflows.experiment.control_check import ControlCheck, check_controller
+from greybox.workflows.experiment.controller import sensors_of
+from greybox.workflows.experiment.measured_loop import broken_loop
+from greybox.workflows.experiment.safe_gains import RANDOM_ERROR
+from greybox.workflows.experiment.sampled_loop import DOT, linear_controller
 
 GAINS = (*ardupilot.GAINS, "K")  # K is PX4's factor of P, I and D
 # What is logged of a control of 1, by the message or the column; 45 degrees of a surface are 4500.

@@ -14,8 +14,8 @@ import sys
 from dataclasses import replace
 
 import greybox as gb
-from greybox.files.numbers_in_text import number
-from greybox.files.text_table import text_table
+from greybox.data.files.numbers_in_text import number
+from greybox.data.files.text_table import text_table
 from greybox.models.coupled import CoupledVelocityTransfer, DampedCoupledVelocityTransfer
 from greybox.models.rate import BasicAngle, BasicRate, DampedRate, YawRateLag, YawRateLead
 from greybox.models.tilt import Tilt
@@ -31,7 +31,7 @@ from greybox.problems import (
     yaw_hover_ls,
 )
 from greybox.problems._paper import table
-from greybox.study.study import shown
+from greybox.workflows.study.study import shown
 
 CRITERIA = {
     "relative-error": gb.RelativeError(),

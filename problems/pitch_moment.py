@@ -25,7 +25,7 @@ import math
 from typing import Any
 
 import greybox as gb
-from greybox.files.text_table import text_table
+from greybox.data.files.text_table import text_table
 from greybox.models.moment import MOMENT_TERMS, TiltMomentAt
 from greybox.problems import pitch_5deg, pitch_hover
 from greybox.problems.pitch_operating_points import ANGLE, DRAG

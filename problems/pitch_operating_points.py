@@ -21,8 +21,8 @@ import math
 from typing import Any
 
 import greybox as gb
-from greybox.files.numbers_in_text import number
-from greybox.files.text_table import text_table
+from greybox.data.files.numbers_in_text import number
+from greybox.data.files.text_table import text_table
 from greybox.models.tilt import PAPER_G, NonlinearTilt, Tilt
 from greybox.problems import pitch_5deg, pitch_hover
 

@@ -81,7 +81,7 @@ def most_files_are_read_here(request):
 
     with pytest.MonkeyPatch.context() as patch:
         if request.path.name not in IN_SUBPROCESS:
-            patch.setattr("greybox.logs.readers.named_arrays.read_in_subprocess", read_here)
+            patch.setattr("greybox.data.logs.readers.named_arrays.read_in_subprocess", read_here)
         yield
 
 
@@ -92,13 +92,13 @@ def few_draws(monkeypatch):
     And fewer gains. For tests in which the ends of intervals do not matter to a few per cent.
     """
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
-    # By their paths: `greybox.experiment.margins` is the function.
+    # By their paths: `greybox.workflows.experiment.margins` is the function.
     modules = ("drawn_loops", "margins", "measured_loop_margins", "safe_gains")
     for path in (*(f"experiment.{name}" for name in modules), "plotting.loops"):
         module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])
-    safe_gains = import_module("greybox.experiment.safe_gains")
+    safe_gains = import_module("greybox.workflows.experiment.safe_gains")
     monkeypatch.setattr(safe_gains, "POINTS", {1: 11, 2: 5, 3: 3})
 
 
@@ -106,9 +106,9 @@ def few_draws(monkeypatch):
 def without_misfit():
     """Leave out the assessment of the misfit, a third of the time of a fit of records.
 
-    For tests of estimates and errors alone: those in tests/estimate assess fits of all kinds.
+    For tests of estimates and errors alone: those in tests/assessment assess fits of all kinds.
     """
-    module = import_module("greybox.estimate.assessment")
+    module = import_module("greybox.assessment.assess")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "assessed_misfit", lambda *_: None)
         yield
@@ -131,9 +131,9 @@ def unjudged_file():
 @pytest.fixture
 def judged(monkeypatch):
     """Make fits with their misfit in a test of a file without."""
-    from greybox.estimate.misfit_assessment import assessed_misfit
+    from greybox.assessment.misfit_assessment import assessed_misfit
 
-    module = import_module("greybox.estimate.assessment")
+    module = import_module("greybox.assessment.assess")
     monkeypatch.setattr(module, "assessed_misfit", assessed_misfit)
 
 
@@ -157,7 +157,7 @@ def clock(monkeypatch):
             cls.now += 1.0
             return cls.now
 
-    monkeypatch.setattr("greybox.solve.interruption.time", Clock)
+    monkeypatch.setattr("greybox.engine.solve.interruption.time", Clock)
     return Clock
 
 

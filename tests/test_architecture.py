@@ -21,7 +21,7 @@ HOUSE = [path for path in SOURCES if path.relative_to(ROOT).parts[1] in FOLDERS]
 
 # A stored result names an included model, a study names included models and problems, and the
 # command line is above both.
-PLUG_INS = {"greybox.modeling.model_reference", "greybox.study.catalog"}
+PLUG_INS = {"greybox.modeling.model_reference", "greybox.workflows.study.catalog"}
 
 
 @cache
@@ -84,10 +84,10 @@ def test_imports_point_one_way():
 def test_a_planted_import_is_seen(tmp_path):
     planted = tmp_path / "parameter.py"
     planted.write_text(
-        "def f(name):\n    from greybox.estimate.fit import fit\n    from greybox import fit\n"
+        "def f(name):\n    from greybox.assessment.fit import fit\n    from greybox import fit\n"
         "    importlib.import_module(f'greybox.models.{name}')\n"
     )
-    names = ["greybox.estimate.fit", "greybox", "greybox.fit", "greybox.models"]
+    names = ["greybox.assessment.fit", "greybox", "greybox.fit", "greybox.models"]
     assert forbidden("modeling", imported(planted)) == names
 
 

@@ -8,9 +8,9 @@ from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 
 import greybox as gb
+from greybox.data.spectral.frequency_points import FiniteFrequency
+from greybox.engine.solve.minima import Multistart
 from greybox.models.yaw import YawAngle
-from greybox.solve.minima import Multistart
-from greybox.spectral.frequency_points import FiniteFrequency
 
 RECORD = flight(QUADRATIC, 1, duration=10.0)
 RESPONSE = measured(

@@ -13,18 +13,18 @@ from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inpu
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.terminal import write
 from greybox.cli.workers import stated_executor
-from greybox.files.named_values import attributes
-from greybox.files.safe_files import require_file
-from greybox.files.text_table import text_table
-from greybox.files.wording import counted, some
-from greybox.solve.executors import ExecutorLostError
-from greybox.solve.interruption import Interrupted
-from greybox.study.batch import Member, batch
-from greybox.study.damage import require_own
-from greybox.study.database import DATABASE, is_study
-from greybox.study.running import is_running
-from greybox.study.study import Study, progress, read_study
-from greybox.study.study_lock import locked
+from greybox.data.files.named_values import attributes
+from greybox.data.files.safe_files import require_file
+from greybox.data.files.text_table import text_table
+from greybox.data.files.wording import counted, some
+from greybox.engine.solve.executors import ExecutorLostError
+from greybox.engine.solve.interruption import Interrupted
+from greybox.workflows.study.batch import Member, batch
+from greybox.workflows.study.damage import require_own
+from greybox.workflows.study.database import DATABASE, is_study
+from greybox.workflows.study.running import is_running
+from greybox.workflows.study.study import Study, progress, read_study
+from greybox.workflows.study.study_lock import locked
 
 EXAMPLES = (
     "study.toml --out results --workers 2",

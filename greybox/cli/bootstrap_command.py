@@ -6,7 +6,7 @@ from typing import Any
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import stated_fit
 from greybox.cli.workers import stated_executor
-from greybox.study.bootstrap import bootstrap
+from greybox.workflows.study.bootstrap import bootstrap
 
 EXAMPLES = (
     "pitch.h5",

@@ -2,16 +2,16 @@
 
 import argparse
 
+from greybox.assessment.validation.compare import compare
+from greybox.assessment.validation.comparison import Comparison
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import HELD_OUT, held_out_records, saved_fit
-from greybox.files.grouping import unique
-from greybox.files.named_values import attributes
-from greybox.files.safe_files import write_text
-from greybox.study.study import read_study
-from greybox.validation.compare import compare
-from greybox.validation.comparison import Comparison
+from greybox.data.files.grouping import unique
+from greybox.data.files.named_values import attributes
+from greybox.data.files.safe_files import write_text
+from greybox.workflows.study.study import read_study
 
 EXAMPLES = (
     "linear.h5 nonlinear.h5",

@@ -11,10 +11,16 @@ from typing import Any
 from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
 from greybox.cli.terminal import write
-from greybox.files.error_place import error_place
-from greybox.files.escapes import sentence
-from greybox.solve.executors import ExecutorLostError
-from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
+from greybox.data.files.error_place import error_place
+from greybox.data.files.escapes import sentence
+from greybox.engine.solve.executors import ExecutorLostError
+from greybox.engine.solve.interruption import (
+    Response,
+    ended_status,
+    listening,
+    responding,
+    take_interrupt,
+)
 
 
 def execute(options: argparse.Namespace) -> int:

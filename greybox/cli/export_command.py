@@ -6,9 +6,9 @@ import casadi as ca
 
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import saved_fit
-from greybox.files.delimited_text import write_delimited
-from greybox.files.safe_files import write_text
-from greybox.interop.casadi_function import to_casadi
+from greybox.data.files.delimited_text import write_delimited
+from greybox.data.files.safe_files import write_text
+from greybox.reporting.interop.casadi_function import to_casadi
 
 EXAMPLES = (
     "pitch.h5 pitch.csv",

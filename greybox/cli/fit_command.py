@@ -5,18 +5,18 @@ from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
+from greybox.assessment.fit import SolverChoice, fit_with_storage
+from greybox.assessment.printed import summary
+from greybox.assessment.result import Fit
+from greybox.assessment.storage import save
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.problem_options import PROBLEM_OPTIONS, problem_of
 from greybox.cli.saved_fits import require_fit_file
 from greybox.cli.workers import stated_executor
+from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.estimate.fit import SolverChoice, fit_with_storage
-from greybox.estimate.printed import summary
-from greybox.estimate.result import Fit
-from greybox.estimate.storage import save
-from greybox.files.wording import counted
-from greybox.solve.interruption import (
+from greybox.engine.solve.interruption import (
     Interrupted,
     Response,
     building,
@@ -26,10 +26,10 @@ from greybox.solve.interruption import (
     responding,
     take_interrupt,
 )
-from greybox.solve.multistart import BATCHED, SEARCHES
-from greybox.solve.run_storage import RunStorageError
-from greybox.study.database import is_study
-from greybox.study.stored_runs import StoredRuns, folder_beside, runs_beside
+from greybox.engine.solve.multistart import BATCHED, SEARCHES
+from greybox.engine.solve.run_storage import RunStorageError
+from greybox.workflows.study.database import is_study
+from greybox.workflows.study.stored_runs import StoredRuns, folder_beside, runs_beside
 
 EXAMPLES = (
     "pitch_hover",

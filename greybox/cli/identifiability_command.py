@@ -3,13 +3,13 @@
 import argparse
 from pathlib import Path
 
+from greybox.assessment.structural_identifiability import structural_identifiability
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import saved_fit
-from greybox.estimate.structural_identifiability import structural_identifiability
-from greybox.files.named_values import attributes, non_empty
-from greybox.files.safe_files import HDF5
-from greybox.study.catalog import find_model
+from greybox.data.files.named_values import attributes, non_empty
+from greybox.data.files.safe_files import HDF5
+from greybox.workflows.study.catalog import find_model
 
 EXAMPLES = (
     "yaw:YawRate",

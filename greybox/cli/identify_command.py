@@ -6,18 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greybox.assessment.storage import save
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import response_json
+from greybox.data.files.named_values import attributes
+from greybox.data.logs.flight_controllers import axis_of
+from greybox.data.logs.readers import read
 from greybox.data.response_file import write_response
-from greybox.estimate.storage import save
-from greybox.files.named_values import attributes
-from greybox.identification.identify import STARTS, Identification, identify
-from greybox.identification.structure_fit import Structure
-from greybox.logs.flight_controllers import axis_of
-from greybox.logs.readers import read
-from greybox.study.catalog import find_model
+from greybox.workflows.identification.identify import STARTS, Identification, identify
+from greybox.workflows.identification.structure_fit import Structure
+from greybox.workflows.study.catalog import find_model
 
 EXAMPLES = (
     "flight.BIN",

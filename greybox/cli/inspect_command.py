@@ -9,13 +9,13 @@ from greybox.cli.options import option_words
 from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.excited_segment import Segments, segment_table
+from greybox.data.files.named_values import attributes
+from greybox.data.files.numbers_in_text import number
+from greybox.data.files.text_table import text_table
+from greybox.data.logs.flight_controllers import axis_of
+from greybox.data.logs.manoeuvre_detection import find_manoeuvres
+from greybox.data.logs.segment_detection import announcing, find_segments
 from greybox.data.record import Record, Recording
-from greybox.files.named_values import attributes
-from greybox.files.numbers_in_text import number
-from greybox.files.text_table import text_table
-from greybox.logs.flight_controllers import axis_of
-from greybox.logs.manoeuvre_detection import find_manoeuvres
-from greybox.logs.segment_detection import announcing, find_segments
 
 EXAMPLES = (
     "flight.BIN",

@@ -5,12 +5,18 @@ from types import ModuleType
 from typing import Any
 
 from greybox.cli.output import Answer
-from greybox.files.grouping import unique
-from greybox.files.named_values import attributes
-from greybox.files.text_table import text_table
+from greybox.data.files.grouping import unique
+from greybox.data.files.named_values import attributes
+from greybox.data.files.text_table import text_table
 from greybox.modeling.model import Model, equation
 from greybox.modeling.parameter import parameter_table
-from greybox.study.catalog import find_model, find_problem, models_of, shipped, shipped_module
+from greybox.workflows.study.catalog import (
+    find_model,
+    find_problem,
+    models_of,
+    shipped,
+    shipped_module,
+)
 
 EXAMPLES = (
     "",

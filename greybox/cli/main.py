@@ -15,8 +15,8 @@ from typing import Any, NoReturn
 
 from greybox.cli.options import COMMON, HelpFormatter, UsageError, declare
 from greybox.cli.output import BAD_INPUT, write_answer
-from greybox.files.spelling import alternatives, nearest
-from greybox.files.version import __version__
+from greybox.data.files.spelling import alternatives, nearest
+from greybox.data.files.version import __version__
 
 # The command `fit` is the module `greybox.cli.fit_command`.
 GROUPS = {

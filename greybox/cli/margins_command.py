@@ -3,18 +3,18 @@
 import argparse
 from typing import Any
 
+from greybox.assessment.result import Fit
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
+from greybox.data.files.named_values import attributes, selected
 from greybox.data.response_file import read_response
-from greybox.estimate.result import Fit
-from greybox.experiment.controller import Controller
-from greybox.experiment.margin_values import margin_table
-from greybox.experiment.margins import margins
-from greybox.files.named_values import attributes, selected
 from greybox.modeling.model import require_known
-from greybox.study.catalog import find_controller, shipped_module
-from greybox.study.study import read_study
+from greybox.workflows.experiment.controller import Controller
+from greybox.workflows.experiment.margin_values import margin_table
+from greybox.workflows.experiment.margins import margins
+from greybox.workflows.study.catalog import find_controller, shipped_module
+from greybox.workflows.study.study import read_study
 
 EXAMPLES = (
     "pitch.h5 --log flight.BIN",
@@ -121,7 +121,7 @@ def run(options: argparse.Namespace) -> Answer:
         answer["error"] = unsafe or wrong
     text += save_figure(options.plot, "loop", loops[0], hz=options.hz)
     if options.report:
-        from greybox.html_report.report import report  # noqa: PLC0415  (slow import)
+        from greybox.reporting.html_report.report import report  # noqa: PLC0415  (slow import)
 
         report([*fits.values()], options.report, margins=loops)
         text.append(f"wrote {options.report}")

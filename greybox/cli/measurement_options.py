@@ -6,9 +6,9 @@ from dataclasses import fields
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.files.arrays import Interval
-from greybox.files.named_values import selected
-from greybox.identification.measurement import Settings
+from greybox.data.files.arrays import Interval
+from greybox.data.files.named_values import selected
+from greybox.workflows.identification.measurement import Settings
 
 # Which tests, which samples, which estimate.
 MEASUREMENT_OPTIONS = """

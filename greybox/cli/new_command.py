@@ -8,7 +8,7 @@ from pathlib import Path
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.starting_files import problem_file
-from greybox.files.safe_files import write_text
+from greybox.data.files.safe_files import write_text
 
 # A file with one of these names would hide the package that it, or its user, imports.
 PACKAGES = frozenset(

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from greybox.files.arrays import Interval
+from greybox.data.files.arrays import Interval
 
 # Options that several commands have in common, in the form that `declare` reads.
 SHARED = """

@@ -3,14 +3,14 @@
 import argparse
 from typing import Any
 
+from greybox.assessment.printed import summary
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import require_fit_file, save_fit
+from greybox.data.files.named_values import attributes
 from greybox.data.response_file import read_response
-from greybox.estimate.printed import summary
-from greybox.files.named_values import attributes
-from greybox.identification.orders import select_orders
-from greybox.identification.selection import Selection
-from greybox.study.stated_problem import filters_of
+from greybox.workflows.identification.orders import select_orders
+from greybox.workflows.identification.selection import Selection
+from greybox.workflows.study.stated_problem import filters_of
 
 EXAMPLES = (
     "pitch_response.csv",

@@ -9,8 +9,8 @@ from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.terminal import write
-from greybox.files.json_numbers import plain
-from greybox.files.safe_files import replacing
+from greybox.data.files.json_numbers import plain
+from greybox.data.files.safe_files import replacing
 
 Answer = tuple[Any, ...]
 """The JSON object of a command, then the lines of its text for a person."""

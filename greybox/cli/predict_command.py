@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from greybox.assessment.result import Fit
+from greybox.assessment.simulation.prediction import Prediction
+from greybox.assessment.simulation.simulate import predict
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer
 from greybox.cli.read_log import read_log
 from greybox.cli.saved_fits import saved_fit
+from greybox.data.files.named_values import attributes, selected
+from greybox.data.logs.prepare import prepare
 from greybox.data.record import Record
-from greybox.estimate.result import Fit
-from greybox.files.named_values import attributes, selected
-from greybox.logs.prepare import prepare
-from greybox.simulation.prediction import Prediction
-from greybox.simulation.simulate import predict
 
 EXAMPLES = (
     "pitch_fit.h5 other_flight.BIN",

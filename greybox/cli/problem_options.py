@@ -4,8 +4,8 @@ import argparse
 from typing import Any
 
 from greybox.cli.measurement_options import stated_band
-from greybox.compiled.compiled_problem import AnyProblem
-from greybox.study.stated_problem import CRITERIA_BY_NAME, METHODS, stated_problem
+from greybox.engine.compiled.compiled_problem import AnyProblem
+from greybox.workflows.study.stated_problem import CRITERIA_BY_NAME, METHODS, stated_problem
 
 PROBLEM_OPTIONS = f"""
 problem [PROBLEM]

@@ -2,9 +2,9 @@
 
 import argparse
 
+from greybox.assessment.profile import profile
 from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.saved_fits import stated_fit
-from greybox.estimate.profile import profile
 
 EXAMPLES = (
     "pitch.h5",

@@ -2,8 +2,8 @@
 
 import argparse
 
+from greybox.data.logs.readers import read
 from greybox.data.record import Recording
-from greybox.logs.readers import read
 
 
 def read_log(options: argparse.Namespace) -> Recording:

@@ -3,10 +3,10 @@
 import argparse
 from pathlib import Path
 
+from greybox.assessment.validation.compare import compare
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import HELD_OUT, held_out_records, saved_fit
-from greybox.study.study import read_study
-from greybox.validation.compare import compare
+from greybox.workflows.study.study import read_study
 
 EXAMPLES = (
     "pitch.h5",
@@ -31,7 +31,7 @@ results RESULT...
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the results and write the page."""
-    from greybox.html_report.report import report  # noqa: PLC0415  (imports matplotlib)
+    from greybox.reporting.html_report.report import report  # noqa: PLC0415  (imports matplotlib)
 
     out = options.out or Path(f"{options.results[0].resolve().stem}.html")
     require_writable(out, options.force, (".html", ".htm"), "page")

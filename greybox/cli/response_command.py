@@ -9,12 +9,12 @@ from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, st
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.read_log import read_log
+from greybox.data.files.named_values import attributes, non_empty
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
-from greybox.files.named_values import attributes, non_empty
-from greybox.identification.matrix import measure_matrix
-from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
+from greybox.workflows.identification.matrix import measure_matrix
+from greybox.workflows.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
 EXAMPLES = (
     "flight.BIN --input u=RATE.POut --output theta=ATT.Pitch --out pitch.csv --plot bode.png",

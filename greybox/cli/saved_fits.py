@@ -4,18 +4,18 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from greybox.assessment.result import Fit
+from greybox.assessment.storage import load, save
 from greybox.cli.options import UsageError
 from greybox.cli.output import require_writable
-from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.files.named_values import attributes
+from greybox.data.files.safe_files import HDF5
+from greybox.data.logs.readers import read
 from greybox.data.record import Recording
-from greybox.estimate.result import Fit
-from greybox.estimate.storage import load, save
-from greybox.files.named_values import attributes
-from greybox.files.safe_files import HDF5
-from greybox.logs.readers import read
-from greybox.study.catalog import find_problem
-from greybox.study.data_file import read_data
-from greybox.study.study import Study
+from greybox.engine.compiled.compiled_problem import AnyProblem
+from greybox.workflows.study.catalog import find_problem
+from greybox.workflows.study.data_file import read_data
+from greybox.workflows.study.study import Study
 
 HELD_OUT = """
 --held-out FILE...

@@ -2,11 +2,11 @@
 
 import argparse
 
+from greybox.assessment.simulation.simulate import simulate
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.predict_command import LOG_OPTIONS, flown_record
 from greybox.cli.saved_fits import saved_fit
-from greybox.experiment.scripts import write_excitation
-from greybox.simulation.simulate import simulate
+from greybox.workflows.experiment.scripts import write_excitation
 
 EXAMPLES = (
     "cart.h5 other.csv --initial x=0.2 --out motion.csv",

@@ -2,12 +2,12 @@
 
 import argparse
 
+from greybox.assessment.printed import summary
+from greybox.assessment.validation.stepwise import stepwise
 from greybox.cli.output import Answer
 from greybox.cli.problem_options import PROBLEM_OPTIONS, problem_of
 from greybox.cli.saved_fits import require_fit_file, save_fit
-from greybox.estimate.printed import summary
-from greybox.files.named_values import attributes
-from greybox.validation.stepwise import stepwise
+from greybox.data.files.named_values import attributes
 
 EXAMPLES = (
     "pitch_moment --candidates b_vv b_vtheta b_vtau b_vq b_thetatheta b_thetaq",

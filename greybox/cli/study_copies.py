@@ -18,10 +18,10 @@ import sys
 from functools import cache
 from pathlib import Path
 
-from greybox.estimate.stored_values import require
-from greybox.files.bounded_json import parsed
-from greybox.files.safe_files import replacing, write_text
-from greybox.study.ownership import mark_of_files
+from greybox.assessment.stored_values import require
+from greybox.data.files.bounded_json import parsed
+from greybox.data.files.safe_files import replacing, write_text
+from greybox.workflows.study.ownership import mark_of_files
 
 INPUTS = Path("inputs")
 STATED = INPUTS / "study.json"

@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from greybox.cli.options import UsageError
-from greybox.files.safe_files import require_file
+from greybox.data.files.safe_files import require_file
 from greybox.modeling.model_file import module_from_file
-from greybox.study.batch import Member, require_distinct
-from greybox.study.grid import members_of
+from greybox.workflows.study.batch import Member, require_distinct
+from greybox.workflows.study.grid import members_of
 
 
 def find_study(text: str) -> Path:
@@ -26,8 +26,8 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
 
     In TOML the file has a ``problem`` (an included one, or a file beside the study file, as of
     ``greybox fit``) or a ``model`` with ``data``, and other options of ``greybox fit`` as keys. A
-    list of values multiplies, as in `greybox.study.grid`. Every ``[[member]]`` is a grid of its
-    own, for which the keys above it apply too. In Python ``members()`` returns a list of
+    list of values multiplies, as in `greybox.workflows.study.grid`. Every ``[[member]]`` is a grid
+    of its own, for which the keys above it apply too. In Python ``members()`` returns a list of
     `greybox.study.Member`.
 
     Raises

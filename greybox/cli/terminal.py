@@ -5,7 +5,7 @@ import os
 import sys
 from typing import TextIO
 
-from greybox.files.escapes import terminal_text
+from greybox.data.files.escapes import terminal_text
 
 
 def make_writable() -> None:

@@ -5,10 +5,10 @@ import argparse
 from greybox.cli.margins_command import CONTROLLER_OPTIONS, stated_controllers
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import flight_log, saved_fit
-from greybox.experiment.gain_file import write_gains
-from greybox.experiment.safe_gains import safe_gains
-from greybox.files.named_values import attributes
-from greybox.study.catalog import shipped_module
+from greybox.data.files.named_values import attributes
+from greybox.workflows.experiment.gain_file import write_gains
+from greybox.workflows.experiment.safe_gains import safe_gains
+from greybox.workflows.study.catalog import shipped_module
 
 EXAMPLES = (
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot "

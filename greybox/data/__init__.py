@@ -20,6 +20,9 @@ Begin with `record` and `frequency_response`.
 | `response_file` | frequency responses in CSV |
 | `response_columns` | the columns of a table of a frequency response, also in dB and degrees |
 | `pandas_frames` | pandas data frames from and to records and responses |
+| `files/` | text tables, safe and sealed files, JSON numbers, progress, optional packages |
+| `logs/` | from a log file to a record: readers, common time base, detection of tests |
+| `spectral/` | from a record to a frequency response, or to the spectrum of a manoeuvre |
 """
 
 from greybox.data.excited_segment import Segment as Segment, segment_table as segment_table

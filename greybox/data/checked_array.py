@@ -7,7 +7,7 @@ in any unit is outside this range, but damaged files have such numbers.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.files.arrays import Array, BoolArray
+from greybox.data.files.arrays import Array, BoolArray
 
 
 def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:

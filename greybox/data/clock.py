@@ -24,9 +24,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, IntArray, evenly_spread
-from greybox.files.frozen_values import frozen
-from greybox.files.wording import counted
+from greybox.data.files.arrays import Array, BoolArray, IntArray, evenly_spread
+from greybox.data.files.frozen_values import frozen
+from greybox.data.files.wording import counted
 
 Gaps = Literal["auto", "bridge", "cut"]
 

@@ -4,11 +4,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from greybox.files.argument_checks import checked_items
-from greybox.files.arrays import Interval
-from greybox.files.numbers_in_text import number
-from greybox.files.printed import one_line
-from greybox.files.text_table import text_table
+from greybox.data.files.argument_checks import checked_items
+from greybox.data.files.arrays import Interval
+from greybox.data.files.numbers_in_text import number
+from greybox.data.files.printed import one_line
+from greybox.data.files.text_table import text_table
 
 KINDS = ("sine", "sweep", "multisine", "noise", "step", "manoeuvre")
 

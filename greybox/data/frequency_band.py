@@ -2,7 +2,7 @@
 
 import math
 
-from greybox.files.arrays import Interval
+from greybox.data.files.arrays import Interval
 
 
 def number_pair(value: object, what: str) -> Interval:

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from greybox.data.checked_array import checked_array, finite_array, require, require_size
 from greybox.data.checksum import checksum_of
+from greybox.data.files.arrays import AnyArray, Array, BoolArray, ComplexArray, IntArray, all_finite
+from greybox.data.files.control_characters import printable, write_out
+from greybox.data.files.frozen_values import frozen
+from greybox.data.files.named_values import attributes
+from greybox.data.files.printed import Printed
+from greybox.data.files.wording import counted
 from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
-from greybox.files.arrays import AnyArray, Array, BoolArray, ComplexArray, IntArray, all_finite
-from greybox.files.control_characters import printable, write_out
-from greybox.files.frozen_values import frozen
-from greybox.files.named_values import attributes
-from greybox.files.printed import Printed
-from greybox.files.wording import counted
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
@@ -292,9 +292,9 @@ class FrequencyResponse(Printed):
     def without_hold(self) -> "FrequencyResponse":
         """Return the response to the continuous input, as a fit compares it with a model.
 
-        Estimates of `greybox.spectral` are those of the samples of the input. If its values are
-        held, which `about` then says, they contain the response of the hold: a delay of half the
-        time for which a value lasts.
+        Estimates of `greybox.data.spectral` are those of the samples of the input. If its values
+        are held, which `about` then says, they contain the response of the hold: a delay of half
+        the time for which a value lasts.
         """
         if HOLD not in self.about:
             return self

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
-from greybox.files.named_values import Values
-from greybox.files.numbers_in_text import number
+from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.named_values import Values
+from greybox.data.files.numbers_in_text import number
 
 HELD = math.inf
 CONTINUOUS = 0.0

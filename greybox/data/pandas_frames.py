@@ -7,11 +7,11 @@ import numpy as np
 
 from greybox.data.checked_array import checked_array
 from greybox.data.dates import seconds_from_first
+from greybox.data.files.arrays import AnyArray, Array
+from greybox.data.files.column_headings import heading
+from greybox.data.files.named_values import non_empty
+from greybox.data.files.optional_package import required
 from greybox.data.time_column import seconds, times_in_seconds
-from greybox.files.arrays import AnyArray, Array
-from greybox.files.column_headings import heading
-from greybox.files.named_values import non_empty
-from greybox.files.optional_package import required
 
 Frame = Any
 """A `pandas.DataFrame`; pandas is imported when it is first needed."""

@@ -19,16 +19,16 @@ from greybox.data.checked_array import (
 from greybox.data.checksum import checksum_of
 from greybox.data.clock import Clock, Gaps, clock_of, described_gaps, lost_rows, require_gaps
 from greybox.data.dates import seconds_from_first
+from greybox.data.files.arrays import Array, BoolArray, IntArray, Interval
+from greybox.data.files.control_characters import all_printable, write_out
+from greybox.data.files.frozen_values import frozen
+from greybox.data.files.grouping import unique
+from greybox.data.files.named_values import Values, array_of, attributes, selected
+from greybox.data.files.printed import Printed, one_line
+from greybox.data.files.spelling import alternatives, nearest
+from greybox.data.files.wording import counted, some
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import Array, BoolArray, IntArray, Interval
-from greybox.files.control_characters import all_printable, write_out
-from greybox.files.frozen_values import frozen
-from greybox.files.grouping import unique
-from greybox.files.named_values import Values, array_of, attributes, selected
-from greybox.files.printed import Printed, one_line
-from greybox.files.spelling import alternatives, nearest
-from greybox.files.wording import counted, some
 
 NOT_STORED = {"stored": False}  # in the file of a fit
 

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.data.checked_array import require
+from greybox.data.files.arrays import AnyArray, Array, ComplexArray, complex_array
+from greybox.data.files.column_headings import heading
+from greybox.data.files.named_values import selected
+from greybox.data.files.spelling import alternatives
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.units import known_unit
-from greybox.files.arrays import AnyArray, Array, ComplexArray, complex_array
-from greybox.files.column_headings import heading
-from greybox.files.named_values import selected
-from greybox.files.spelling import alternatives
 
 OMEGA = "omega_rad_s"
 RECTANGULAR = ("alpha", "beta")

@@ -5,15 +5,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from greybox.data.files.column_headings import heading
+from greybox.data.files.delimited_text import (
+    DelimitedText,
+    numbered,
+    read_delimited,
+    write_delimited,
+)
+from greybox.data.files.escapes import in_sentences
+from greybox.data.files.grouping import unique
+from greybox.data.files.named_values import without
+from greybox.data.files.safe_files import require_file
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.response_columns import OMEGA, assembled, columns_by_role, written_columns
 from greybox.data.units import with_units_in_header
-from greybox.files.column_headings import heading
-from greybox.files.delimited_text import DelimitedText, numbered, read_delimited, write_delimited
-from greybox.files.escapes import in_sentences
-from greybox.files.grouping import unique
-from greybox.files.named_values import without
-from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit
 STRETCH = "stretch "  # begins the key of a stretch

@@ -11,9 +11,9 @@ import re
 
 import numpy as np
 
+from greybox.data.files.arrays import Array
+from greybox.data.files.control_characters import printable
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array
-from greybox.files.control_characters import printable
 
 # Names of a time column, in lower case and without a unit.
 TIMES = ("time", "t", "timestamp", "timestamps", "tout", "second", "seconds")

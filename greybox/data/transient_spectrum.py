@@ -9,12 +9,12 @@ import numpy as np
 
 from greybox.data.checked_array import finite_array, require_size
 from greybox.data.checksum import checksum_of
+from greybox.data.files.argument_checks import as_names
+from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.control_characters import printable, write_out
+from greybox.data.files.frozen_values import frozen
+from greybox.data.files.printed import one_line
 from greybox.data.frequency_response import Stretch
-from greybox.files.argument_checks import as_names
-from greybox.files.arrays import Array, ComplexArray
-from greybox.files.control_characters import printable, write_out
-from greybox.files.frozen_values import frozen
-from greybox.files.printed import one_line
 
 
 @frozen

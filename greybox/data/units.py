@@ -12,10 +12,10 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from greybox.files.arrays import Array
-from greybox.files.delimited_text import DelimitedText
-from greybox.files.numbers_in_text import is_number
-from greybox.files.spelling import nearest
+from greybox.data.files.arrays import Array
+from greybox.data.files.delimited_text import DelimitedText
+from greybox.data.files.numbers_in_text import is_number
+from greybox.data.files.spelling import nearest
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from greybox.data.files.arrays import Array
 from greybox.data.units import known_unit
-from greybox.files.arrays import Array
 
 # Share of a turn by which a jump may differ from it, and by which an angle may move in a sample
 # elsewhere: beyond, the signal may be one that really jumps.

@@ -26,6 +26,7 @@ Begin with `model`.
 | `known_systems` | linear models with known numbers, such as a filter |
 | `added_terms` | an ODE with further terms in its derivatives |
 | `colored_disturbance` | an ODE with gusts on its derivatives |
+| `formulation/` | what is estimated from what: problems, criteria, starts |
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
 

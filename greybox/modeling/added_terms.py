@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, sum_of_squares
+from greybox.data.files.arrays import Array, sum_of_squares
 from greybox.modeling.parameter import Parameter, Parameters, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.files.arrays import Interval
+from greybox.data.files.arrays import Interval
 from greybox.modeling.added_terms import ExtendedModel
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from types import CodeType
 from typing import Any
 
-from greybox.files.argument_checks import require_kind
-from greybox.files.spelling import nearest
+from greybox.data.files.argument_checks import require_kind
+from greybox.data.files.spelling import nearest
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.parameter import Parameter
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import AnyArray, Array
+from greybox.data.files.arrays import AnyArray, Array
 
 
 def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> list[list[Any]]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.numbers_in_text import number
+from greybox.data.files.numbers_in_text import number
 
 
 def factored(numerator: ArrayLike, denominator: ArrayLike) -> str:

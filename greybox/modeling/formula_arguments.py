@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from greybox.files.spelling import alternatives
+from greybox.data.files.spelling import alternatives
 
 
 class Names(Mapping[str, Any]):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import AnyArray
+from greybox.data.files.arrays import AnyArray
 from greybox.modeling.functions import ceil, exp, tanh, where
 
 # The distance from a whole number of samples, in samples, at which a corner is rounded. Corners

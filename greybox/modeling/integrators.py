@@ -2,7 +2,7 @@
 
 Within a step the inputs are linear in time, u(t) = mean + slope · (t / step - 1/2), which holds
 both a held and an interpolated input, delayed by any fraction of a step (see
-`greybox.compiled.sampled_data`).
+`greybox.engine.compiled.sampled_data`).
 """
 
 from abc import ABC, abstractmethod
@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.files.argument_checks import require_whole
+from greybox.data.files.argument_checks import require_whole
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.traced_once import once
 
@@ -20,7 +20,7 @@ from greybox.modeling.traced_once import once
 class Integrator(ABC):
     """A scheme with `substeps` equal steps from one sample to the next.
 
-    With None, `greybox.compiled.step_size` chooses their number.
+    With None, `greybox.engine.compiled.step_size` chooses their number.
 
     Attributes
     ----------

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import all_finite
+from greybox.data.files.arrays import all_finite
 from greybox.modeling.function_of_s import polynomial_value
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import finite_numbers
+from greybox.data.files.arrays import Array, all_finite
+from greybox.data.files.named_values import Values
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, all_finite
-from greybox.files.named_values import Values
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import is_casadi

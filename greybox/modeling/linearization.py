@@ -3,10 +3,10 @@
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, all_finite
-from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values
-from greybox.files.printed import one_line
+from greybox.data.files.arrays import Array, ComplexArray, all_finite
+from greybox.data.files.frozen_values import frozen
+from greybox.data.files.named_values import Values
+from greybox.data.files.printed import one_line
 from greybox.modeling.state_space import StateSpace, input_delays
 from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_column
 from greybox.modeling.traced_once import once

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from greybox.files.arrays import Interval
+from greybox.data.files.arrays import Interval
 from greybox.modeling.parameter import Parameter
 
 

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar, Self, SupportsIndex
 
-from greybox.files.argument_checks import require_kind
-from greybox.files.named_values import Values
-from greybox.files.spelling import alternatives
-from greybox.files.wording import listed
+from greybox.data.files.argument_checks import require_kind
+from greybox.data.files.named_values import Values
+from greybox.data.files.spelling import alternatives
+from greybox.data.files.wording import listed
 from greybox.modeling.declaration import declared_parameters, require_effect, require_usable
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.parameter import Parameters

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from greybox.files.safe_files import require_file
+from greybox.data.files.safe_files import require_file
 from greybox.modeling.model import Model
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.control_characters import printable
-from greybox.files.named_values import Values
+from greybox.data.files.control_characters import printable
+from greybox.data.files.named_values import Values
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from greybox.data.files.argument_checks import is_finite_number, require_kind
+from greybox.data.files.arrays import Array, Interval
+from greybox.data.files.numbers_in_text import number
+from greybox.data.files.text_table import text_table
 from greybox.data.frequency_band import number_pair
-from greybox.files.argument_checks import is_finite_number, require_kind
-from greybox.files.arrays import Array, Interval
-from greybox.files.numbers_in_text import number
-from greybox.files.text_table import text_table
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import ComplexArray
-from greybox.files.named_values import Values
-from greybox.files.numbers_in_text import number
+from greybox.data.files.arrays import ComplexArray
+from greybox.data.files.named_values import Values
+from greybox.data.files.numbers_in_text import number
 from greybox.modeling.factored_form import factored
 from greybox.modeling.function_of_s import (
     FunctionOfS,

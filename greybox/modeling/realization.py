@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, all_finite
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import Array, all_finite
+from greybox.data.files.frozen_values import frozen
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import pade_rows, pade_steady, pade_step

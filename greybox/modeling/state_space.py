@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.files.argument_checks import is_finite_number
+from greybox.data.files.argument_checks import is_finite_number
 from greybox.modeling.declaration import require_signal_names
 from greybox.modeling.model import Model, ParameterFormula, require_known
 

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, positive_or_one
+from greybox.data.files.arrays import Array, ComplexArray, positive_or_one
 
 # Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 256 · 2.7 = 690
 # per sample; a model with faster ones is stiff, and the implicit `Radau` takes fewer steps. A fit

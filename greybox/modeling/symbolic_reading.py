@@ -10,7 +10,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from greybox.files.wording import counted
+from greybox.data.files.wording import counted
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.formula_structure import has_switches, with_finite_slopes
 from greybox.modeling.model import Model, ParameterFormula

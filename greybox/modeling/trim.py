@@ -6,10 +6,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.argument_checks import is_finite_number
-from greybox.files.arrays import Array, IntArray
-from greybox.files.frozen_values import frozen
-from greybox.files.named_values import Values
+from greybox.data.files.argument_checks import is_finite_number
+from greybox.data.files.arrays import Array, IntArray
+from greybox.data.files.frozen_values import frozen
+from greybox.data.files.named_values import Values
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.model import Model, require_operating_point
 from greybox.modeling.parameter import start_values

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from greybox.files.arrays import Array, IntArray
+from greybox.data.files.arrays import Array, IntArray
 from greybox.statistics.beta_share import chance
 from greybox.statistics.column_space import column_basis, outside
 

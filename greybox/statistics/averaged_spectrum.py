@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import AnyArray, Array
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import AnyArray, Array
+from greybox.data.files.frozen_values import frozen
 
 TINY = 1e-300
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import Array
+from greybox.data.files.frozen_values import frozen
 from greybox.statistics.averaged_spectrum import AveragedSpectrum
 from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.residual_spectrum import ResidualSpectra

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, positive_or_one, unit_length
+from greybox.data.files.arrays import Array, IntArray, positive_or_one, unit_length
 
 DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rounding errors
 

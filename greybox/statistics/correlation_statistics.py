@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import Array
+from greybox.data.files.frozen_values import frozen
 from greybox.statistics.metrics import rms
 from greybox.statistics.residual_autocorrelation import autoregression
 

@@ -20,7 +20,7 @@ Science 14.
 
 import numpy as np
 
-from greybox.files.arrays import (
+from greybox.data.files.arrays import (
     AnyArray,
     Array,
     ComplexArray,

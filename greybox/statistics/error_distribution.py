@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 
 
 class ErrorDistribution(ABC):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from greybox.files.arrays import Array, sum_of_squares
+from greybox.data.files.arrays import Array, sum_of_squares
 
 
 def size_test(squares: Array, dof: Array | float) -> float:

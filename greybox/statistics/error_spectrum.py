@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.frozen_values import frozen
 
 ROUNDING = 1e-9  # of spectra, in units of an output's variance: lower values are rounding
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, IntArray
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import Array, ComplexArray, IntArray
+from greybox.data.files.frozen_values import frozen
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 from greybox.statistics.error_distribution import ErrorDistribution
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 
 
 def rms(error: Array) -> float:

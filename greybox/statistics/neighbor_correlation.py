@@ -27,8 +27,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, all_finite, real_and_imaginary
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import Array, ComplexArray, all_finite, real_and_imaginary
+from greybox.data.files.frozen_values import frozen
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.neighbor_spectra import error_kinds
 from greybox.statistics.student_average import student_of_average

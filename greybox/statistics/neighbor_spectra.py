@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 
 # Lengths of a slow correlation in points, the longest of which is mostly an error common to all
 # points, and variances over that of the white errors above it. Parameters take most of a slow

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array, sum_of_squares
+from greybox.data.files.arrays import Array, sum_of_squares
 
 # Ratio below which a signal is smooth. For a smooth signal plus white noise it is twice the share
 # of the noise in the variance: at 1, both are equally strong.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 
 HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import AnyArray, Array, ComplexArray
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import AnyArray, Array, ComplexArray
+from greybox.data.files.frozen_values import frozen
 from greybox.statistics.averaged_spectrum import (
     TINY,
     AveragedSpectrum,

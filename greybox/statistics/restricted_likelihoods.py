@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.files.arrays import Array
-from greybox.files.frozen_values import frozen
+from greybox.data.files.arrays import Array
+from greybox.data.files.frozen_values import frozen
 from greybox.statistics.beta_share import TINY, chance
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.neighbor_spectra import slow_errors

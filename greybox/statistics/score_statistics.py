@@ -13,7 +13,7 @@ applications to model specification in econometrics, Review of Economic Studies 
 
 import numpy as np
 
-from greybox.files.arrays import Array, real_root, sum_of_squares
+from greybox.data.files.arrays import Array, real_root, sum_of_squares
 from greybox.statistics.beta_share import TINY, chance
 from greybox.statistics.column_space import outside
 

@@ -19,7 +19,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 
 
 def shared_covariance(

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.data.files.arrays import Array
 
 # Levels at which the intervals of an average of distributions and of Student's t must agree: those
 # of a standard error, and of the printed interval.

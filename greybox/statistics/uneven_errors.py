@@ -17,7 +17,7 @@ fits (six systems, seven inputs, two bands, output and equation error; white err
 
 import numpy as np
 
-from greybox.files.arrays import (
+from greybox.data.files.arrays import (
     Array,
     ComplexArray,
     real_and_imaginary,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.data.files.arrays import Array, ComplexArray
 
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.

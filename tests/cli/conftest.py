@@ -29,7 +29,7 @@ def own(tmp_path, monkeypatch):
 def few_structures(monkeypatch):
     """Let `identify` try three structures, where the claim does not depend on them."""
     for name, most in (("POLES", 1), ("ZEROS", 0), ("INTEGRATORS", 1)):
-        monkeypatch.setattr(f"greybox.identification.orders.{name}", most)
+        monkeypatch.setattr(f"greybox.workflows.identification.orders.{name}", most)
 
 
 @pytest.fixture(scope="session")

@@ -14,9 +14,9 @@ from unittest.mock import Mock
 import pytest
 
 from greybox.cli.main import main
-from greybox.solve.executors import ExecutorLostError
-from greybox.study.stored_runs import StoredRuns
-from greybox.study.study_lock import locked
+from greybox.engine.solve.executors import ExecutorLostError
+from greybox.workflows.study.stored_runs import StoredRuns
+from greybox.workflows.study.study_lock import locked
 
 STUDY = """
 starts = 4

@@ -16,12 +16,12 @@ from command_line import OWN, QUICK, RECORD, refused, run
 
 import greybox as gb
 from greybox.cli.fit_command import _stated_fit
+from greybox.engine.solve.executors import ExecutorLostError
+from greybox.engine.solve.interruption import Interrupted
 from greybox.problems import pitch_hover
-from greybox.solve.executors import ExecutorLostError
-from greybox.solve.interruption import Interrupted
-from greybox.study.catalog import find_problem
-from greybox.study.members import read_members
-from greybox.study.stored_runs import StoredRuns
+from greybox.workflows.study.catalog import find_problem
+from greybox.workflows.study.members import read_members
+from greybox.workflows.study.stored_runs import StoredRuns
 
 
 def test_the_main_job(capsys):
@@ -129,7 +129,7 @@ def test_a_full_disk_costs_the_file_but_not_the_answer(capsys, tmp_path, monkeyp
     from full_disk import limited_files
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("greybox.study.stored_runs.UNWRITTEN", 0.0)
+    monkeypatch.setattr("greybox.workflows.study.stored_runs.UNWRITTEN", 0.0)
     with limited_files(4096):
         status, out, err = run(capsys, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5")
     assert status == 1
@@ -285,7 +285,9 @@ def test_a_filter_that_the_response_states_is_named(capsys, tmp_path):
 # --- fits that were ended
 
 # Runs are on disk at once.
-EAGER = "import greybox.study.stored_runs\ngreybox.study.stored_runs.UNWRITTEN = 0.0\n" + OWN
+EAGER = (
+    "import greybox.workflows.study.stored_runs\ngreybox.study.stored_runs.UNWRITTEN = 0.0\n" + OWN
+)
 
 
 def command(name, *words):
@@ -311,13 +313,15 @@ def kept_runs():
 
 
 def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
-    monkeypatch.setattr("greybox.study.stored_runs.UNWRITTEN", 2.0)  # is put back afterwards
+    monkeypatch.setattr(
+        "greybox.workflows.study.stored_runs.UNWRITTEN", 2.0
+    )  # is put back afterwards
     name = own(EAGER)
     with subprocess.Popen(command(name, "--starts", "2000")) as process:
         while kept_runs() < 8 and process.poll() is None:
             time.sleep(0.01)
         with monkeypatch.context() as hasty:
-            hasty.setattr("greybox.study.study_lock.PATIENCE", 0.1)
+            hasty.setattr("greybox.workflows.study.study_lock.PATIENCE", 0.1)
             refusal = refused(capsys, *command(name)[3:])
         process.kill()
     assert process.returncode == -signal.SIGKILL
@@ -348,7 +352,7 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
 
 
 def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
-    monkeypatch.setattr("greybox.study.stored_runs.UNWRITTEN", 2.0)
+    monkeypatch.setattr("greybox.workflows.study.stored_runs.UNWRITTEN", 2.0)
     name = own()
     add = StoredRuns.add
     monkeypatch.setattr(

@@ -5,7 +5,7 @@ import json
 import pytest
 from command_line import refused, run
 
-from greybox.files.numbers_in_text import number
+from greybox.data.files.numbers_in_text import number
 from greybox.models.tilt import Tilt
 
 

@@ -10,7 +10,7 @@ import greybox as gb
 from greybox.cli.options import UsageError
 from greybox.cli.output import require_figure, require_writable, save_figure
 from greybox.data.excited_segment import Segment
-from greybox.files.json_numbers import plain
+from greybox.data.files.json_numbers import plain
 
 
 def test_files_that_exist_are_kept_unless_forced(tmp_path):

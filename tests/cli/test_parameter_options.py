@@ -8,7 +8,7 @@ import pytest
 import greybox as gb
 from greybox.cli.options import declare
 from greybox.cli.problem_options import PROBLEM_OPTIONS
-from greybox.study.stated_problem import with_parameter_options
+from greybox.workflows.study.stated_problem import with_parameter_options
 
 
 class Lag(gb.TransferFunction):

@@ -11,7 +11,7 @@ from declared_models import Lag, measured
 import greybox as gb
 from greybox.models.filters import LowPass
 from greybox.models.tilt import LinearTilt, Tilt
-from greybox.study.stated_problem import _with_criterion, filters_of, through
+from greybox.workflows.study.stated_problem import _with_criterion, filters_of, through
 
 FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
 DRAG = ("fit", "--model", "drag:Drag", "--data")

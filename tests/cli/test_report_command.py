@@ -10,7 +10,7 @@ import pytest
 from command_line import OWN, RECORD, refused, run
 
 import greybox as gb
-from greybox.study.members import StudyMember
+from greybox.workflows.study.members import StudyMember
 
 QUICK = "--starts", "4"
 
@@ -65,7 +65,7 @@ def test_results_and_studies_stand_side_by_side(capsys, results, tmp_path):
 def test_of_a_large_study_the_first_members_are_read_and_drawn(
     capsys, results, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(import_module("greybox.html_report.report"), "DETAILED", 1)
+    monkeypatch.setattr(import_module("greybox.reporting.html_report.report"), "DETAILED", 1)
     loaded = []
     fit = StudyMember.fit.fget
     monkeypatch.setattr(

@@ -18,7 +18,7 @@ import greybox as gb
 # The command line presses Ctrl-C itself, at the third start.
 PRESSED = """
 import os, signal
-from greybox.solve.response_solver import ResponseSolver as Solver
+from greybox.engine.solve.response_solver import ResponseSolver as Solver
 
 run, begun = Solver.run, []
 

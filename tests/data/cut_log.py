@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.logs.readers.dataflash_index import index, text
-from greybox.logs.readers.dataflash_layout import Layout
+from greybox.data.logs.readers.dataflash_index import index, text
+from greybox.data.logs.readers.dataflash_layout import Layout
 
 ABOUT = ("FMT", "UNIT", "MULT", "FMTU", "VER", "MSG", "MODE", "EV", "ARM")
 

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 from rational_functions import OMEGA, evaluated, polynomial, table
 
+from greybox.engine.regression.levy import levy
 from greybox.modeling.factored_form import factored
-from greybox.regression.levy import levy
 
 
 def test_the_factored_form_is_the_same_function():

@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 from scipy.signal import butter, iirnotch, lfilter
 
 import greybox as gb
-from greybox.experiment.sampled_loop import linear_controller
 from greybox.modeling.formula_arguments import Names
 from greybox.models import betaflight, px4
 from greybox.models.ardupilot import (
@@ -16,6 +15,7 @@ from greybox.models.ardupilot import (
     RateController,
 )
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
+from greybox.workflows.experiment.sampled_loop import linear_controller
 
 
 def run(controller, **signals):

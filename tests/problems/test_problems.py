@@ -9,8 +9,8 @@ import pytest
 from readme_blocks import INCLUDED, NUMBER, written
 
 import greybox as gb
-from greybox.compiled.compiled_problem import compile_problem
-from greybox.formulation.starts import as_starts
+from greybox.engine.compiled.compiled_problem import compile_problem
+from greybox.modeling.formulation.starts import as_starts
 from greybox.models.tilt import LinearTilt
 from greybox.models.yaw import YawStates
 from greybox.problems import (
@@ -22,7 +22,7 @@ from greybox.problems import (
     rotors_and_pitch,
     yaw_hover,
 )
-from greybox.study.catalog import shipped
+from greybox.workflows.study.catalog import shipped
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

@@ -9,7 +9,7 @@ import zlib
 import h5py
 import numpy as np
 
-from greybox.files.sealed_files import read_sealed, write_sealed
+from greybox.data.files.sealed_files import read_sealed, write_sealed
 
 SECRET = "first line of a file that nobody was to see\n"
 

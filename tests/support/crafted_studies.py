@@ -10,9 +10,9 @@ import zlib
 from contextlib import closing
 from pathlib import Path
 
-from greybox.study.database import DATABASE
-from greybox.study.members import add_members
-from greybox.study.stored_runs import StoredRuns
+from greybox.workflows.study.database import DATABASE
+from greybox.workflows.study.members import add_members
+from greybox.workflows.study.stored_runs import StoredRuns
 
 MAGIC = bytes.fromhex("d9d505f920a163d7")
 SECTOR = 512

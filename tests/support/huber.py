@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 import greybox as gb
-from greybox.files.arrays import real_and_imaginary
-from greybox.formulation.frequency_criteria import squared_magnitude, total
+from greybox.data.files.arrays import real_and_imaginary
+from greybox.modeling.formulation.frequency_criteria import squared_magnitude, total
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from greybox.estimate.verdict import verdict
+from greybox.assessment.verdict import verdict
 from greybox.problems import pitch_hover
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "answers.txt"

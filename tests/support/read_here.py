@@ -5,11 +5,11 @@ import warnings
 
 import numpy as np
 
-from greybox.files.subprocess_main import EXPANSION, KINDS, SMALL, Collector, RefusedError
+from greybox.data.files.subprocess_main import EXPANSION, KINDS, SMALL, Collector, RefusedError
 
 
 def read_here(kind, path, *wanted):
-    """As `greybox.files.subprocess_reader.read_in_subprocess`, without the limits of time and
+    """As `greybox.data.files.subprocess_reader.read_in_subprocess`, without the limits of time and
     memory."""
     size = path.stat().st_size
     found = Collector(max(SMALL, EXPANSION * size))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import greybox as gb
 from greybox.modeling.model import equation
-from greybox.study.catalog import find_problem, models_of, shipped, shipped_module
+from greybox.workflows.study.catalog import find_problem, models_of, shipped, shipped_module
 
 README = Path(__file__).parents[2] / "README.md"
 INCLUDED = README.parent / "docs" / "included.md"

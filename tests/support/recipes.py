@@ -8,7 +8,7 @@ import numpy as np
 from huber import Huber
 
 import greybox as gb
-from greybox.compiled.transcription.method import Transcribed
+from greybox.engine.compiled.transcription.method import Transcribed
 from greybox.modeling.implicit_integrators import ImplicitIntegrator
 
 

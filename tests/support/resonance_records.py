@@ -7,7 +7,7 @@ from scipy.signal import cont2discrete
 from scipy.stats import t as student
 
 from greybox.data.record import Record
-from greybox.experiment.sweeps import sweep
+from greybox.workflows.experiment.sweeps import sweep
 
 HZ = 2 * math.pi
 RATE = 50

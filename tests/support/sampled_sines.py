@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.spectral.demodulation import least_squares, whole_periods
+from greybox.data.spectral.demodulation import least_squares, whole_periods
 
 
 def sine(t, omega, amplitude):

@@ -4,7 +4,7 @@ import hashlib
 import re
 from pathlib import Path
 
-from greybox.files.sealed_files import BLOCK
+from greybox.data.files.sealed_files import BLOCK
 
 
 def seal(path: Path) -> None:

@@ -1,6 +1,6 @@
 """Measure the files of tests, and print those that are slow: the list `SLOW` of `core_tests.py`.
 
-python tests/support/slow_files.py [tests/solve]    # all tests take a quarter of an hour
+python tests/support/slow_files.py [tests/engine/solve]    # all tests take a quarter of an hour
 
 A file is slow if the first cases of its tests take 0.12 s on average, in processor time: other work
 on the machine hardly changes that. What the cases of a file share counts for the first of them.

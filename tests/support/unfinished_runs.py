@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.engine.solve.gauss_newton.driver import GaussNewton
 
 
 @contextmanager

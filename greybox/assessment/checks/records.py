@@ -1,0 +1,36 @@
+"""What several checks of records ask of them."""
+
+from greybox.assessment.checks.evidence import Pairs
+from greybox.assessment.fitted_part import FittedRecord
+from greybox.assessment.missing_terms import dynamic_equations
+from greybox.data.files.arrays import Array
+from greybox.engine.compiled.record_part import RecordPart
+
+# Share of fits with a false alarm about feedback, and about colored prediction errors.
+FALSE_ALARMS = 0.01
+
+
+def in_time(pairs: Pairs, *, corrected: bool) -> tuple[Pairs, int]:
+    """Return the pairs in time whose states are corrected, or not, and their number of outputs."""
+    chosen = [
+        (part, fitted)
+        for part, fitted in pairs
+        if fitted.data.has_time and part.model.criterion.corrects_states == corrected
+    ]
+    return chosen, sum(len(fitted.outputs) for _, fitted in chosen)
+
+
+def by_piece(fitted: FittedRecord, values: Array) -> list[Array]:
+    """Return values (n,) split at gaps: lags across one would compare samples far apart."""
+    return [values[rows] for rows in fitted.data.independent_pieces]
+
+
+def place_of(fitted: FittedRecord, pairs: Pairs) -> str:
+    """Return which record is meant; nothing where there is only one."""
+    return "" if len(pairs) == 1 else f" in {fitted.name!r}"
+
+
+def gust_criterion(part: RecordPart) -> str:
+    """Return the code of the criterion that estimates gusts, for a state that they may reach."""
+    place = next(iter(dynamic_equations(part)))
+    return f"PredictionError(disturbance={{{part.system.states[place]!r}: 'colored'}})"

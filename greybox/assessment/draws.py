@@ -1,0 +1,274 @@
+"""Parameter sets from the distribution of an estimate, for simulators and predictions.
+
+Begin with `draws`.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from greybox.assessment.fitted_problem import compiled_again
+from greybox.assessment.result import Fit, require_fit
+from greybox.data.files.argument_checks import require_whole
+from greybox.data.files.arrays import Array, positive_or_one, real_root
+from greybox.data.files.frozen_values import frozen
+from greybox.data.files.numbers_in_text import number
+from greybox.data.files.printed import Printed
+from greybox.data.files.safe_files import write_text
+from greybox.data.files.spelling import alternatives
+from greybox.data.files.text_table import text_table
+from greybox.data.files.wording import counted, some
+from greybox.data.pandas_frames import Frame, frame_of
+from greybox.engine.solve.gauss_newton.driver import GaussNewton
+from greybox.modeling.formula_arguments import Names
+from greybox.modeling.formulation.starts import sobol_shares
+from greybox.modeling.parameter import lower_and_upper
+
+# Factor on a step: for a lag with an error of half its value, the upper error is that much larger.
+LONGEST = 4.0
+
+
+@frozen
+class Draws(Printed):
+    """Parameter sets from the distribution of an estimate, made by `draws`; they print themselves.
+
+    ``draws[0]`` is the first set, by name, and ``gb.simulate(model, draws[0], record)`` runs it.
+
+    Attributes
+    ----------
+    name : str
+        Name of the problem.
+    names : tuple of str
+        Free, fixed and tied parameters, as `Fit.names`.
+    columns : mapping of name to (n,) array
+        Parameters in the units of the fit, then derived quantities of the models.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    columns: dict[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.columns[self.names[0]])
+
+    def __getitem__(self, row: int) -> dict[str, float]:
+        return {name: float(self.columns[name][row]) for name in self.names}
+
+    def to_pandas(self) -> Frame:
+        """Return a row for every set and a column for every quantity as a pandas data frame."""
+        return frame_of(self.columns, range(len(self)), "draw", {"name": self.name})
+
+    def write(self, template: str | Path, folder: str | Path) -> list[Path]:
+        """Write a parameter file for every set, from a file of the simulator as the template.
+
+        The template is any text file (XML, JSON, Python, parameters) with ``$name`` or ``${name}``
+        in place of a value, and ``$$`` for a dollar sign. The template quad.xml makes quad_000.xml,
+        quad_001.xml ... in `folder`.
+
+        Raises
+        ------
+        ValueError
+            If the template names a quantity that the draws do not have, or names none.
+        OSError
+            If the template cannot be read, or a file not be written.
+        """
+        source = Path(template)
+        text = Template(source.read_text(encoding="utf-8"))
+        fields = text.get_identifiers()
+        missing = [name for name in fields if name not in self.columns]
+        if missing or not fields:
+            what = f"names {some(missing)}" if missing else "has no $name in it"
+            raise ValueError(
+                f"the template {source} {what}: the draws have "
+                f"{alternatives(missing[0] if missing else '', self.columns)}"
+            )
+
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        paths = []
+        for row in range(len(self)):
+            paths.append(Path(folder) / f"{source.stem}_{row:03d}{source.suffix}")
+            numbers = {name: repr(float(self.columns[name][row])) for name in fields}
+            write_text(paths[-1], text.substitute(numbers))
+        return paths
+
+    def __str__(self) -> str:
+        rows = [
+            (name, *(number(value, 4) for value in np.quantile(column, (0.5, 0.025, 0.975))))
+            for name, column in self.columns.items()
+        ]
+        table = text_table(("", "median", "2.5 %", "97.5 %"), rows)
+        return f"{counted(len(self), 'draw')} from the fit {self.name!r}\n\n{table}"
+
+
+def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
+    """Draw parameter sets from the distribution of an estimate.
+
+    The spread of predictions with them is the uncertainty that the fit leaves. The draws have the
+    covariance of the estimate, the tails of Student's t, and stay within the bounds, but may pass
+    constraints. Along every draw the distance follows the likelihood, as a profile does, if the
+    problem can be compiled again (without priors, ties, constraints and values of earlier fits).
+    Noise of sensors and gusts are not included.
+
+    Parameters
+    ----------
+    fit : Fit
+    count : int
+        Number of sets; 200 give a 95 % range to a tenth of its width.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        If the fit has no estimate or no covariance, its data do not determine a parameter, or for
+        less than one set.
+    LookupError
+        If a loaded fit does not know its model, whose derived quantities are needed.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> draws = gb.draws(fit, 100)
+    >>> len(draws), draws[0]["T_delay"]
+    (100, 0.0042)
+    >>> draws.to_pandas().shape
+    (100, 8)
+    """
+    require_fit(fit)
+    require_whole("count", count, 1)
+    require_whole("seed", seed, 0)
+    if fit.known_directions(fit.names).unseen.size:
+        unknown = [q.name for q in fit.quantities if math.isnan(q.standard_error)]
+        raise ValueError(
+            f"the data of {fit.name!r} do not determine {some(unknown)}, so that draws would "
+            "have no end: fix parameters, or estimate the combination that is determined."
+        )
+
+    columns = dict(zip(fit.names, drawn_values(fit, count, fit.names, seed).T, strict=True))
+    for k, part in enumerate(fit.parts if fit.derived else ()):
+        model = fit.model_of(k)
+        local = Names({name: columns[part.outside(name)] for name in model.parameters})
+        for name in fit.derived.keys() & model.derived.keys() - columns.keys():
+            columns[name] = np.broadcast_to(model.derived[name](local), count)
+    return Draws(fit.name, fit.names, columns)
+
+
+def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> Array:
+    """Return draws (count, k) from the distribution of the parameters, in the order of `Fit.names`.
+
+    Their tails are those of the fewest degrees of freedom among `names`.
+    """
+    from scipy.special import chdtri, ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    # The cost depends on every parameter of the fit, also on those of its other parts.
+    known = fit.known_directions(fit.names)
+    lines = [fit.by_name[name] for name in fit.names]
+    variances, axes = np.linalg.eigh(known.covariance)
+    root = axes * real_root(variances)
+    # Rounding gives a parameter at its bound, which has no variance, a share of the others.
+    root[np.diag(known.covariance) == 0] = 0
+    dof = fit.fewest_degrees(names)
+
+    shares = np.clip(sobol_shares(count, len(lines) + 1, seed), 1e-9, 1 - 1e-9)
+    normal = ndtri(shares[:, :-1]) @ root.T
+    widening = np.sqrt(dof / chdtri(dof, shares[:, -1])) if math.isfinite(dof) else np.ones(count)
+    steps = normal * widening[:, None] - np.array([line.bias for line in lines])
+    limits = lower_and_upper(lines)
+
+    def drawn(steps: Array) -> Array:
+        return _within(limits, known.at + steps, known.covariance)
+
+    return drawn(_by_likelihood(fit, steps, drawn))
+
+
+def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
+    """Return steps (draws, k) from the estimate, lengthened or shortened to their likelihood.
+
+    There the cost has risen as much as the standard errors predict for the step. Along one
+    parameter that is its profile: where its errors are not symmetric, or a pole cannot pass zero,
+    the draws follow. Fits whose problem cannot be compiled again keep their steps. `drawn` returns
+    the values (m, k) at steps (m, k).
+    """
+    if fit.white is None:
+        return steps
+    try:
+        problem = compiled_again(fit)
+    except (ValueError, LookupError):
+        return steps
+
+    p = len(fit.free)
+    # One for a parameter on which the data contain no information.
+    size = positive_or_one(np.sqrt(np.diag(fit.white)))
+    variances, axes = np.linalg.eigh(fit.white / np.outer(size, size))
+    is_seen = variances > 1e-12 * variances.max()
+    scale = np.sqrt(variances[is_seen])
+    axes = axes[:, is_seen]
+    # The square of a step in these coordinates is twice the rise of a quadratic cost.
+    coordinates = steps[:, :p] / size @ axes / scale
+    predicted = np.sum(coordinates**2, axis=1) / 2
+
+    has_records = len(fit.responses) < len(fit.parts)
+    simulated = GaussNewton(problem)
+
+    def costs(steps: Array) -> Array:
+        x = drawn(steps)[:, :p]
+        if has_records:
+            return np.array([*map(simulated.cost, problem.all_values(x))])
+        return problem.costs(x)
+
+    lowest = costs(np.zeros((1, steps.shape[1])))
+
+    def ratio(steps: Array, predicted: Array) -> Array:
+        """Return how many times as fast the root of the cost rises as predicted."""
+        # A model without a response there is as unlikely as can be. For a record, where no
+        # predictor is stable, only the standard error is known.
+        rise = np.nan_to_num((costs(steps) - lowest) / predicted, nan=1.0 if has_records else 1e6)
+        return real_root(rise)
+
+    if not has_records:
+        return _roots(ratio, steps, predicted)[:, None] * steps
+
+    # Costs take simulations: two standard errors along every axis, in both directions.
+    length = 2 * np.sqrt(np.mean(coordinates**2, axis=0))
+    ends = np.zeros((2 * len(length), steps.shape[1]))
+    ends[:, :p] = np.kron([[1], [-1]], (size[:, None] * axes * scale * length).T)
+    expected = np.tile(length**2 / 2, 2)
+    rates = ratio(ends, expected)
+    # There the cost is not a parabola, not even an asymmetric one.
+    is_odd = np.abs(rates - 1) > 1 / 3
+    rates[is_odd] = 1 / np.maximum(_roots(ratio, ends[is_odd], expected[is_odd]), 1 / LONGEST)
+    rate = np.where(coordinates > 0, *rates.reshape(2, -1))
+    # Each axis by itself: a draw that is shortened as a whole would shorten every parameter where
+    # one of many, such as a gain at its stability limit, can hardly move.
+    change = (coordinates / rate - coordinates) * scale @ axes.T * size
+    return steps + change @ np.eye(p, steps.shape[1])
+
+
+def _roots(ratio: Callable[[Array, Array], Array], steps: Array, predicted: Array) -> Array:
+    """Return the factors of steps (n, k) at which `ratio` is one."""
+    from scipy.optimize import elementwise  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    def excess(lengths: Array, places: Array) -> Array:
+        rows = places.astype(int)
+        return ratio(lengths[:, None] * steps[rows], predicted[rows]) - 1
+
+    places = np.arange(len(steps))
+    ends = 0.0 * places, LONGEST + 0.0 * places
+    root = elementwise.find_root(excess, ends, args=(places,), tolerances={"xatol": 0.01})
+    # Where the cost remains low, a bound is reached, or the data have no information.
+    return np.nan_to_num(root.x, nan=LONGEST)
+
+
+def _within(limits: Array, values: Array, covariance: Array) -> Array:
+    """Move values (n, p) to the bounds (2, p) that they pass, and correlated ones with them."""
+    # Clipped alone, a parameter would leave the combinations that the data determine.
+    for _ in range(2):
+        for k, (low, high) in enumerate(limits.T):
+            beyond = values[:, k] - np.clip(values[:, k], low, high)
+            # A parameter at its bound has no variance, and no other one follows it.
+            if beyond.any() and covariance[k, k] > 0:
+                values = values - beyond[:, None] * covariance[k] / covariance[k, k]
+    return np.clip(values, *limits)

@@ -1,0 +1,253 @@
+"""Whether a model explains its data, and if not, what it may lack: the answer."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from greybox.data.files.numbers_in_text import number, percent, with_error
+from greybox.data.files.printed import Printed
+from greybox.data.files.text_table import text_table
+from greybox.data.files.wording import listed
+from greybox.modeling.added_terms import Formula
+
+# Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
+# 0.6 % are below it; below 0.01 would be 2 %.
+FALSE_ALARMS = 0.003
+LARGE = 10  # times what noise leaves, beyond which a model describes nothing
+# Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
+# seldom so slow. And of the output, what a reader would see.
+DRIFTING, NOTICED = 0.99, 0.01
+# Share of squares, a millionth of an output, below which no sensor has errors: a simulation without
+# noise leaves rounding and integration errors, which may follow the input.
+EXACT = 1e-12
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A term that the model may lack.
+
+    Attributes
+    ----------
+    text, code : str
+        What it is, and how the model gets it.
+    value, error : float
+        The factor on the term that a fit would estimate, to first order, and its standard error.
+    share : float
+        Share of the misfit that it explains, to first order, excluding the share that earlier
+        samples predict. Where the misfit of records is far above the noise, the share of all of it
+        counts if that is larger.
+    p_value : float
+        Probability of such a share if the model explains the data, times the number of terms that
+        were tried for records; for responses that of terms of its kind, times the number of kinds.
+    p_correlated : float
+        The same if errors of neighboring points of a response may be correlated.
+    alike : tuple of str
+        Terms that have nearly the same effect, so that the data cannot tell them apart.
+    added : (str, Formula) or None
+        The state to whose derivative it adds, and the unit term; not stored with a fit.
+    """
+
+    text: str
+    code: str
+    value: float
+    error: float
+    share: float
+    p_value: float
+    p_correlated: float
+    alike: tuple[str, ...] = ()
+    added: tuple[str, Formula] | None = field(
+        default=None, compare=False, metadata={"stored": False}
+    )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a pickle keeps: all but the function, as in the file of a fit."""
+        return {**vars(self), "added": None}
+
+    @property
+    def explained(self) -> str:
+        """What the term is, with the share of the misfit that it explains, and its test."""
+        return f"{self.text} ({percent(self.share)} % of the misfit, {_chance(self.p_value)})"
+
+    @property
+    def remedy(self) -> str:
+        """The term, how the model gets it, and what it cannot be told apart from."""
+        also = f"; hardly distinct from {'; or '.join(self.alike)}" if self.alike else ""
+        how = f": {self.code}" if self.code else ""
+        return f"to add: {self.explained}{how}{also}"
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How the term that explains most depends on a signal, apart from what the parameters explain.
+
+    Attributes
+    ----------
+    text, signal : str
+        The term in words, and the state, input, rate of an input, or time, over which the
+        residuals show it most clearly.
+    at : tuple of float
+        Values of the signal.
+    values, errors : tuple of float
+        What the model lacks there in the place of the term, such as the equation of a state,
+        whatever its form, and its standard errors.
+    by_term : tuple of float
+        The same if the term is all that is missing.
+    """
+
+    text: str
+    signal: str
+    at: tuple[float, ...]
+    values: tuple[float, ...]
+    errors: tuple[float, ...]
+    by_term: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Misfit(Printed):
+    """Whether a model explains its data, and what it may lack. It prints itself.
+
+    Attributes
+    ----------
+    left, noise : float
+        Share of the squares of the outputs about straight lines that the model leaves, and that
+        noise would leave; of responses, relative to the sizes of their errors. They are those of
+        the output of a record, or of the responses, where both differ most.
+    tried : int
+        Number of terms.
+    causes : tuple of Cause
+        The best term of every family; the one that explains most comes first.
+    p_common : float
+        Probability of such residuals of several responses if one set of values serves all.
+    drift : float
+        Share of the squares of the residuals of records that earlier samples predict.
+    is_unstable : bool
+        Whether the model is unstable, so that the inputs of a record respond to its errors.
+    shape : Shape or None
+        The shape of the best term of records, where it is significant.
+    level : float
+        Probability below which the model does not explain the data.
+    elsewhere : tuple of (str, float)
+        Values at which the model explains records with slow errors, such as gusts, if it does not
+        at those of the fit.
+    """
+
+    left: float
+    noise: float
+    tried: int
+    causes: tuple[Cause, ...]
+    p_common: float
+    drift: float
+    is_unstable: bool
+    shape: Shape | None = None
+    level: float = FALSE_ALARMS
+    elsewhere: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such residuals if the model explains the data."""
+        # Several responses test two hypotheses: common values, and missing terms.
+        tests = 1 + (self.p_common < 1)
+        return min(
+            tests * min([self.p_common, *(cause.p_correlated for cause in self.causes)]), 1.0
+        )
+
+    @property
+    def explains(self) -> bool:
+        """Whether the residuals look like noise, or are rounding, here or at other values."""
+        return self.is_exact or bool(self.elsewhere) or not self.p_value < self.level
+
+    @property
+    def explains_here(self) -> bool:
+        """Whether the model explains the data at the values of the fit."""
+        return self.explains and not self.elsewhere
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether less than a millionth of the outputs is left, as of data from a simulation."""
+        return self.left < EXACT
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the model leaves more than ten times what noise would."""
+        return not self.explains and self.left > LARGE * self.noise
+
+    @property
+    def likely(self) -> tuple[Cause, ...]:
+        """The causes that are named: up to three, where the model may not explain the data."""
+        if self.is_exact or self.elsewhere:
+            return ()
+        # Where drift alone, or correlated errors of a response, would excuse the model.
+        excused = 0.05 if self.is_drifting else 0.001
+        limit = excused if self.explains else self.level
+        return tuple([cause for cause in self.causes if cause.p_value < limit][:3])
+
+    @property
+    def is_drifting(self) -> bool:
+        """Whether large, slow residuals are all that is wrong, and no term is certain."""
+        return self.explains_here and self.drift > DRIFTING and self.left > NOTICED
+
+    @property
+    def verdict(self) -> str:
+        """Whether the model explains the data, in a few words."""
+        if self.is_exact:
+            return (
+                "reproduces the data except for rounding and integration errors, as in a "
+                "simulation without noise, so standard errors mean little"
+            )
+        left = f"{percent(self.left)} % of their variance is left and follows"
+        noise = ""
+        if self.noise < 0.9 * self.left:  # closer shares look alike with two digits
+            noise = f"; noise alone would leave about {percent(self.noise)} %"
+        if self.explains:
+            return self._condition(left, noise)
+        common = ""
+        if self.p_common < self.level:
+            common = "; one set of values does not serve all parts"
+        return (
+            f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"
+            f"{noise}{common}"
+        )
+
+    def _condition(self, left: str, noise: str) -> str:
+        """Return that the model explains the data, and on which condition."""
+        if self.elsewhere:
+            values = listed([f"{name} = {number(value, 3)}" for name, value in self.elsewhere])
+            return (
+                f"explains the data only with other values ({values}) and slow errors, as in "
+                "gusts, which bias those of this fit: use PredictionError(disturbance={state: "
+                "'colored'})"
+            )
+        if self.is_drifting:
+            return (
+                f"explains the data only if errors drift: {left} from earlier samples, but for "
+                f"certain from none of {self.tried} missing terms"
+            )
+        if self.likely:
+            return (
+                "explains the data only if errors of neighboring points are correlated, or larger "
+                f"at one end: otherwise, {left} what drove the test{noise}"
+            )
+        terms = f"none of {self.tried} missing terms"
+        # Residuals of half the standard deviation of an output, or more. White ones are noise;
+        # those that their past predicts may also be a motion that the model lacks.
+        if self.left * self.drift > 0.25:
+            return f"may explain the data: {left} {terms}"
+        size = f" ({percent(self.left)} % of the variance)" if self.left > 0.25 else ""
+        return f"explains the data: the residuals{size} follow {terms}"
+
+    def __str__(self) -> str:
+        header = ["term", "factor", "± error", "explains", "p", "how to add it"]
+        rows = [
+            [
+                cause.text,
+                *with_error(cause.value, cause.error),
+                f"{percent(cause.share)} %",
+                number(cause.p_value, 2),
+                cause.code,
+            ]
+            for cause in self.causes
+        ]
+        return f"The model {self.verdict}.\n\n{text_table(header, rows, (0, 5))}"
+
+
+def _chance(p_value: float) -> str:
+    return "p < 1e-9" if p_value < 1e-9 else f"p = {p_value:.2g}"

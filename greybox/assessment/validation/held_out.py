@@ -1,0 +1,150 @@
+"""Predictions of the same windows by all fits, on their own data and on held-out records."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.assessment.result import Fit, Fits
+from greybox.assessment.simulation.model_at_estimate import ModelAtEstimate
+from greybox.assessment.simulation.prediction import Prediction, cut, default_length
+from greybox.assessment.simulation.simulate import cure, predict_windows
+from greybox.data.files.arrays import BoolArray
+from greybox.data.files.grouping import unique
+from greybox.data.files.wording import counted
+from greybox.data.record import Record, share_samples
+
+Predictions = tuple[tuple[Prediction, ...], ...]
+"""Predictions by every fit, of every record."""
+
+
+def window_lengths(
+    fits: Fits, records: Sequence[Record], window: float | None, lead: float | None
+) -> tuple[float, float]:
+    """Return the lengths of window and lead in s for these records; NaN without time."""
+    records = [record for record in records if record.has_time]
+    if not records:
+        return math.nan, math.nan
+
+    # In one second, twenty time constants of a rotor, the dynamics show, and the prediction of an
+    # unstable plant does not diverge yet. Half a second is enough to estimate the state.
+    if window is None:
+        window = default_length(records, 1.0)
+    if lead is None:
+        models = [fit.at_estimate() for fit in fits]
+        models += [_own_model(fit, k) for fit in fits for k in range(len(fit.records))]
+        longest_delay = max(float(np.max(model.delays, initial=0.0)) for model in models)
+        lead = default_length(records, 0.5, longest_delay)
+    return window, lead
+
+
+def predict_same_windows(
+    fits: Fits,
+    labels: Sequence[str],
+    data: Sequence[Sequence[Record]],
+    lengths: tuple[float, float],
+    *,
+    fitted: bool,
+) -> tuple[Predictions, list[str]]:
+    """Predict the records of `data`, in the same order for every fit, over the same windows.
+
+    If they are not the records of the `fitted` data, every fit first estimates the values that
+    belong to one record, see `greybox.predict`. Returns the predictions, and notes on windows that
+    were left out and on these values.
+    """
+    window, lead = lengths
+    by_record: list[list[Prediction]] = []
+    notes: list[str] = []
+    for k in range(len(data[0])):
+        record = with_all_signals([records[k] for records in data])
+        models = [_own_model(fit, k) if fitted else fit.at_estimate(record=record) for fit in fits]
+        inputs = unique(name for model in models for name in model.system.inputs)
+        outputs = shared_outputs(models, record)
+        windows = cut(record, inputs, outputs, lead=lead, horizon=window, called="window")
+        results = [predict_windows(model, windows) for model in models]
+        predictions, record_notes = where_all_are_finite(results, labels)
+        by_record.append(predictions)
+        notes += record_notes
+        for label, prediction in zip(labels, predictions, strict=True):
+            texts = () if fitted else prediction.notes
+            # A note on standard errors is about the record, and the same for all fits.
+            common = "the standard errors"
+            notes += [text if text.startswith(common) else f"{label}: {text}" for text in texts]
+    return tuple(zip(*by_record, strict=True)), notes
+
+
+def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
+    """Return the outputs of all models that the record has; ValueError if there are none."""
+    shared = [
+        name
+        for name in models[0].system.outputs
+        if all(name in model.system.outputs for model in models)
+    ]
+    outputs = tuple(name for name in shared if name in record.signals)
+    if not outputs:
+        raise ValueError(
+            f"{record.name or 'the record'} has no output that all fits have "
+            f"({', '.join(shared) or 'none'}); it has {', '.join(record.signals)}."
+        )
+    return outputs
+
+
+def where_all_are_finite(
+    results: Sequence[tuple[Prediction, BoolArray, str]], labels: Sequence[str]
+) -> tuple[list[Prediction], list[str]]:
+    """Return the predictions in the windows in which all are finite, and a note on the others.
+
+    Each result is a prediction, the windows in which it diverged (w,), and the reason.
+    """
+    # Left out for all models: otherwise the one that diverges would be judged by easier windows.
+    predictions, lost, texts = zip(*results, strict=True)
+    diverged = np.any(lost, axis=0)
+    if not diverged.any():
+        return list(predictions), []
+
+    reasons = [
+        reason if reason.startswith(label) else f"{label}: {reason}"
+        for label, reason in zip(labels, texts, strict=True)
+        if reason
+    ]
+    first = predictions[0]
+    count = int(diverged.sum())
+    windows = (
+        f"{counted(count, first.window)} of {diverged.size} in {first.data.name or 'the record'}"
+    )
+    if 2 * count >= diverged.size:
+        raise ValueError(
+            f"no comparison is possible where {windows} {'is' if count == 1 else 'are'} not finite "
+            f"({reasons[0]}): {cure('window')}."
+        )
+    note = (
+        f"warning: {windows} left out for all models, since the prediction of one is not finite "
+        f"({reasons[0]})."
+    )
+    return [prediction.kept(~diverged) for prediction in predictions], [note]
+
+
+def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
+    """Return the model of a fit for its k-th record."""
+    return fit.at_estimate(part=fit.parts.index(fit.records[record]))
+
+
+def with_all_signals(records: Sequence[Record]) -> Record:
+    """Return one record with the signals of all: each fit stores only those that it used."""
+    first = records[0]
+    signals = {name: r[name] for r in records[::-1] for name in r.signals}
+    units = {name: r.units.get(name, "") for r in records for name in r.signals}
+    hold = {name: seconds for r in records for name, seconds in r.hold.items()}
+    return replace(first, signals=signals, units=units, hold=hold)
+
+
+def not_held_out(fits: Fits, labels: Sequence[str], records: Sequence[Record]) -> list[str]:
+    """Return a warning for every held-out record to which a fit was made after all."""
+    return [
+        f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of "
+        "it."
+        for record in records
+        for fit, label in zip(fits, labels, strict=True)
+        if any(share_samples(part.data, record) for part in fit.records)
+    ]

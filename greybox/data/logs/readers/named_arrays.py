@@ -1,0 +1,163 @@
+"""Files of named arrays: HDF5 (.h5), MATLAB (.mat, up to version 7 and 7.3, which is HDF5).
+
+The same records are made of the topics of PX4 logs and of tables of text.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from greybox.data.files.arrays import Array
+from greybox.data.files.named_values import Values
+from greybox.data.files.subprocess_reader import read_in_subprocess
+from greybox.data.logs.named_columns import renamed
+from greybox.data.logs.readers.controller_outputs import with_holds
+from greybox.data.logs.readers.messages import MessageNames, checksum_of, on_one_clock, records
+from greybox.data.logs.readers.table_columns import table
+from greybox.data.record import Record, Recording
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+Groups = dict[
+    str, tuple[dict[str, Any], dict[str, Any]]
+]  # numeric arrays and their units, of groups or structs
+
+
+def read(
+    path: Path,
+    messages: MessageNames = None,
+    stated: Mapping[str, str] | None = None,
+    rate: float | None = None,
+) -> Recording:
+    """Read every group or struct that has a time into a record.
+
+    The time is a vector ``time`` (or t, tout, timestamp, time_ms ...; see
+    `greybox.data.time_column`); without it, ``Ts`` is the sampling interval, s. Vectors of the same
+    length are signals. Matrices with one sample per row (as MATLAB shows them, in MATLAB's files)
+    give one signal per column. Simulink's "structure with time" is read, too. A record has the name
+    of its group (``flight/ATT``), at the root or in the workspace that of the file.
+
+    Units are attributes ``unit`` or ``units`` of HDF5's datasets, followed by the word held or
+    sampled if it is known how the signal varies between its samples; those of MATLAB's files are
+    unknown.
+
+    Parameters
+    ----------
+    path : Path
+    messages : collection of str, optional
+        Groups to read; all by default.
+    stated : mapping of str to str, optional
+        Columns of the only group by new name, see `greybox.logs.read`.
+    rate : float, Hz, optional
+        The sampling rate where there is neither a time vector nor an interval ``Ts``.
+
+    Returns
+    -------
+    Recording
+        The findings name the timetables and other objects, which only MATLAB can read: save them as
+        structs.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, or nothing in it has a time vector.
+    OSError
+        If the file cannot be opened.
+    """
+    with open(path, "rb") as file:
+        # MATLAB 7.3 puts a text before the signature of HDF5.
+        head = file.read(4096)
+    is_hdf5 = SIGNATURE in head
+    report, groups = read_contents("hdf5" if is_hdf5 else "matlab", path)
+    # MATLAB 7.3 stores matrices transposed.
+    turned = is_hdf5 and head.startswith(b"MATLAB")
+    for columns, _ in groups.values():
+        columns.update({name: _rows(values, turned) for name, values in columns.items()})
+
+    return recording(path, groups, report["findings"], messages, None, stated, rate)
+
+
+def _rows(values: Array, turned: bool) -> Array:
+    """Return an array with the samples in rows."""
+    if values.ndim == 2 and 1 in values.shape:
+        return values.ravel()
+    return values.T if turned else values
+
+
+def read_contents(kind: str, path: Path, *wanted: str) -> tuple[dict[str, Any], Groups]:
+    """Return the report on a file, and its numeric vectors and matrices; the root has its name.
+
+    Parameters
+    ----------
+    kind : str
+        ``"hdf5"``, ``"matlab"`` or ``"ulog"``.
+    path : Path
+    *wanted : str
+        Topics of a PX4 log; all by default.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or not within the limits of time and memory.
+    """
+    report = read_in_subprocess(kind, path, *wanted)
+    groups: Groups = {}
+    for item in report["items"]:
+        group, _, name = item["path"].rpartition("/")
+        columns, units = groups.setdefault(group or path.stem, ({}, {}))
+        columns[name] = item["values"]
+        units[name] = item["unit"]
+    return report, groups
+
+
+def recording(
+    path: Path,
+    groups: Groups,
+    problems: Sequence[str],
+    messages: MessageNames = None,
+    parameters: Values | None = None,
+    stated: Mapping[str, str] | None = None,
+    rate: float | None = None,
+    *,
+    rows_allowed: bool = False,
+) -> Recording:
+    """Make a record of every group that has a time; `problems` are those of the file.
+
+    With the `parameters` of a vehicle, the groups are messages of its flight controller. The
+    `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`. With
+    `rows_allowed`, a group without a time becomes a record of rows. Otherwise it is reported as a
+    finding: such groups usually hold settings.
+    """
+    checksum = checksum_of(path)
+    by_name = {}
+    findings = [*problems]
+    findings += [f"there is no group {name}." for name in messages or () if name not in groups]
+    present = ", ".join(groups)
+    groups = {n: group for n, group in groups.items() if messages is None or n in messages}
+    if stated and len(groups) != 1:
+        raise ValueError(
+            f"{path.name} has {len(groups)} groups, but `columns` names the columns of one table."
+        )
+
+    # Every group has a clock of its own.
+    for name, group in groups.items():
+        columns, units = renamed(*group, stated, path.name) if stated else group
+        part, assumed = table(name, columns, units, rate)
+        if part.time is None and part.columns and rows_allowed:
+            about = (name, path.name, checksum)
+            by_name[name] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]
+            continue
+        clocked, restarts = on_one_clock([part])
+        clocked = clocked if parameters is None else with_holds(clocked, parameters)
+        records_of_group, dropped = records(clocked, path.name, checksum)
+        by_name.update(records_of_group)
+        findings += [*assumed, *restarts, *dropped]
+    if not by_name:
+        raise ValueError(
+            f"{path} has no numeric column besides the time: it needs one for each signal."
+            if rows_allowed
+            else f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
+            f"length; it holds {present or 'no samples at all: copy it again'}."
+        )
+
+    return Recording(by_name, path.name, checksum, {}, tuple(findings))

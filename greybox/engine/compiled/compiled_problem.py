@@ -1,0 +1,354 @@
+"""The compiled problem: its parts and constraints as functions of the solver's variables."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import field, replace
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from greybox.data.files.argument_checks import require_kind
+from greybox.data.files.arrays import Array, BoolArray, ComplexArray
+from greybox.data.files.frozen_values import frozen
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.record import Record
+from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.engine.compiled.part import Part, Portable
+from greybox.engine.compiled.record_part import RecordPart, compile_records
+from greybox.engine.compiled.response_part import ResponsePart
+from greybox.engine.compiled.response_programs import CostProgram, ResponseCompiler
+from greybox.engine.compiled.steep_bounds import MARGIN, steep_bounds
+from greybox.engine.compiled.transcription.method import Transcription
+from greybox.engine.compiled.transcription.multiple_shooting import MultipleShooting
+from greybox.engine.compiled.transient_part import compile_manoeuvres
+from greybox.engine.compiled.vectorized import Columns
+from greybox.modeling.fingerprint import function_key
+from greybox.modeling.formulation.prior_part import with_priors
+from greybox.modeling.formulation.problem import Problem
+from greybox.modeling.formulation.sum import Sum
+from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.parameter import Parameter, lower_and_upper
+from greybox.modeling.symbolic_reading import as_column, entries_by_name
+
+
+@frozen
+class Scaling:
+    """Parameters x and the solver's variables z, (..., p) each: x = factor · z, or x = exp(z)."""
+
+    factor: Array
+    logarithmic: BoolArray
+
+    def to_solver(self, x: Array) -> Array:
+        """Return z for x, along the last axis."""
+        # A lower bound of zero has no logarithm: -inf, no bound, is right.
+        with np.errstate(divide="ignore"):
+            return np.log(x, out=x / self.factor, where=self.logarithmic)
+
+    def to_parameters(self, z: Array) -> Array:
+        """Return x for z, along the last axis."""
+        return np.exp(z, out=z * self.factor, where=self.logarithmic)
+
+    def slope(self, x: Array) -> Array:
+        """Return dz/dx (p,)."""
+        return 1 / np.where(self.logarithmic, x, self.factor)
+
+    def expressions(self, z: Any) -> list[Any]:
+        """Return x for a CasADi vector z."""
+        return [
+            ca.exp(z[k]) if log else z[k] * float(f)
+            for k, (f, log) in enumerate(zip(self.factor, self.logarithmic, strict=True))
+        ]
+
+
+def scaling_of(parameters: Sequence[Parameter]) -> Scaling:
+    """Return the scaling of the unknowns."""
+    return Scaling(
+        factor=np.array([_size(p) for p in parameters], dtype=float),
+        logarithmic=np.array([p.scale == "log" for p in parameters]),
+    )
+
+
+def _size(parameter: Parameter) -> float:
+    """Return the larger end of the start box: IPOPT takes half the time that it takes unscaled.
+
+    Wider bounds would not do: IPOPT pushes starts away from bounds by a share of their distance.
+    """
+    for values in (parameter.box, parameter.bounds, (parameter.start,)):
+        finite = [abs(v) for v in values if math.isfinite(v) and v != 0]
+        if finite:
+            return max(finite)
+    return 1.0
+
+
+AnyProblem = Problem | Sum[Problem]
+
+
+def require_problem(problem: Any) -> None:
+    """Raise TypeError for anything but a problem or a sum of them."""
+    cure = "a Problem(model, data) or a sum of them"
+    require_kind("problem", problem, Problem | Sum, cure)
+
+
+PartKind = TypeVar("PartKind", bound=Part)
+# The attributes of a problem without frequency responses.
+NOTHING = Columns(ca.Function("nothing", [], []))
+
+
+@frozen
+class CompiledProblem(Portable):
+    """A problem ready for a solver.
+
+    Attributes
+    ----------
+    problem : Problem or Sum
+        What was compiled.
+    free, constants : tuple of str
+        Names of the unknowns, in the order of every vector here, and of the fixed parameters after
+        them.
+    constant_values : array
+    lower, upper : (p,) arrays
+        Bounds of the unknowns, in their own units.
+    scaling : Scaling
+        Between the unknowns and the solver's variables.
+    steep : (2, p) array
+        At which lower and upper bounds a root in a formula has no finite slope.
+    method : Transcription
+        How records are transcribed.
+    parts : tuple of Part
+        In the order of the problem's.
+    constraint : casadi.Function
+        (all values) -> what must be >= 0, stacked.
+    limits : tuple of str
+        What each of these is, in words.
+    programs : tuple of CostProgram
+        What IPOPT minimizes for frequency responses, one after the other: with the criteria that
+        locate the minimum, where they differ, then with the problem's own.
+    zero_costs : array
+        The cost of a zero response, by frequency response, as the first program weighs it.
+    data : (g,) array
+        The constants and the data of all frequency responses, an input of their functions.
+    responses : Columns
+        (all values, data) -> the cost without smoothing of every frequency response, unweighted,
+        and real and imaginary parts of all frequency responses, stacked: (2 N,).
+
+    From `programs` on, the attributes are empty where no data are frequency responses.
+    """
+
+    problem: AnyProblem
+    free: tuple[str, ...]
+    constants: tuple[str, ...]
+    constant_values: Array
+    lower: Array
+    upper: Array
+    scaling: Scaling
+    steep: BoolArray
+    method: Transcription
+    parts: tuple[Part, ...]
+    constraint: ca.Function
+    limits: tuple[str, ...]
+    programs: tuple[CostProgram, ...] = ()
+    zero_costs: Array = field(default_factory=lambda: np.zeros(0))
+    data: Array = field(default_factory=lambda: np.zeros(0))
+    responses: Columns = NOTHING
+
+    def parts_of(self, kind: type[PartKind]) -> list[PartKind]:
+        """Return the parts of one class."""
+        return [part for (part,) in self.rows_of(kind)]
+
+    def rows_of(
+        self, kind: type[PartKind], *beside: Sequence[Any]
+    ) -> list[tuple[PartKind, *tuple[Any, ...]]]:
+        """Return the parts of one class, each with its entries of other sequences."""
+        # Without degrees of freedom the parts have no accuracy, and no row.
+        rows: Any = zip(self.parts, *beside, strict=False)
+        return [row for row in rows if isinstance(row[0], kind)]
+
+    @property
+    def has_states(self) -> bool:
+        """Whether states are unknowns besides the parameters, as in every record."""
+        return any(part.has_states for part in self.parts)
+
+    @property
+    def numbers(self) -> int:
+        """Real numbers of the data that are compared."""
+        return sum(part.numbers for part in self.parts)
+
+    @property
+    def substeps(self) -> int:
+        """Largest number of integration steps from sample to sample; zero without states."""
+        return max(part.substeps for part in self.parts)
+
+    def refined(self, factor: int) -> "CompiledProblem":
+        """Return the problem with `factor` times the steps per sample."""
+        return replace(self, parts=tuple(part.refined(factor) for part in self.parts))
+
+    def has_stable_steps(self, z: Array, nodes: Sequence[Array]) -> bool:
+        """Return whether explicit steps of all records are stable at z (p,) and their nodes."""
+        records = self.rows_of(RecordPart, nodes)
+        return all(part.has_stable_steps(z, own) for part, own in records)
+
+    @property
+    def noise_sizes(self) -> set[str]:
+        """Names of the sizes of process noise."""
+        return {
+            part.problem.outside(f"w_{state}")
+            for part in self.parts_of(RecordPart)
+            for state in part.model.driven
+        }
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Free parameters, then constants: the order of all values."""
+        return (*self.free, *self.constants)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,) of the solver's variables z, inside of steep ones."""
+        low, high = self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)
+        return low + MARGIN * self.steep[0], high - MARGIN * self.steep[1]
+
+    def limits_at(self, z: Any) -> Any:
+        """Return what must be >= 0 at symbols z (p,) of the solver's variables."""
+        return self.constraint(ca.vertcat(*self.scaling.expressions(z), *self.constant_values))
+
+    def all_values(self, x: Array) -> Array:
+        """Append the constants to unknowns x (..., p)."""
+        leading = np.shape(x)[:-1]
+        constants = np.broadcast_to(self.constant_values, (*leading, len(self.constants)))
+        return np.concatenate([x, constants], axis=-1)
+
+    def estimate_at(self, z: Array) -> Array:
+        """Return the unknowns (..., p) at the solver's variables z (..., p), within the bounds."""
+        return np.clip(self.scaling.to_parameters(z), self.lower, self.upper)
+
+    # --- frequency responses alone, many points at once
+
+    def cost(self, values: Array) -> float:
+        """Return the cost without smoothing of the frequency responses at all values (k,)."""
+        return self._judged(values[:, None])[0].item()
+
+    def costs(self, x: Array) -> Array:
+        """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
+        return self.judged(x)[0]
+
+    def _judged(self, values: Array) -> tuple[Array, Array]:
+        """Return costs (r,) and responses (2 N, r) at all values (k, r)."""
+        costs, responses = self.responses(values, self.data)
+        weights = [part.weight for part in self.parts if not part.has_states]
+        return np.array(weights) @ costs, responses
+
+    def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
+        """Return the data (g,) for other constants (c,) and other measured responses."""
+        pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
+        return np.concatenate([constants, *(part.numbers_of(response) for part, response in pairs)])
+
+    def judged(self, x: Array) -> tuple[Array, Array]:
+        """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
+        costs, responses = self._judged(self.all_values(x).T)
+        # Over the measured magnitudes, so that responses of unlike units can be compared.
+        magnitude = np.concatenate(
+            [np.zeros(0), *(p.magnitude for p in self.parts_of(ResponsePart))]
+        )
+        return costs, (responses / np.tile(magnitude, 2)[:, None]).T
+
+
+@one_thread_at_a_time
+def compile_problem(problem: AnyProblem, method: Transcription | None = None) -> CompiledProblem:
+    """Build the CasADi expressions of a problem; `method` is that of its records.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For anything but a problem, if no parameter is free, or a formula does not trace.
+    """
+    require_problem(problem)
+    # Priors become parts, so that costs, counts and covariances include them without a special
+    # case.
+    problem = with_priors(problem)
+    method = method or MultipleShooting()
+    parameters = problem.parameters
+    free = tuple(name for name, p in parameters.items() if not p.fixed)
+    constants = tuple(name for name, p in parameters.items() if p.fixed)
+    if not free:
+        cure = "there is nothing to estimate"
+        if constants:
+            cure = f"free one, e.g. free=({constants[0]!r},)"
+        raise ValueError(f"no parameter of {problem.name!r} is free: {cure}.")
+
+    unknowns = [parameters[name] for name in free]
+    scaling = scaling_of(unknowns)
+    lower, upper = lower_and_upper(unknowns)
+    constant_values = np.array([parameters[name].start for name in constants])
+    names = (*free, *constants)
+    starts = np.array([*(p.start for p in unknowns), *constant_values], dtype=float)
+    # A logarithm has no bound at zero, and its slopes there are finite.
+    inward = np.where(scaling.logarithmic, 0.0, scaling.factor)
+    steep = np.array(
+        [
+            steep_bounds(problem.parts, names, starts, lower, inward),
+            steep_bounds(problem.parts, names, starts, upper, -inward),
+        ]
+    )
+
+    def values_at(z: Any, constants: Any) -> dict[str, Any]:
+        """Return all values by name, at symbols of the solver's variables and the constants."""
+        return dict(zip(names, [*scaling.expressions(z), *constants], strict=True))
+
+    limits, constraint = limits_of(problem, names)
+    parts: dict[Problem, Part] = {}
+    functions: dict[str, Any] = {}
+    if problem.parts_with(FrequencyResponse):
+        responses = ResponseCompiler(problem, names, constant_values, values_at, constraint)
+        response_parts, functions = responses.compiled()
+        parts |= response_parts
+    point = ca.SX.sym("z", len(free))
+    named = values_at(point, constant_values)
+    spectra, recorded = problem.parts_with(TransientSpectrum), problem.parts_with(Record)
+    parts |= zip(spectra, compile_manoeuvres(spectra, named, point), strict=True)
+    if recorded:
+        record_parts = compile_records(recorded, named, point, method)
+        parts |= zip(recorded, record_parts, strict=True)
+        method = record_parts[0].model.method
+
+    return CompiledProblem(
+        problem=problem,
+        free=free,
+        constants=constants,
+        constant_values=constant_values,
+        lower=lower,
+        upper=upper,
+        scaling=scaling,
+        steep=steep,
+        method=method,
+        parts=tuple(parts[part] for part in problem.parts),
+        constraint=constraint,
+        limits=limits,
+        **functions,
+    )
+
+
+def limits_of(problem: AnyProblem, names: Sequence[str]) -> tuple[tuple[str, ...], ca.Function]:
+    """Return what must be >= 0, in words, and (values of these names) -> its values, stacked.
+
+    A constraint that parts share counts once.
+    """
+    limits: dict[Any, tuple[str, Any]] = {}
+    x = ca.SX.sym("x", len(names))
+    for part in problem.parts:
+        local = part.local_values(entries_by_name(names, x))
+        for k, constraint in enumerate(part.constraints):
+            # Formulas are compared as compiled: equal lambdas are different objects in Python.
+            label = f"constraints[{k}] of {part.name!r}"
+            value = ca.SX(constraint(local))
+            formula = ca.Function("formula", [x], [value])
+            limits.setdefault(function_key(formula), (label, value))
+        for name in part.tied:
+            sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
+            for side, bound, sign in sides:
+                if math.isfinite(bound):
+                    label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
+                    limits.setdefault(label, (label, sign * (local[name] - bound)))
+
+    values = as_column(value for _, value in limits.values())
+    return tuple(label for label, _ in limits.values()), ca.Function("constraint", [x], [values])

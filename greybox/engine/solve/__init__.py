@@ -1,0 +1,34 @@
+"""From starts to minima.
+
+Begin with `search`.
+
+| file | contents |
+| --- | --- |
+| `search` | the first step of a fit: runs from all starts, finer steps, polished minima |
+| `multistart` | the solver of a problem, the order of its starts, and its runs from them |
+| `promising` | which of many starts are run first, and when the others are not needed |
+| `local_solver` | what every solver answers |
+| `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
+| `shared_solver` | many responses that share one solve: starts with process noise, no IPOPT |
+| `batched_newton` | Newton's method from many points |
+| `newton_iteration` | one iteration as two CasADi functions |
+| `barrier_levels` | the levels through which a search passes |
+| `process_noise_start` | starts of state spaces by output error with process noise |
+| `gauss_newton/` | Gauss-Newton steps on records |
+| `transcribed_program` | records as one sparse program for IPOPT |
+| `ipopt` | IPOPT on one program |
+| `not_finite` | where and why a model has no finite value |
+| `stationarity` | whether the end of a run is a minimum |
+| `discretization_error` | finer integration steps |
+| `robust_fit` | fits in which large errors are bounded |
+| `runs`, `minima` | the results of runs; distinct minima |
+| `run_storage` | storage for runs as they finish |
+| `other_minima` | minima beside one that all runs reach |
+| `executors` | runs in other processes, with one thread for matrix products |
+| `interruption` | Ctrl-C, and how long a search may take |
+| `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
+| `cost` | the cost at given parameters |
+"""
+
+from greybox.engine.solve.executors import WorkerPool as WorkerPool
+from greybox.modeling.formulation.starts import Listed as Listed, Sobol as Sobol, Starts as Starts

@@ -1,0 +1,43 @@
+"""What is estimated from what, by which criterion.
+
+Begin with `problem`.
+
+| file | contents |
+| --- | --- |
+| `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
+| `several`, `several_responses` | one model for several records, or the responses of many pairs |
+| `unsupported_data` | what a problem cannot take as data, and the cure |
+| `resolved_parameters` | what of the parameters is free, fixed, tied and renamed |
+| `restated_parameter` | a parameter with other bounds or starts |
+| `parameter_formulas` | ties, constraints and derived quantities, tried before a search |
+| `sum` | `Sum`: problems solved at once, whose costs add; each record has its own biases |
+| `criterion` | what all criteria share |
+| `frequency_criteria` | the criteria for frequency responses |
+| `time_criteria`, `spectrum_criteria` | the criteria for records and for spectra of manoeuvres |
+| `included_criteria` | the list of them |
+| `relative_score` | bias and spread of relative criteria by noise |
+| `prior`, `prior_part` | a-priori knowledge, and a sum with it |
+| `held_estimate` | an earlier fit whose values a problem holds fixed |
+| `signal_units` | units of data against those of the model |
+| `starts` | where the runs of a search begin |
+"""
+
+from greybox.modeling.formulation.frequency_criteria import (
+    Criterion as Criterion,
+    MagnitudePhase as MagnitudePhase,
+    MaximumLikelihood as MaximumLikelihood,
+    RelativeError as RelativeError,
+    RelativeLikelihood as RelativeLikelihood,
+    SquaredRelativeError as SquaredRelativeError,
+)
+from greybox.modeling.formulation.problem import Problem as Problem
+from greybox.modeling.formulation.several import several as several
+from greybox.modeling.formulation.spectrum_criteria import EquationError as EquationError
+from greybox.modeling.formulation.starts import Starts as Starts
+from greybox.modeling.formulation.sum import Sum as Sum
+from greybox.modeling.formulation.time_criteria import (
+    OutputError as OutputError,
+    PredictionError as PredictionError,
+    TimeCriterion as TimeCriterion,
+)
+from greybox.statistics.error_distribution import ErrorDistribution as ErrorDistribution

@@ -1,0 +1,28 @@
+"""The included criteria, for the command line and for the table of costs of a result."""
+
+from greybox.modeling.formulation.frequency_criteria import (
+    Criterion,
+    MagnitudePhase,
+    MaximumLikelihood,
+    RelativeError,
+    RelativeLikelihood,
+    SquaredRelativeError,
+)
+from greybox.modeling.formulation.spectrum_criteria import EquationError
+from greybox.modeling.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
+
+CRITERIA: tuple[Criterion, ...] = (
+    RelativeError(),
+    RelativeError(normalized="model"),
+    SquaredRelativeError(),
+    RelativeLikelihood(),
+    MagnitudePhase(),
+    MaximumLikelihood(),
+)
+"""For frequency responses; a result reports the cost by each of them."""
+
+TIME_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), PredictionError())
+"""For records."""
+
+SPECTRUM_CRITERIA: tuple[TimeCriterion, ...] = (OutputError(), EquationError())
+"""For the Fourier integrals of manoeuvres."""

@@ -1,0 +1,119 @@
+"""Margins of a measured broken loop, with their errors."""
+
+import math
+
+import numpy as np
+
+from greybox.assessment.response_band import require_level
+from greybox.data.files.argument_checks import require_kind
+from greybox.data.files.arrays import Array, ComplexArray
+from greybox.data.files.numbers_in_text import number
+from greybox.data.files.wording import listed
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.workflows.experiment.drawn_loops import DRAWS
+from greybox.workflows.experiment.loop_numbers import margin_numbers
+from greybox.workflows.experiment.margin_values import ORDER, UNITS, Margin, Margins
+
+# Noise makes the least distance from -1 too small, and draws from a noisy response make it smaller
+# still. So the draws show the bias, and their quantiles are reflected about the value.
+LEAST = ("modulus margin", "disturbance rejection peak")
+
+
+def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins:
+    """Return the margins of a measured broken loop, with negative feedback.
+
+    They are read between the measured points, where magnitude and phase are straight lines over the
+    logarithm of frequency, and never beyond them: a note names the margins that do not occur there.
+    The intervals come from draws from the errors of the points, which also correct the bias of the
+    modulus margin, and are wider by the error of the interpolation, a third of what leaving out
+    every second point changes. The loop is taken as stable, because it flew.
+
+    Parameters
+    ----------
+    loop : FrequencyResponse
+        With a variance, as `broken_loop` and `greybox.data.spectral` give it; without one, there
+        are no intervals.
+    level : float
+
+    Returns
+    -------
+    Margins
+
+    Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
+    intervals).
+    """
+    require_kind(
+        "loop",
+        loop,
+        FrequencyResponse,
+        "the FrequencyResponse of a broken loop; gb.margins takes a fit with its controller",
+    )
+    require_level(level)
+    loop = loop.by_frequency
+    points, drawn = np.log(loop.omega), _drawn(loop)
+    has_errors = len(drawn) > 1
+    gain, omega = _between(points, drawn)
+    numbers = margin_numbers(gain, omega)
+    fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]))
+    ends = [(1 - level) / 2, 0.5, (1 + level) / 2]
+    rows, unmeasured = [], []
+    for name, (values, places) in numbers.items():
+        value = low = high = place = math.nan
+        if values[0] and omega[0] < places[0] < omega[-1]:
+            value = values[0]
+            if has_errors:
+                drawn_ends = np.quantile(values[1:], ends, method=ORDER)
+                low, _, high = drawn_ends
+                if name in LEAST:
+                    high, value, low = 2 * value - drawn_ends
+            # Straight lines between twice as distant points are four times as wrong.
+            change = abs(fewer[name].value[0] - values[0]) / 3 if name in fewer else 0.0
+            error = np.nan_to_num(change, posinf=0)
+            value, low, high, place = map(float, (value, low - error, high + error, places[0]))
+        else:
+            unmeasured.append(name)
+        unit = UNITS[name.rstrip(" 0123456789")]
+        rows.append(Margin(name, unit, value, low, high, place, group="measured"))
+
+    notes = [] if has_errors else ["No intervals: the response has no variance."]
+    if unmeasured:
+        notes.append(
+            f"The measurement, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a loop gain of "
+            f"{abs(gain[0, 0]):.2g} to {abs(gain[0, -1]):.2g}, does not reach: "
+            f"{listed(unmeasured)}. Fly other frequencies; nothing is extrapolated."
+        )
+    if "phase margin 2" in numbers:
+        notes.append("The gain is one at several frequencies; the smallest margin counts.")
+    widest = math.exp(np.diff(points).max(initial=0.0))
+    # Sines at 0.6, 1.7 and 4.5 rad/s stay below this ratio.
+    if widest > 3.0:
+        notes.append(
+            f"Neighboring points differ by up to a factor of {number(widest, 2)} in frequency, and "
+            "lines are assumed between them: measure more of them near the crossings."
+        )
+    plant = loop.name or "the measured response"
+    # A measured response has no controller and no draws, so those fields are empty.
+    level = level if has_errors else math.nan
+    return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
+
+
+def _drawn(loop: FrequencyResponse) -> ComplexArray:
+    """Return the response and draws from its errors (1 + draws, n), none without a variance."""
+    if loop.variance is None:
+        return loop.response[None]
+    random = np.random.default_rng(0)
+    errors = random.normal(size=(2, DRAWS, len(loop)))
+    if loop.dof is not None:
+        errors *= np.sqrt(loop.dof / random.chisquare(loop.dof, errors.shape[1:]))
+    size = np.sqrt(loop.variance * loop.independent_share / 2)
+    drawn = loop.response + size * (errors[0] + 1j * errors[1])
+    if loop.common_errors is not None:
+        drawn += random.normal(size=(DRAWS, len(loop.common_errors))) @ loop.common_errors
+    return np.vstack([loop.response, drawn])
+
+
+def _between(points: Array, response: ComplexArray) -> tuple[ComplexArray, Array]:
+    """Return gains (m, k) interpolated between points (n,) of log omega, and omega (k,)."""
+    x = np.unique([*points, *np.linspace(points[0], points[-1], 300)])
+    logarithm = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response), axis=1)
+    return np.exp([np.interp(x, points, row) for row in logarithm]), np.exp(x)

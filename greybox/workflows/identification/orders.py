@@ -1,0 +1,364 @@
+"""Rational transfer functions of rising order: which of them a measured response supports."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from greybox.assessment.fit import fit
+from greybox.assessment.fitted_problem import problem_of
+from greybox.assessment.result import Fit
+from greybox.data.files.arrays import Array, ComplexArray, sum_of_squares
+from greybox.data.files.named_values import Values, selected
+from greybox.data.files.wording import counted
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.engine.regression.levy import coefficients, ratio, reweighted
+from greybox.engine.regression.poles_and_zeros import near_pairs, root_text
+from greybox.modeling.factored_form import upper_half
+from greybox.modeling.formulation.starts import Sobol
+from greybox.modeling.linear_response import frequency_response
+from greybox.modeling.model import require_known
+from greybox.modeling.model_reference import included_model
+from greybox.modeling.rational import Rational
+from greybox.modeling.transfer_function import TransferFunction
+from greybox.workflows.identification.selection import (
+    UNSTABLE,
+    Candidate,
+    Selection,
+    held_by_bounds,
+    select,
+)
+from greybox.workflows.identification.structure_fit import fit_within_far_bounds, stated_for
+
+POLES = 4  # besides the integrators; more can seldom be distinguished in two decades of frequency
+ZEROS = 2
+INTEGRATORS = 2
+
+# Delays from zero to the one that turns the phase by this angle at the highest frequency, rad, are
+# tried first: more than one turn, in steps narrower than a minimum is wide.
+TURN = 8.0
+DELAYS = 16
+STARTS = 10  # of the chosen structure, to see whether its minimum is the lowest
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Orders of denominator (with its integrators) and numerator; integrators; delay."""
+
+    n: int
+    m: int
+    integrators: int
+    delay: bool = True
+
+    @property
+    def parameters(self) -> int:
+        """How many parameters the structure has."""
+        return self.n - self.integrators + self.m + 1 + self.delay
+
+    def __str__(self) -> str:
+        integrators = f", {counted(self.integrators, 'integrator')}" if self.integrators else ""
+        return f"n = {self.n}, m = {self.m}{integrators}{', delay' if self.delay else ''}"
+
+
+class LinearFit(NamedTuple):
+    """BIC and coefficients at the best delay."""
+
+    bic: float
+    start: Values
+
+
+def linear_fits(
+    responses: Sequence[FrequencyResponse],
+    through: Sequence[TransferFunction] = (),
+    structures: Sequence[Orders] = (),
+) -> dict[Orders, LinearFit]:
+    """Fit structures by linear least squares, by default those of `select_orders`."""
+    numbers = 2 * sum(map(len, responses))
+    grid = [o for o in structures or orders_of() if o.parameters + 1 < numbers]
+    if not grid:
+        raise ValueError(
+            f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
+        )
+    # Least squares only choose the orders that all responses are fitted with: the longest response
+    # is enough, divided by the filters that follow the plant. Common errors are left out, since
+    # one variance per point cannot represent them.
+    longest = max(responses, key=len)
+    gain = math.prod(frequency_response(f, None, longest.omega).response for f in through)
+    variance = None if longest.variance is None else longest.variance / np.abs(gain) ** 2
+    plant = replace(
+        longest, response=longest.response / gain, variance=variance, common_errors=None
+    )
+    fits = {orders: _linear_fit(plant, orders) for orders in grid}
+    # Errors beyond the given variances count as in `select`.
+    inflation = max(1.0, min(squares for squares, _ in fits.values()) / len(plant))
+    return {
+        orders: LinearFit(2 * squares / inflation + orders.parameters * math.log(numbers), start)
+        for orders, (squares, start) in fits.items()
+    }
+
+
+def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArray:
+    """Return the response of the structure of least BIC at `omega` (n,) in rad/s."""
+    orders = min(fits, key=lambda o: fits[o].bic)
+    values = fits[orders].start
+    return ratio(*_polynomials(orders, values), omega) * np.exp(-1j * omega * values["T_delay"])
+
+
+def select_orders(
+    data: FrequencyResponse | Sequence[FrequencyResponse],
+    n: Sequence[int] = (),
+    m: Sequence[int] = (),
+    integrators: Sequence[int] = (),
+    *,
+    delay: bool = True,
+    through: Sequence[TransferFunction] = (),
+    linear: Mapping[Orders, LinearFit] | None = None,
+    **stated: Any,
+) -> Selection:
+    """Fit rational transfer functions (2.13) of rising order, and choose the smallest supported.
+
+    Nothing is assumed of the plant: signs and scales come from the response, by weighted linear
+    least squares (`greybox.engine.regression.levy`) at the best delay. The structures that come
+    close to the best are fitted by maximum likelihood: `MaximumLikelihood` where the data have
+    variances, otherwise `RelativeLikelihood`. A bound that a parameter touches is widened. A delay
+    that ends at zero is left out and named: the errors are then those of a plant without a delay,
+    whose intervals contained 96 % of 239 coefficients of vehicles without one. The chosen structure
+    is fitted again from ten other starts, which show whether its minimum is the lowest.
+
+    Parameters
+    ----------
+    data : FrequencyResponse, or sequence of them
+        Several of one plant are fitted together.
+    n, m, integrators : sequence of int
+        Orders of the denominator (integrators included) and of the numerator, and numbers of
+        integrators. By default up to four poles, two zeros and two integrators.
+    delay : bool
+        Whether the structures have a delay.
+    through : sequence of TransferFunction
+        Filters in series with the plant.
+    linear : mapping of Orders to LinearFit, optional
+        The structures with their starts, instead of those of the grid.
+    **stated
+        `fixed`, `bounds` and `start` of parameters, as in `Problem`: ``b0`` and ``a0`` upwards, and
+        ``T_delay``.
+
+    Raises
+    ------
+    ValueError
+        If no structure of the grid has fewer unknowns than the data have numbers.
+    """
+    responses = [data] if isinstance(data, FrequencyResponse) else list(data)
+    linear = linear or linear_fits(responses, through, orders_of(n, m, integrators, delay=delay))
+    names = chain.from_iterable(fit.start for fit in linear.values())
+    require_known(chain.from_iterable(stated.values()), names, "parameter", "the grid")
+    least = min(fit.bic for fit in linear.values())
+    # Only structures near the least BIC are fitted again, and of one size the best two: for random
+    # vehicles, linear least squares come within 1 of the least chi-square
+    # (`benchmarks/random_vehicles.py`).
+    near = [
+        orders
+        for orders, (bic, _) in linear.items()
+        if bic - least <= 10.0
+        and sum(linear[o].bic < bic for o in linear if o.parameters == orders.parameters) < 2
+    ]
+
+    candidates, undelayed = [], []
+    for orders in near:
+        start = linear[orders].start
+        candidate = _candidate(responses, orders, start, through, stated)
+        candidates.append(candidate)
+        late = candidate.fit.by_name.get("T_delay")
+        if late is not None and late.at_bound and late.value < 0.5 * late.bounds[1]:
+            without = replace(orders, delay=False)
+            candidates[-1] = _candidate(responses, without, start, through, stated)
+            undelayed.append(str(without))
+        # A stable plant with less delay may be another minimum, which `select` prefers unless it
+        # is much higher; sometimes it is much lower.
+        if candidate.unstable and (start := _stable_start(orders, candidate.fit.estimate)):
+            stable = _candidate(responses, orders, start, through, stated)
+            candidates += [] if stable.unstable else [stable]
+    rejected = len(linear) - len(near)
+    notes = []
+    if rejected:
+        notes.append(f"{counted(rejected, 'other structure')} had a higher BIC by least squares.")
+    if any(orders.delay for orders in linear):
+        longest = TURN / max(responses, key=len).omega.max()
+        notes.append(
+            f"{DELAYS} delays from 0 to {longest:.2g} s were tried, and longer ones where the "
+            "longest was the best."
+        )
+    if undelayed:
+        notes.append(
+            f"The delay ended at zero and was left out of: {'; '.join(undelayed)}. Their errors "
+            "are those of a plant without a delay."
+        )
+    # In order of size, as the table is read.
+    candidates.sort(key=lambda c: (len(c.fit.free), c.fit.cost))
+    return _confirmed(select(candidates, "\n".join(notes)))
+
+
+def _confirmed(selection: Selection) -> Selection:
+    """Return the selection with other starts of the chosen structure that reach its minimum."""
+    chosen = selection.chosen
+    if chosen is None:
+        return selection
+    searched = fit(
+        problem_of(chosen.fit),
+        [selected(chosen.fit.estimate, chosen.fit.free), Sobol(STARTS)],
+        profiles=False,
+        progress=False,
+    )
+    # The first run begins at the estimate. A lower minimum may be one that the selection refused,
+    # such as an unstable plant.
+    if not (searched.minima and 0 in searched.minima[0].runs):
+        return selection
+    confirmed = replace(chosen, fit=searched)
+    candidates = [confirmed if c is chosen else c for c in selection.candidates]
+    return replace(selection, candidates=tuple(candidates), chosen=confirmed)
+
+
+def orders_of(
+    n: Sequence[int] = (),
+    m: Sequence[int] = (),
+    integrators: Sequence[int] = (),
+    *,
+    delay: bool = True,
+) -> list[Orders]:
+    """Return the structures of a grid; see `select_orders`."""
+    return [
+        Orders(order, zeros, count, delay)
+        for count in integrators or range(INTEGRATORS + 1)
+        for order in n or range(max(count, 1), count + POLES + 1)
+        for zeros in m or range(ZEROS + 1)
+        if zeros < order and count <= order
+    ]
+
+
+def _polynomials(orders: Orders, values: Values) -> tuple[list[float], list[float]]:
+    """Return numerator and denominator, the highest power first."""
+    numerator = [values[f"b{k}"] for k in range(orders.m, -1, -1)]
+    return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
+
+
+def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, Values]:
+    """Return the least weighted squares over the delay, and the coefficients there."""
+
+    def at(delay: float) -> tuple[float, Values]:
+        return _at_delays(data, orders, np.array([delay]))[0]
+
+    if not orders.delay:
+        return at(0.0)
+    turn = TURN / float(data.omega.max())
+    longest = turn
+    while True:
+        grid = np.linspace(0.0, longest, DELAYS)
+        best = np.argmin([squares for squares, _ in _at_delays(data, orders, grid)])
+        if best < DELAYS - 1 or longest > 8 * turn:
+            break
+        longest *= 2
+
+    around = grid[max(best - 1, 0) : best + 2]
+    refined = minimize_scalar(
+        lambda delay: at(delay)[0],
+        bounds=(around[0], around[-1]),
+        method="bounded",
+        options={"maxiter": 20},
+    )
+    return at(refined.x)
+
+
+def _at_delays(
+    data: FrequencyResponse, orders: Orders, delays: Array
+) -> list[tuple[float, Values]]:
+    """Return the weighted sums of squares and the coefficients for every delay."""
+    # Without variances, errors are taken as relative, as `RelativeLikelihood` takes them.
+    size = np.abs(data.response) if data.variance is None else np.sqrt(data.variance)
+    unknowns = orders.parameters - orders.delay
+    if 2 * len(data) <= unknowns or not np.all(size > 0):
+        return [(math.inf, {})] * len(delays)
+
+    response = data.response * np.exp(1j * data.omega * delays[:, None])
+    weight = np.broadcast_to(1 / size, response.shape)
+    structure = (orders.n, orders.m, orders.integrators)
+    # The coefficients of Sanathanan and Koerner converge in eight iterations.
+    fractions = zip(*reweighted(data.omega, response, structure, weight, 8), strict=True)
+    fits = []
+    for fraction, turned, delay in zip(fractions, response, delays, strict=True):
+        error = (ratio(*fraction[:2], data.omega) - turned) / size
+        lag = {"T_delay": float(delay)} if orders.delay else {}
+        values = {**coefficients(*fraction[:2], orders.integrators), **lag}
+        fits.append((sum_of_squares(error), values))
+    return fits
+
+
+def _candidate(
+    responses: Sequence[FrequencyResponse],
+    orders: Orders,
+    start: Values,
+    through: Sequence[TransferFunction],
+    stated: Mapping[str, Any],
+) -> Candidate:
+    """Fit a structure by maximum likelihood."""
+    polynomial: Any = included_model("greybox.models.polynomial", "Polynomial")
+    highest = max(float(response.omega.max()) for response in responses)
+    gain = max(float(np.max(np.abs(response.response))) for response in responses)
+    plant = polynomial(
+        orders.n,
+        orders.m,
+        orders.integrators,
+        # Poles and zeros more than ten times above the highest frequency are constants there.
+        radius=10 * highest,
+        starts=highest,
+        input=responses[0].input or "u",
+        output=responses[0].output or "y",
+        delay=3 * max(start.get("T_delay", 0.0), TURN / highest) if orders.delay else 0.0,
+    )
+    options = stated_for(plant, stated)
+    bounds = {}
+    for name, parameter in plant.parameters.items():
+        if name != "T_delay":
+            # The model's bounds hold for a gain of one.
+            size = parameter.bounds[1] * (10 * gain if name.startswith("b") else 1)
+            size = max(size, 100 * abs(start[name]))
+            bounds[name] = (-size, size)
+    fixed = options.get("fixed", {})
+    point = {name: start[name] for name in plant.parameters if name not in fixed}
+    result = fit_within_far_bounds(
+        reduce(lambda model, other: model.through(other), through, plant),
+        responses,
+        point | options.get("start", {}),
+        bounds=bounds,
+        stated=options,
+    )
+    return Candidate(str(orders), result, *_described(orders, result))
+
+
+def _stable_start(orders: Orders, values: Values) -> Values:
+    """Return the values with unstable poles mirrored; none if the delay is too short for that.
+
+    Well below p rad/s, 1 / (s - p) is nearly -exp(2 s / p) / (s + p).
+    """
+    numerator, denominator = _polynomials(orders, values)
+    poles = np.roots(denominator)
+    unstable = poles.real > 0
+    delay = values.get("T_delay", 0.0) - 2 * float(np.sum(1 / poles[unstable]).real)
+    poles[unstable] *= -1
+    mirrored = coefficients(
+        (-1.0) ** np.sum(unstable) * np.array(numerator), np.poly(poles).real, orders.integrators
+    )
+    return {**mirrored, "T_delay": delay} if delay > 0 else {}
+
+
+def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
+    """Return the factored transfer function, and remarks on its poles and zeros."""
+    if not fit.converged:
+        return "", ()
+    form = Rational(*_polynomials(orders, fit.estimate), fit.estimate.get("T_delay", 0.0))
+    unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(form.poles) if p.real > 0]
+    pairs = map(str, near_pairs(form.zeros, form.poles))
+    return str(form), (*unstable, *pairs, *held_by_bounds(fit))

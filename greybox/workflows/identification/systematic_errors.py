@@ -1,0 +1,212 @@
+"""Errors of a response that its scatter does not show: thinned logs, and rounded outputs.
+
+Begin with `systematic_errors`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.data.excited_segment import Segments
+from greybox.data.files.arrays import Array, ComplexArray, Interval, real_root
+from greybox.data.files.frozen_values import frozen
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.logs.ardupilot.motors import (
+    motor_outputs,
+    pwm_of_control,
+    rounding_error,
+    saturation,
+)
+from greybox.data.logs.flight_controllers import axis_of
+from greybox.data.logs.loop_rate import thinning, thinning_error
+from greybox.data.record import Record, Recording
+from greybox.data.spectral.experiment_quality import SATURATED, Finding, frequencies, graded
+
+# An error that is a smaller share of the response everywhere is not mentioned: a tenth of the
+# standard errors of sine tests of ten periods, 0.2 to 1 %.
+NEGLIGIBLE = 1e-3
+
+
+@frozen
+class SystematicError:
+    """One error: its cause, its standard deviation relative to the response (n,), and a finding.
+
+    `common` (m, n) is the error itself, relative to the response, if all points have it in common.
+    """
+
+    about: str
+    relative: Array
+    finding: Finding
+    common: ComplexArray | None = None
+
+
+def systematic_errors(
+    recording: Recording,
+    record: Record,
+    response: FrequencyResponse,
+    control: str,
+    used: Segments,
+    amplitudes: Array | None = None,
+) -> list[SystematicError]:
+    """Return the errors of a response from a control that follow from the log.
+
+    Parameters
+    ----------
+    recording : Recording
+        With the parameters of the vehicle.
+    record : Record
+        The signals that were used, the control by its name in the response.
+    response : FrequencyResponse
+    control : str
+        The signal of the log, ``"RATE.POut"``.
+    used : sequence of Segment
+        The tests; empty for the whole record.
+    amplitudes : (n,) array, optional
+        Amplitudes of the control at every frequency, for sines. By default, the amplitude of its
+        whole motion.
+    """
+    axis = axis_of(control)
+    # Only the logs of known controllers say how their outputs were thinned and rounded.
+    if not axis:
+        return []
+    spans = [(s.start, s.end) for s in used] or [record.span]
+    errors = [
+        _thinned(recording, response, control, axis, spans),
+        _rounded(recording, record, response, used, spans, amplitudes),
+    ]
+    return [
+        error
+        for error in errors
+        if error and (error.relative.max() > NEGLIGIBLE or error.finding.severity == "warning")
+    ]
+
+
+def with_systematic_errors(
+    response: FrequencyResponse, errors: Sequence[SystematicError]
+) -> FrequencyResponse:
+    """Return the response with the errors added to its variance.
+
+    The size of these errors is known, so the sum has more degrees of freedom (Welch and
+    Satterthwaite).
+    """
+    errors = [error for error in errors if error.relative.any()]
+    if response.variance is None or not errors:
+        return response
+    # Errors of different causes are independent, so that their variances add.
+    added = np.sum([error.relative**2 for error in errors], axis=0) * np.abs(response.response) ** 2
+    total = response.variance + added
+    dof = None if response.dof is None else response.dof * (total / response.variance) ** 2
+    about = {
+        error.about: _size(error.relative) + " of the response, in its variance" for error in errors
+    }
+    common = [error.common * response.response for error in errors if error.common is not None]
+    return replace(
+        response,
+        variance=total,
+        dof=dof,
+        about={**response.about, **about},
+        common_errors=np.vstack(common) if common else None,
+    )
+
+
+def motor_saturation(
+    recording: Recording, control: str, spans: Sequence[Interval]
+) -> list[Finding]:
+    """Return a finding if a motor was at its limit for long, from the motor outputs in the log."""
+    share = saturation(recording, spans) if axis_of(control) else math.nan
+    text = (
+        f"a motor is at its limit for {100 * share:.0f} % of the time: a linear model is wrong "
+        "there; use a smaller amplitude."
+    )
+    return [*graded("motors", share, SATURATED, text)]
+
+
+def _thinned(
+    recording: Recording,
+    response: FrequencyResponse,
+    control: str,
+    axis: str,
+    spans: Sequence[Interval],
+) -> SystematicError | None:
+    # The rate of a log may change between flights: only that during the tests counts.
+    begin = min(start for start, _ in spans)
+    end = max(end for _, end in spans)
+    thinned = thinning(recording, control, begin, end)
+    if thinned is None:
+        return None
+    if math.isnan(thinned.count):
+        text = (
+            f"{thinned}: noise and steps of the control alias into the band, so that the gain "
+            "depends on which passes were logged, often by some percent that the standard errors "
+            f"do not show; to log every pass, {thinned.cure}."
+        )
+        return SystematicError(
+            "thinned log",
+            np.zeros(len(response)),
+            Finding("logging", "warning", thinned.logged, text),
+        )
+    common = thinning_error(thinned, recording, axis, response)
+    relative = np.linalg.norm(common, axis=0)
+    text = (
+        f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all "
+        f"frequencies and a fitted gain have in common; to log every pass, {thinned.cure}."
+    )
+    return SystematicError(
+        "thinned log", relative, Finding("logging", "note", float(relative.max()), text), common
+    )
+
+
+def _rounded(
+    recording: Recording,
+    record: Record,
+    response: FrequencyResponse,
+    used: Segments,
+    spans: Sequence[Interval],
+    amplitudes: Array | None,
+) -> SystematicError | None:
+    steps = pwm_of_control(recording.parameters)
+    if math.isnan(steps):
+        return None
+    pieces = [record.between(*span)[response.input] for span in spans]
+    # Rounding acts like noise where other motion carries a motor over several steps, and distorts
+    # the control where the motor stands still otherwise.
+    motion = np.array(
+        [_motion(recording, steps, *pair) for pair in zip(pieces, spans, strict=True)]
+    )
+    if amplitudes is None:
+        # The loudest piece has most of the weight in the estimate.
+        a = np.full(
+            len(response), steps * np.sqrt(2) * max(float(np.std(values)) for values in pieces)
+        )
+        moved = np.full(len(response), motion.min())
+    else:
+        a = steps * amplitudes
+        moved = motion[
+            [np.argmin([abs(s.omega - omega) for s in used]) for omega in response.omega]
+        ]
+    # The sine itself is part of the motion, and is taken out of it: a²/2 is its variance.
+    relative = rounding_error(a, real_root(moved**2 - a**2 / 2))
+    # Below one step, the error is no longer small noise: the finding leaves these points out.
+    below = response.omega[(a < 1.0) & (relative > NEGLIGIBLE)]
+    text = f"motor outputs are whole µs: {_size(relative)} are added to the standard errors"
+    if below.size:
+        text += f", as the control is below one step at {frequencies(below)}; excite more there"
+    severity = "warning" if below.size else "note"
+    finding = Finding("resolution", severity, float(a.min()), f"{text}.", tuple(below.tolist()))
+    return SystematicError("rounded outputs", relative, finding)
+
+
+def _motion(recording: Recording, steps: float, control: Array, span: Interval) -> float:
+    """Return the standard deviation of the quietest motor in steps, at least by the control."""
+    by_control = steps * float(np.std(control))
+    logged = motor_outputs(recording, *span).values()
+    return max(by_control, min((float(np.std(values)) for values in logged), default=0.0))
+
+
+def _size(relative: Array) -> str:
+    low, high = 100 * float(relative.min()), 100 * float(relative.max())
+    if low < 0.1 * high:
+        return f"up to {high:.2g} %"
+    return f"{high:.2g} %" if high < 1.1 * low else f"{low:.2g} to {high:.2g} %"

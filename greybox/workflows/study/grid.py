@@ -1,0 +1,163 @@
+"""Grids of members: lists of models, of data and of settings are combined in all ways.
+
+Begin with `grid`.
+"""
+
+import itertools
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from glob import escape, glob
+from pathlib import Path
+from typing import Any
+
+from greybox.data.files.named_values import selected
+from greybox.modeling.model import require_known
+from greybox.workflows.study.batch import Member
+from greybox.workflows.study.data_file import UnreadableError, reading_once
+from greybox.workflows.study.stated_problem import OF_DATA, OF_PARAMETERS, stated_problem
+
+# Keys whose single value is a list: only a list of lists multiplies.
+SEQUENCES = ("free", "through", "band")
+OF_MEMBER = ("name", "starts", "seed", "search", "solver_options")
+KEYS = (
+    *("problem", "model", "joint", "held", *OF_DATA, "band", "criterion", "delay", "method"),
+    *("free", *OF_PARAMETERS, *OF_MEMBER),
+)
+
+
+def grid(models: Any = None, data: Any = None, **settings: Any) -> list[Member]:
+    """Return a member of a study for every combination of models, data and settings.
+
+    ``gb.study.grid([Linear(), Quadratic()], "flights/*.csv", seed=[0, 1], starts=5)`` has four
+    members for every file. A list of values multiplies; anything else applies to all members.
+
+    Parameters
+    ----------
+    models : Model, ``"my.py:Linear"``, or list of them
+    data : file, pattern of files, data, or list of them
+        ``"flights/*.csv"`` is a member for every file. A list within the list is one joint fit,
+        with all parameters in common.
+    **settings
+        The other keys of a study file, named like the options of `greybox fit`: criterion, delay,
+        method, at, fix, free, bounds, start, starts_box, prior, starts, seed, search; for files
+        columns, rate, gaps, input, output, and prepare, the arguments of `gb.prepare`;
+        ``joint=[...]``, the data of one joint fit; ``held="flights/f9.csv"``, data that are left
+        out, and by which the structures are compared;
+        ``band=(0.5, 20)``, the frequencies of responses that are fitted, in rad/s; problem, a
+        Problem instead of models and data; solver_options.
+
+    Raises
+    ------
+    ValueError
+        For keys that do not exist, and values that do not fit together.
+    """
+    stated = {"model": models, "data": data, **settings}
+    return members_of({key: x for key, x in stated.items() if x is not None}, Path())
+
+
+def members_of(choices: Mapping[str, Any], folder: Path) -> list[Member]:
+    """Return the members of a grid, whose files are in a folder.
+
+    A member whose data cannot be read has the reason as its error, and fails alone.
+
+    Raises
+    ------
+    ValueError
+        In one sentence, for any mistake.
+    """
+    require_known(choices, KEYS, "key", "a member of a study")
+    read = reading_once()
+    members = []
+    for values in combined(choices, folder):
+        own = selected(values, OF_MEMBER)
+        try:
+            problem, settings = stated_problem(values, read)
+            if values["held"]:  # they are read and cut to the band like the data
+                held, _ = stated_problem({**values, "data": values["held"]}, read)
+                own["held"] = [part.data for part in held.parts]
+            members.append(Member(problem, **{**settings, **own}))
+        except UnreadableError as error:
+            members.append(Member(error, **own))
+        except (ValueError, TypeError, LookupError, OSError) as error:
+            raise ValueError(f"member {own['name']!r}: {error.args[-1]}") from error
+    return members
+
+
+def combined(choices: Mapping[str, Any], folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield all combinations of the values of keys; their names have the values that differ.
+
+    Data of a combination are a list of files, by their paths from the folder, and of values.
+    """
+    axes = {key: _values(key, value, folder) for key, value in choices.items()}
+    held = _files(axes.pop("held", []), folder)
+    joint = [axes.pop("joint")] if "joint" in axes else []
+    lists: list[list[Any]] = []
+    stated = [*axes.pop("data", []), *joint]
+    for item in stated:
+        is_joint = isinstance(item, list | tuple)
+        files = [file for file in _files(item if is_joint else [item], folder) if file not in held]
+        lists += [files] if is_joint else [[file] for file in files]
+
+    axes = {"data": lists, **axes} if stated else axes
+    for key, values in axes.items():
+        if not values:
+            raise ValueError(f"{key} is empty: give at least one value besides those of held.")
+    # Names contain the parts of file paths that differ.
+    paths = [file for files in lists for file in files if isinstance(file, str)]
+    place = os.path.commonpath([Path(path).parent for path in paths]) if paths else ""
+    first = next((key for key in ("name", "problem", "data") if key in axes), "model")
+    varied = [key for key in axes if len(axes[key]) > 1 and key != first]
+    for values in itertools.product(*axes.values()):
+        chosen = dict(zip(axes, values, strict=True))
+        head = _label(first, chosen.get(first, ""), place)
+        varied_text = ", ".join(_label(key, chosen[key], place) for key in varied)
+        name = f"{head}: {varied_text}" if varied_text else head
+        yield {**chosen, "name": name, "held": held}
+
+
+def _values(key: str, value: Any, folder: Path) -> list[Any]:
+    """Return the values of a key: those of a list, or the only one."""
+    is_many = isinstance(value, list)
+    if key in SEQUENCES:  # a single value is a list: a list of lists multiplies
+        is_many = is_many and all(isinstance(item, list | tuple) for item in value)
+    # A study must not depend on the folder in which the command runs.
+    return [
+        str(folder / item) if isinstance(item, str) and re.match(r".+\.py(:|$)", item) else item
+        for item in (value if is_many else [value])
+    ]
+
+
+def _files(items: Sequence[Any], folder: Path) -> list[Any]:
+    """Return the items, with the files that patterns match.
+
+    Raises
+    ------
+    ValueError
+        For a pattern without a file.
+    """
+    files = []
+    for item in items:
+        path = str(folder / item) if isinstance(item, str | Path) else ""
+        matches = (sorted(glob(path, recursive=True)) or glob(escape(path))) if path else [item]
+        if not matches:
+            raise ValueError(f"{str(item)!r} matches no file in {folder.absolute()}.")
+        files += matches
+    return files
+
+
+def _label(key: str, value: Any, place: str) -> str:
+    """Return a short text for a value; files are named by their paths from a place."""
+    if isinstance(value, Mapping):
+        return " ".join(f"{name}={x}" for name, x in value.items()) or "nothing fixed"
+    if isinstance(value, list) and key == "data":
+        words = [_label(key, item, place) for item in value]
+        return "+".join(words) if len(words) < 4 else f"{words[0]}..{words[-1]}"
+    if isinstance(value, str):
+        if key == "data":
+            return str(Path(value).relative_to(place).with_suffix(""))
+        # my.py:Linear goes by the name Linear, and a problem my.py:pitch by my:pitch.
+        name = Path(value).name.replace(".py", "")
+        return name.rpartition(":")[2] if key == "model" else name
+    text = " ".join(map(str, value)) or "nothing" if isinstance(value, list | tuple) else value
+    return getattr(value, "name", "") or getattr(value, "label", "") or f"{key} {text}"

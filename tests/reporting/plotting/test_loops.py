@@ -1,0 +1,102 @@
+"""Figures of loops and of safe gains have the numbers of their answers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import greybox as gb
+from greybox.models.rate import BasicRate
+from greybox.reporting.plotting.loops import gains_figure, loop_figures
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+
+class RateLoop(gb.Controller):
+    """Proportional control of the rate."""
+
+    inputs, outputs = ("p",), ("u",)
+    K_P = gb.Parameter(0.05, bounds=(0, 10))
+
+    def update(self, x, u, p):
+        return (), (p.K_P * (u.reference - u.p),)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    omega = np.geomspace(2, 60, 30)
+    exact = gb.frequency_response(BasicRate(), {}, omega)
+    errors = 1 + 0.03 * np.random.default_rng(0).normal(size=(2, 30)).T @ [1, 1j]
+    data = gb.FrequencyResponse(omega, exact.response * errors, "u", "p")
+    return gb.fit(gb.Problem(BasicRate(), data), starts=2, progress=False)
+
+
+@pytest.mark.parametrize("gain", [1e-6, 0.01])
+def test_a_loop_whose_gain_never_comes_near_one_is_drawn(fit, gain):
+    answer = gb.margins(fit, RateLoop({"K_P": gain * 0.05}))
+    bode, *_ = loop_figures(answer)
+    drawn = bode.panels[0].series
+    (estimate,) = [series for series in drawn if series.name == "estimate"]
+    assert estimate.x.size > 10
+    assert np.all(np.isfinite(estimate.y))
+
+
+def test_the_loop_crosses_where_its_margins_say_within_its_band(fit):
+    answer = gb.margins(fit, RateLoop())
+    bode, nichols, nyquist, step = loop_figures(answer)
+    band, curve, _ = bode.panels[0].series
+    assert np.interp(answer["crossover"].omega, curve.x, curve.y) == pytest.approx(0, abs=0.01)
+    assert np.all((band.low <= curve.y) & (curve.y <= band.high))
+    assert np.interp(answer["crossover"].low, band.x, band.low) == pytest.approx(0, abs=0.1)
+    for figure, critical in ((nichols, (-180, 0)), (nyquist, (-1, 0))):
+        point = figure.panels[0].series[-1]
+        assert (point.x[0], point.y[0]) == critical
+    curve = step.panels[0].series[1]
+    assert curve.y.max() == pytest.approx(1 + answer["overshoot"].value / 100)
+    assert gb.plotting.loop(answer).size == 5
+
+
+def test_measured_points_lie_on_the_loop_in_the_turn_of_the_critical_point(fit):
+    answer = gb.margins(fit, RateLoop())
+    omega = np.geomspace(3, 40, 12)
+    gain = answer.require_loop().broken_at("u", omega)[0]
+    variance = 2e-4 * np.abs(gain) ** 2
+    measured = gb.FrequencyResponse(omega, gain, "u", "u", variance=variance, name="injected")
+    bode, nichols, nyquist, _ = loop_figures(replace(answer, points=(measured,)))
+    for panel in bode.panels:
+        curve, points = (next(s for s in panel.series if s.kind == k) for k in ("line", "points"))
+        np.testing.assert_allclose(np.interp(omega, curve.x, curve.y), points.y, atol=0.02)
+        unit = 20 / np.log(10) if "dB" in panel.label else np.degrees(1)
+        np.testing.assert_allclose(points.high - points.low, 2 * 0.01 * unit, rtol=1e-3)
+    points = next(s for s in nichols.panels[0].series if s.name == "injected")
+    assert np.all((points.x > -360) & (points.x <= 0))
+    points = next(s for s in nyquist.panels[0].series if s.name == "injected")
+    np.testing.assert_allclose(points.x + 1j * points.y, gain)
+    # The region of a complex number with a known variance: twice that has two degrees of freedom.
+    radius = np.sqrt(variance / 2 * stats.chi2.ppf(0.95, 2))
+    np.testing.assert_allclose(points.high - points.y, radius)
+    np.testing.assert_allclose(points.y - points.low, radius)
+
+
+def test_allowed_gains_todays_and_the_proposed_ones_are_drawn(fit):
+    safe = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)})
+    names = [series.name for series in gains_figure(safe).panels[0].series]
+    assert "today" in names
+    assert "proposed" not in names  # the best allowed one amplifies noise
+    assert safe.comparison
+    as_good = replace(safe.comparison, changes=())
+    safe = replace(safe, comparison=as_good)
+    confidence, _, today, best = gains_figure(safe).panels[0].series
+    assert np.array_equal(confidence.y, safe.confidence, equal_nan=True)
+    assert (today.x[0], best.x[0]) == (0.05, safe.best["K_P"])
+    assert gb.plotting.gains(safe).size == 1
+    # A second gain from zero, of which all values are as good.
+    two, today = safe.values | {"K_D": np.linspace(0, 1, 3)}, safe.today | {"K_D": 0.5}
+    both = replace(as_good, gains=safe.best | {"K_D": 0.0})
+    tables = {name: np.stack([getattr(safe, name)] * 3, 1) for name in ("confidence", "bandwidth")}
+    figure = gains_figure(replace(safe, values=two, today=today, comparison=both, **tables))
+    refused, allowed, *marks = figure.panels[0].series
+    assert allowed.x.size == 3 * safe.allowed.sum() == 3 * safe.allowed.size - refused.x.size
+    assert [mark.y[0] for mark in marks] == [0.5, 0.0]
+    assert (figure.is_logarithmic, figure.panels[0].is_logarithmic) == (True, False)
