@@ -78,7 +78,7 @@ class NestedTest(Printed):
         return f"{', '.join(self.terms)} {verdict} ({statistic}, {p_text(self.p_value)}{scale})."
 
 
-def nested_test(small: Fit, large: Fit, at: Values | None = None) -> NestedTest:
+def nested_test(small: Fit, large: Fit, *, at: Values | None = None) -> NestedTest:
     """Test whether the parameters that only `large` has free are needed.
 
     `large` contains `small` if `small` fixes or ties these parameters of the same model; if the
