@@ -58,8 +58,13 @@ class _Namespaces(_MetaPathFinder, _Loader):
         first, _, rest = fullname.removeprefix("greybox.").partition(".")
         if not fullname.startswith("greybox.") or not _is_folder(first):
             return None
-        place = ".".join(filter(None, [_MODULES[first], first, rest]))
-        return None if place == fullname else _ModuleSpec(fullname, self, loader_state=place)
+        place = f"{_MODULES[first]}.{first}"
+        if place == fullname.removesuffix(f".{rest}"):
+            return None
+        # A file within has one name alone: two would be two modules.
+        if rest:
+            raise ModuleNotFoundError(f"{fullname} is {place}.{rest}.", name=fullname)
+        return _ModuleSpec(fullname, self, loader_state=place)
 
     def create_module(self, spec: _ModuleSpec) -> _ModuleType:
         module = _import_module(spec.loader_state)

@@ -94,7 +94,7 @@ def few_draws(monkeypatch):
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
     # By their paths: `greybox.workflows.experiment.margins` is the function.
     modules = ("drawn_loops", "margins", "measured_loop_margins", "safe_gains")
-    for path in (*(f"experiment.{name}" for name in modules), "plotting.loops"):
+    for path in (*(f"workflows.experiment.{name}" for name in modules), "reporting.plotting.loops"):
         module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])

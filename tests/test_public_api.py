@@ -1,6 +1,7 @@
 """The public names are a short explicit list, and each says what it is."""
 
 import dataclasses
+import importlib
 import inspect
 import json
 import subprocess
@@ -104,3 +105,15 @@ def test_a_model_comes_before_its_values_and_these_before_what_it_is_evaluated_a
         arguments = [*inspect.signature(function).parameters]
         if "model" in arguments and "values" in arguments:
             assert arguments[:2] == ["model", "values"], name
+
+
+def test_documented_names_lead_to_folders_wherever_they_stand():
+    import greybox.logs
+    from greybox.spectral import check
+
+    assert check is gb.spectral.check
+    assert greybox.logs is gb.logs
+    assert gb.logs.__spec__.name == gb.logs.__name__ == "greybox.data.logs"
+    with pytest.raises(ModuleNotFoundError, match=r"is greybox\.workflows\.experiment\.margins"):
+        importlib.import_module("greybox.experiment.margins")
+    assert callable(gb.margins)

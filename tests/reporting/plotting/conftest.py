@@ -10,7 +10,7 @@ import greybox as gb
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
 
-DATA = Path(__file__).parents[2] / "problems" / "data"
+DATA = Path(__file__).parents[3] / "problems" / "data"
 
 
 def table(file, prefix, **options):

@@ -321,7 +321,7 @@ if __name__ == "__main__":
 def at_work(tmp_path, folder, *, workers):
     """A process that makes the batch until runs of its own are on disk, and is killed at the end."""
     here, before = Path(__file__).parent, kept(folder)
-    paths = [str(here), str(here.parent / "support")]
+    paths = [str(here), str(here.parents[1] / "support")]
     script = tmp_path / "script.py"
     script.write_text(SCRIPT.format(paths=paths, workers=workers))
     with subprocess.Popen([sys.executable, script, folder]) as process:

@@ -14,7 +14,7 @@ from greybox.data.logs.readers.ardupilot_metadata import unit
 from greybox.data.logs.readers.dataflash import clock_column
 from greybox.data.logs.readers.dataflash_layout import Layout
 
-CUT = Path(__file__).parents[2] / "data" / "sitl_sweep_cut.BIN"
+CUT = Path(__file__).parents[2] / "sitl_sweep_cut.BIN"
 QUICK = settings(
     max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

@@ -14,7 +14,7 @@ from synthetic_logs import samples
 import greybox as gb
 from greybox.data.logs.readers import FORMATS, read
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 def fuzzer():
@@ -83,7 +83,7 @@ def test_no_library_is_loaded_before_it_is_needed():
 
 def test_every_format_has_its_reader():
     for known in FORMATS:
-        assert (ROOT / "greybox" / "logs" / "readers" / f"{known.module}.py").exists()
+        assert (ROOT / "greybox" / "data" / "logs" / "readers" / f"{known.module}.py").exists()
 
 
 @pytest.mark.parametrize(
