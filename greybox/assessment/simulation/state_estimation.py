@@ -135,6 +135,8 @@ def _halved(
     return np.where(worse[:, None], 0.0, step)
 
 
+# Along a motion that diverges, numbers overflow: its errors are not known.
+@np.errstate(over="ignore", invalid="ignore")
 def one_step_errors(
     e: Array, sensitivities: Array, offset: Array, precision: Array, noise: Array
 ) -> Array:
@@ -165,7 +167,7 @@ def one_step_errors(
             gain = np.where(present[:, None], s / total[:, None], 0.0)
             x = x + gain * np.where(present, error, 0.0)[:, None]
             P = P - gain[:, :, None] * s[:, None, :]
-    return result
+    return np.where(np.isfinite(result), result, np.nan)
 
 
 def _linearized(
