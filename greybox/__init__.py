@@ -43,28 +43,26 @@ def _public_names() -> dict[str, str]:
 _MODULES = _public_names()
 
 
-def _is_folder(name: str) -> bool:
-    """Return whether a public name is that of a folder: then its name leads there."""
-    if name not in _MODULES:
-        return False
-    place = _Path(__file__).parents[1].joinpath(*_MODULES[name].split("."), name)
-    return (place / "__init__.py").is_file()
+# The namespaces among them, with the names of their folders.
+_FOLDERS = {
+    name: f"{module}.{name}"
+    for name, module in _MODULES.items()
+    if _Path(__file__).parents[1].joinpath(*module.split("."), name, "__init__.py").is_file()
+}
 
 
 class _Namespaces(_MetaPathFinder, _Loader):
     """Finds ``greybox.spectral`` where the folder stands, ``greybox.spectral``."""
 
     def find_spec(self, fullname: str, path: _Any = None, target: _Any = None) -> _Any:
-        first, _, rest = fullname.removeprefix("greybox.").partition(".")
-        if not fullname.startswith("greybox.") or not _is_folder(first):
-            return None
-        place = f"{_MODULES[first]}.{first}"
-        if place == fullname.removesuffix(f".{rest}"):
+        package, _, inside = fullname.partition(".")
+        name, _, rest = inside.partition(".")
+        if package != __name__ or name not in _FOLDERS or _FOLDERS[name] == f"{package}.{name}":
             return None
         # A file within has one name alone: two would be two modules.
         if rest:
-            raise ModuleNotFoundError(f"{fullname} is {place}.{rest}.", name=fullname)
-        return _ModuleSpec(fullname, self, loader_state=place)
+            raise ModuleNotFoundError(f"{fullname} is {_FOLDERS[name]}.{rest}.", name=fullname)
+        return _ModuleSpec(fullname, self, loader_state=_FOLDERS[name])
 
     def create_module(self, spec: _ModuleSpec) -> _ModuleType:
         module = _import_module(spec.loader_state)
@@ -85,11 +83,10 @@ def __getattr__(name: str) -> object:
     if name not in _MODULES:
         raise AttributeError(f"module 'greybox' has no attribute {name!r}")
 
-    module = _MODULES[name]
-    if _is_folder(name):
-        value = _import_module(f"{module}.{name}")
+    if name in _FOLDERS:
+        value = _import_module(_FOLDERS[name])
     else:
-        value = getattr(_import_module(module), name)
+        value = getattr(_import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
 

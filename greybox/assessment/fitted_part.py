@@ -138,6 +138,11 @@ class FittedPart(ABC):
         """Return measured less fitted values of one of several outputs, (n,)."""
         raise NotImplementedError
 
+    @property
+    def errors(self) -> Any:
+        """The distribution of the errors, as a criterion of records states it; "normal" usually."""
+        return self.settings.get("errors", "normal")
+
     def has_criterion_of(self, other: "FittedPart") -> bool:
         """Return whether both have the same criterion: one class with the same settings."""
         return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)

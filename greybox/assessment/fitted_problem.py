@@ -47,7 +47,7 @@ def compiled_again(
 
 def has_included_criterion(part: FittedPart) -> bool:
     """Return whether the criterion of a part, and the errors that it assumes, are of greybox."""
-    return part.criterion_class in KINDS and part.settings.get("errors", "normal") in ERRORS
+    return part.criterion_class in KINDS and part.errors in ERRORS
 
 
 def problem_of(fit: Fit) -> AnyProblem:
@@ -80,7 +80,7 @@ def problem_of(fit: Fit) -> AnyProblem:
             "constraints": part.constraints,
             f"{', '.join(uncertain)} from an earlier fit": uncertain,
             f"the criterion {part.criterion}": part.criterion_class not in KINDS,
-            "errors of your own": part.settings.get("errors", "normal") not in ERRORS,
+            "errors of your own": part.errors not in ERRORS,
             "a function for an initial state": any(isinstance(v, str) for v in initial.values()),
         }
         for what, present in obstacles.items():

@@ -178,34 +178,6 @@ def test_noise_free_data_and_few_points_have_none():
         assert not any("outlier" in text for text in fit.warnings)
 
 
-@pytest.mark.parametrize(
-    ("criterion", "columns", "said"),
-    [
-        (
-            None,
-            {"variance": np.full(20, 0.1)},
-            "the variances of 'sines' are not used: MaximumLikelihood()",
-        ),
-        (
-            None,
-            {"coherence": np.full(20, 0.9)},
-            "the coherence of 'sines' is not used: MagnitudePhase()",
-        ),
-        (gb.MagnitudePhase(), {"coherence": np.full(20, 0.9), "variance": np.full(20, 0.1)}, ""),
-        (gb.MaximumLikelihood(), {"variance": np.full(20, 0.1)}, ""),
-        (gb.RelativeLikelihood(), {"coherence": np.full(20, 0.9)}, ""),
-        (None, {}, ""),
-    ],
-)
-def test_what_the_criterion_does_not_use_is_mentioned(criterion, columns, said, tmp_path):
-    data = measured(Lag(), OMEGA, TRUTH, noise=0.05, columns=columns, name="sines")
-    fit = gb.fit(gb.Problem(Lag(), data, criterion), starts=[TRUTH])
-    found = [text for text in fit.notes if "not used" in text]
-    assert [text[: len(said)] for text in found] == ([said] if said else [])
-    gb.save(fit, tmp_path / "fit.h5")
-    assert gb.load(tmp_path / "fit.h5").notes == fit.notes
-
-
 def test_a_point_that_a_parameter_of_its_own_fits_is_not_judged():
     random = np.random.default_rng(2)
     residual = 0.1 * (random.normal(size=6) + 1j * random.normal(size=6))

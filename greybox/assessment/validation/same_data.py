@@ -122,7 +122,7 @@ def why_not_comparable(fits: Fits, names: Sequence[str]) -> str:
 
 def _is_robust(fit: Fit) -> bool:
     """Return whether the errors of a record have another distribution than the normal one."""
-    return any(part.settings.get("errors", "normal") != "normal" for part in fit.records)
+    return any(part.errors != "normal" for part in fit.records)
 
 
 def _criteria(fit: Fit) -> str:

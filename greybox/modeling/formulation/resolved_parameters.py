@@ -6,6 +6,7 @@ which the answer has it and a sum shares it.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from typing import Any
 
@@ -63,12 +64,13 @@ class ResolvedParameters:
     fixed_values: FixedValues
     priors: tuple[NormalPrior, ...]
 
-    @property
+    # Asked for every parameter by itself, and the same for as long as the problem lives.
+    @cached_property
     def by_outside_name(self) -> dict[str, Parameter]:
         """The parameters that are not tied, by outside name."""
         return {self.outside[name]: parameter for name, parameter in self.untied.items()}
 
-    @property
+    @cached_property
     def held_estimates(self) -> dict[str, HeldEstimate]:
         """Earlier fits among the fixed values, by outside name."""
         return {
