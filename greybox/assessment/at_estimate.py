@@ -14,6 +14,7 @@ from greybox.data.files.named_values import array_of
 from greybox.data.files.wording import counted
 from greybox.data.record import Record, share_samples
 from greybox.modeling.formulation.restated_parameter import restated
+from greybox.modeling.formulation.signal_bias import bias_name
 from greybox.modeling.formulation.time_criteria import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference
@@ -34,7 +35,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
     if inputs is None:
         inputs = record.inputs if record else "record"
 
-    names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
+    names = [*model.parameters, *map(bias_name, biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = {name: part.outside(name) for name in names}
     estimated = [part.outside(name) for name in (*model.parameters, *added)]
 
@@ -105,12 +106,13 @@ def _own_names(
         if _class_name(record.model) == _class_name(part.model)
         and not share_samples(record.data, part.data)
     ]
+    biases = [bias_name(signal) for signal in part.biases]
     for name, known_as in outside.items():
         elsewhere = [record.outside(name) for record in same_model]
         if name in model.parameters:
             is_own = any(name_there != known_as for name_there in elsewhere)
         else:
-            is_own = name.endswith("_bias") and known_as not in elsewhere
+            is_own = name in biases and known_as not in elsewhere
         if is_own and known_as in fit.free:
             yield name
 

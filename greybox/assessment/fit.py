@@ -23,7 +23,8 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.wording import counted
 from greybox.engine.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.engine.compiled.transcription.method import Transcription
-from greybox.engine.solve.executors import one_blas_thread, require_executor
+from greybox.engine.solve.blas_threads import one_blas_thread
+from greybox.engine.solve.executors import require_executor
 from greybox.engine.solve.interruption import (
     Interrupted,
     Response,

@@ -18,6 +18,7 @@ from greybox.data.record import NOT_STORED, Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.modeling.formulation.prior import Prior
+from greybox.modeling.formulation.signal_bias import bias_name
 from greybox.modeling.formulation.time_criteria import Inputs, described_inputs
 from greybox.statistics.metrics import fit_percent
 
@@ -307,7 +308,7 @@ class FittedRecord(FittedPart):
         noise = [f"K_{state}_{output}" for state, output in self.gains]
         if self.driven:
             noise = [*(f"w_{state}" for state in self.driven), *self.sensor_noise]
-        return (*(f"{name}_bias" for name in self.biases), *noise)
+        return (*map(bias_name, self.biases), *noise)
 
     @property
     def sensor_noise(self) -> tuple[str, ...]:

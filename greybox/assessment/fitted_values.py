@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import partial, singledispatch
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from greybox.modeling.model_reference import reference, source_text
 from greybox.modeling.traced_once import traced_once
 
 
+@singledispatch
 def fitted_part(
     part: Part, trajectory: Trajectory | None, x: Array, values: Values
 ) -> FittedResponse | FittedRecord | FittedSpectrum:
@@ -40,15 +41,14 @@ def fitted_part(
     values : mapping of name to float
         The values of the model's parameters by its own names.
     """
-    if isinstance(part, ResponsePart):
-        return _fitted_response(part, x, values)
-    if isinstance(part, RecordPart):
-        return _fitted_record(part, trajectory)
-    assert isinstance(part, TransientPart)
-    return _fitted_spectrum(part, trajectory)
+    raise TypeError(f"{type(part).__name__} has no fitted part: register one here.")
 
 
-def _fitted_response(part: ResponsePart, x: Array, values: Values) -> FittedResponse:
+@fitted_part.register
+def fitted_response(
+    part: ResponsePart, trajectory: Trajectory | None, x: Array, values: Values
+) -> FittedResponse:
+    """Return a response with the fitted one."""
     problem = part.problem
     response = part.response(x)
     fitted = FittedResponse(
@@ -119,7 +119,11 @@ def _rounded(values: Array, digits: int) -> Array:
     return np.rint(values * unit) / unit
 
 
-def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRecord:
+@fitted_part.register
+def fitted_record(
+    part: RecordPart, trajectory: Trajectory | None, x: Array, values: Values
+) -> FittedRecord:
+    """Return a record with the fitted outputs, states and noise."""
     model = part.model
     data = model.record
     used = [*part.system.inputs, *part.outputs]
@@ -199,7 +203,11 @@ def _simulated(part: RecordPart, trajectory: Trajectory | None) -> Mapping[str, 
     return signals
 
 
-def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> FittedSpectrum:
+@fitted_part.register
+def fitted_spectrum(
+    part: TransientPart, trajectory: Trajectory | None, x: Array, values: Values
+) -> FittedSpectrum:
+    """Return a spectrum with the fitted outputs and ends."""
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)
     fitted = np.full((count, len(part.data)), np.nan, complex)

@@ -17,8 +17,8 @@ from greybox.data.files.named_values import attributes
 from greybox.data.files.safe_files import require_file
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, some
-from greybox.engine.solve.executors import ExecutorLostError
 from greybox.engine.solve.interruption import Interrupted
+from greybox.engine.solve.lost_workers import ExecutorLostError
 from greybox.workflows.study.batch import Member, batch
 from greybox.workflows.study.damage import require_own
 from greybox.workflows.study.database import DATABASE, is_study

@@ -13,7 +13,6 @@ from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_ans
 from greybox.cli.terminal import write
 from greybox.data.files.error_place import error_place
 from greybox.data.files.escapes import sentence
-from greybox.engine.solve.executors import ExecutorLostError
 from greybox.engine.solve.interruption import (
     Response,
     ended_status,
@@ -21,6 +20,7 @@ from greybox.engine.solve.interruption import (
     responding,
     take_interrupt,
 )
+from greybox.engine.solve.lost_workers import ExecutorLostError
 
 
 def execute(options: argparse.Namespace) -> int:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from greybox.cli.options import UsageError
 from greybox.data.files.optional_package import required
-from greybox.engine.solve.executors import WorkerPool
+from greybox.engine.solve.worker_pool import WorkerPool
 
 CONNECTING = 10  # s, until a scheduler that does not answer is given up
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from greybox.data.files.argument_checks import checked_items
 from greybox.data.files.arrays import Interval
+from greybox.data.files.normalization import normalize
 from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import one_line
 from greybox.data.files.text_table import text_table
@@ -66,7 +67,7 @@ class Segment:
                 f"the kind of a segment is {self.kind!r}: it must be one of {', '.join(KINDS)}."
             )
         if self.kind == "sine" and math.isnan(self.band[0]):
-            vars(self)["band"] = (self.omega, self.omega)
+            normalize(self, band=(self.omega, self.omega))
 
     @property
     def duration(self) -> float:

@@ -13,6 +13,7 @@ from greybox.data.files.arrays import AnyArray, Array, BoolArray, ComplexArray, 
 from greybox.data.files.control_characters import printable, write_out
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import attributes
+from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import Printed
 from greybox.data.files.wording import counted
 from greybox.data.intersample import HOLD, MULTIPLIED, NO_HOLD, response_of_hold
@@ -42,7 +43,7 @@ class Stretch:
                 "earlier one first."
             )
         checksum = printable(str(self.checksum))
-        vars(self).update(checksum=checksum, start=float(self.start), end=float(self.end))
+        normalize(self, checksum=checksum, start=float(self.start), end=float(self.end))
 
 
 @frozen
@@ -116,7 +117,7 @@ class FrequencyResponse(Printed):
         self._check_columns()
         # The variance includes them, so it is checked first.
         errors = self._checked_errors()
-        vars(self).update(common_errors=errors, stretches=tuple(self.stretches))
+        normalize(self, common_errors=errors, stretches=tuple(self.stretches))
 
     def _check_columns(self) -> None:
         for name in COLUMNS:
@@ -125,7 +126,7 @@ class FrequencyResponse(Printed):
             kind = complex if name == "response" else float
             convert = finite_array if name in COLUMNS[:2] else checked_array
             values = convert(name, getattr(self, name), kind)
-            vars(self)[name] = values
+            normalize(self, **{name: values})
             require_size(name, values, "omega", self.omega.size)
             if name not in COLUMNS[:2]:
                 high = 1.0 if name == "coherence" else np.finfo(float).max

@@ -24,6 +24,7 @@ from greybox.data.files.control_characters import all_printable, write_out
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import Values, array_of, attributes, selected
+from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import Printed, one_line
 from greybox.data.files.spelling import alternatives, nearest
 from greybox.data.files.wording import counted, some
@@ -108,11 +109,11 @@ class Record(Printed):
             if not hasattr(given, "items"):
                 raise TypeError(f"{what} is {given!r:.60}: give {{name: values}}.")
             # The columns of a data frame may be numbered.
-            vars(self)[what] = {all_printable(str(name)): x for name, x in given.items()}
+            normalize(self, **{what: {all_printable(str(name)): x for name, x in given.items()}})
         require_gaps(self.gaps)
         if self.time is None:
             rows = next(map(np.size, self.signals.values()), 0)
-            vars(self).update(time=np.arange(rows, dtype=float), has_time=False)
+            normalize(self, time=np.arange(rows, dtype=float), has_time=False)
         time = _read_only(seconds_from_first(self.time), "time")
         if time.size == 0:
             raise ValueError("the record is empty: give at least one sample.")
@@ -153,9 +154,7 @@ class Record(Printed):
             time, *chain.from_iterable(signals.items()), *stated
         )
         findings = (*self.findings, *lost)
-        vars(self).update(
-            time=time, signals=signals, hold=hold, checksum=checksum, findings=findings
-        )
+        normalize(self, time=time, signals=signals, hold=hold, checksum=checksum, findings=findings)
         write_out(self, "name", "source", "units", "findings")
 
     def __len__(self) -> int:
@@ -170,7 +169,7 @@ class Record(Printed):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields alone: the key of a stored study must not depend on what was asked."""
-        return {each.name: vars(self)[each.name] for each in fields(self)}
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def clock(self) -> Clock:

@@ -13,6 +13,7 @@ from greybox.data.files.argument_checks import as_names
 from greybox.data.files.arrays import Array, ComplexArray
 from greybox.data.files.control_characters import printable, write_out
 from greybox.data.files.frozen_values import frozen
+from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import one_line
 from greybox.data.frequency_response import Stretch
 
@@ -69,7 +70,7 @@ class TransientSpectrum:
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
         write_out(self, "name", "source", "units")
-        vars(self)["held"] = as_names(self.held)
+        normalize(self, held=as_names(self.held))
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
                 f"duration is {self.duration!r} s and step {self.step!r} s: give finite numbers, "
@@ -86,7 +87,7 @@ class TransientSpectrum:
                 "over the duration: use gb.spectral.transient_spectrum(record, ...)."
             )
 
-        vars(self)["omega"] = omega
+        normalize(self, omega=omega)
         for kind in ("inputs", "outputs"):
             signals = getattr(self, kind)
             if not signals:
@@ -94,7 +95,7 @@ class TransientSpectrum:
             arrays = {printable(n): finite_array(n, x, complex) for n, x in signals.items()}
             for name, values in arrays.items():
                 require_size(name, values, "omega", omega.size)
-            vars(self)[kind] = arrays
+            normalize(self, **{kind: arrays})
         changes = {}
         for name, rows in self.input_changes.items():
             if np.ndim(rows) != 2 or len(rows) != 2:
@@ -104,7 +105,7 @@ class TransientSpectrum:
                 )
             numbers = finite_array("input_changes", np.ravel(rows))
             changes[printable(name)] = numbers.reshape(2, -1)
-        vars(self)["input_changes"] = changes
+        normalize(self, input_changes=changes)
 
     def __len__(self) -> int:
         return self.omega.size

@@ -522,7 +522,7 @@ def test_nothing_in_greybox_pickles_or_evaluates_text():
     # What goes to the workers of the user's own executor is pickled, and goes to nobody else; the
     # keys of values are hashes of what nobody reads back.
     pickling = {
-        folder / "engine" / "solve" / "executors.py",
+        folder / "engine" / "solve" / "worker_payload.py",
         folder / "modeling" / "fingerprint.py",
     }
     for file in {*folder.glob("**/*.py")} - pickling:

@@ -360,7 +360,7 @@ def test_refusals(clean, spectrum):
         gb.Problem(Lateral(), spectrum)
     with pytest.raises(
         TypeError,
-        match=r"give a criterion such as OutputError\(\), for a record or a TransientSpectrum",
+        match=r"give a criterion such as OutputError\(\), for a TransientSpectrum",
     ):
         gb.Problem(ShortPeriod(), spectrum, gb.RelativeError())
     with pytest.raises(ValueError, match="PredictionError is for records"):

@@ -14,7 +14,7 @@ from unittest.mock import Mock
 import pytest
 
 from greybox.cli.main import main
-from greybox.engine.solve.executors import ExecutorLostError
+from greybox.engine.solve.lost_workers import ExecutorLostError
 from greybox.workflows.study.stored_runs import StoredRuns
 from greybox.workflows.study.study_lock import locked
 

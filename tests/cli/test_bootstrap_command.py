@@ -7,7 +7,7 @@ import pytest
 from command_line import refused, run
 
 import greybox.cli.bootstrap_command as command
-from greybox.engine.solve.executors import ExecutorLostError
+from greybox.engine.solve.lost_workers import ExecutorLostError
 
 
 @pytest.mark.parametrize(("failed", "status"), [(3, 0), (4, 1)])

@@ -16,8 +16,8 @@ from command_line import OWN, QUICK, RECORD, refused, run
 
 import greybox as gb
 from greybox.cli.fit_command import _stated_fit
-from greybox.engine.solve.executors import ExecutorLostError
 from greybox.engine.solve.interruption import Interrupted
+from greybox.engine.solve.lost_workers import ExecutorLostError
 from greybox.problems import pitch_hover
 from greybox.workflows.study.catalog import find_problem
 from greybox.workflows.study.members import read_members

@@ -6,7 +6,7 @@ import pytest
 
 from greybox.cli.options import UsageError
 from greybox.cli.workers import stated_executor
-from greybox.engine.solve.executors import WorkerPool
+from greybox.engine.solve.worker_pool import WorkerPool
 
 
 @pytest.mark.parametrize("workers", [None, 1])

@@ -11,6 +11,7 @@ from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, places_of, selected
 from greybox.data.record import Record, require_time
+from greybox.modeling.formulation.signal_bias import bias_name
 from greybox.modeling.formulation.time_criteria import (
     Inputs,
     OutputError,
@@ -157,9 +158,9 @@ def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
     system = dynamics(model)
     # A parameter of the model may itself be called `<signal>_bias`.
     extra = given.keys() - model.parameters.keys()
-    biases = tuple(n for n in (*model.output_names, *model.input_names) if f"{n}_bias" in extra)
+    biases = tuple(n for n in (*model.output_names, *model.input_names) if bias_name(n) in extra)
     gains = tuple((s, o) for s in system.states for o in system.outputs if f"K_{s}_{o}" in extra)
-    added = [f"{n}_bias" for n in biases] + [f"K_{s}_{o}" for s, o in gains]
+    added = [*map(bias_name, biases)] + [f"K_{s}_{o}" for s, o in gains]
     require_known(given, (*model.parameters, *added), "parameter", model.label)
     for name, value in given.items():
         # A result of numpy may be an array without dimensions.

@@ -26,7 +26,7 @@ from greybox.data.files.named_values import places_of, selected, without
 from greybox.data.files.numbers_in_text import with_error
 from greybox.data.files.wording import counted, listed
 from greybox.engine.compiled.sampled_data import gapless
-from greybox.modeling.formulation.time_criteria import bias_parameter
+from greybox.modeling.formulation.signal_bias import bias_name, bias_parameter
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters, lower_and_upper
@@ -56,9 +56,10 @@ def with_own_values(
     biased = _with_biases(model, own)
     parameters = selected(biased.declared, own)
     record = windows.record
-    for name in own:
-        signal = name.removesuffix("_bias")
-        if name not in parameters and np.isfinite(record.signals.get(signal, np.nan)).any():
+    for signal in biased.criterion.biases:
+        name = bias_name(signal)
+        is_asked = name in own and name not in parameters
+        if is_asked and np.isfinite(record.signals.get(signal, np.nan)).any():
             parameters[name] = bias_parameter(signal, record)
     simulator = Simulator(biased, windows.outputs, integrator)
 
@@ -187,10 +188,10 @@ def _determined(
 
 def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
     """Return the model with a bias of zero for every signal in `own` that has none yet."""
-    possible = {f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs)}
-    new = [name for name in unique(own) if name in possible and name not in model.names]
+    signals = {bias_name(name): name for name in (*model.system.outputs, *model.system.inputs)}
+    new = [name for name in unique(own) if name in signals and name not in model.names]
     require_known(own, (*model.names, *new), "parameter", model.label)
-    biases = (*model.criterion.biases, *(name.removesuffix("_bias") for name in new))
+    biases = (*model.criterion.biases, *(signals[name] for name in new))
     covariance = model.covariance
 
     # The fit had no such bias, hence no error of it: only the record estimates it.

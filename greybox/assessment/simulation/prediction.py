@@ -26,6 +26,7 @@ from greybox.engine.compiled.sampled_data import SampledData, Stretch, gapless
 from greybox.statistics.metrics import fit_percent, rms
 
 AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of the error is reported
+ROUNDING = 1e-6  # of a sample, by which a length may be shorter: times are rounded
 
 
 def samples_ahead(share: float, samples: int) -> int:
@@ -238,7 +239,6 @@ class Prediction(Printed):
 
 # Samples of a default length: two or more for each state of the models here, which have 2 to 5.
 FEWEST = 10
-ROUNDING = 1e-6  # of a sample, by which a length may be shorter: times are rounded
 
 
 @frozen

@@ -3,6 +3,8 @@
 import unicodedata
 from typing import Any
 
+from greybox.data.files.normalization import normalize
+
 # Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
 # follows), halves of characters (no terminal takes them), line and paragraph separators.
 CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -37,4 +39,4 @@ def all_printable(thing: Any) -> Any:
 def write_out(target: Any, *names: str) -> None:
     """Write out control characters in these attributes of a new object, at any depth."""
     for name in names:
-        vars(target)[name] = all_printable(getattr(target, name))
+        normalize(target, **{name: all_printable(getattr(target, name))})

@@ -18,6 +18,7 @@ from greybox.engine.compiled.transcription.method import Transcription
 from greybox.engine.compiled.vectorized import Columns
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.formulation.problem import Problem
+from greybox.modeling.formulation.signal_bias import bias_name
 from greybox.modeling.formulation.time_criteria import TimeCriterion, between_samples
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.pade_delay import delay_order
@@ -224,7 +225,7 @@ def _shared_functions(
     ]
     if system.undelayed:
         # In addition to the rest at the first inputs, which differs between stretches.
-        bias = [-local[f"{i}_bias"] if i in criterion.biases else 0 for i in system.inputs]
+        bias = [-local[bias_name(i)] if i in criterion.biases else 0 for i in system.inputs]
         states[len(system.undelayed.states) :] = ca.vertsplit(system.delay_rest(ca.vertcat(*bias)))
 
     known = ca.Function("known", [symbol], [as_column(states)])

@@ -16,6 +16,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.engine.compiled.sampled_data import input_over_step
 from greybox.engine.compiled.vectorized import Columns
 from greybox.modeling.cached_property import cached_property
+from greybox.modeling.formulation.signal_bias import bias_name
 from greybox.modeling.integrators import Integrator, repeated, substep_function
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
@@ -161,7 +162,7 @@ def _measurement(
     whole, window = ca.SX.sym("whole", m), ca.SX.sym("window", 3 * m)
     measured, present, step = ca.SX.sym("y", k), ca.SX.sym("present", k), ca.SX.sym("step")
     p = q[: len(system.parameters)]
-    bias = {name: q[names.index(f"{name}_bias")] for name in biases}
+    bias = {name: q[names.index(bias_name(name))] for name in biases}
 
     of_inputs, of_outputs = (
         as_column(bias.get(name, 0) for name in names) for names in (system.inputs, system.outputs)

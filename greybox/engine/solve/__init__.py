@@ -24,11 +24,13 @@ Begin with `search`.
 | `runs`, `minima` | the results of runs; distinct minima |
 | `run_storage` | storage for runs as they finish |
 | `other_minima` | minima beside one that all runs reach |
-| `executors` | runs in other processes, with one thread for matrix products |
+| `executors` | runs in this process, or in those of an executor |
+| `worker_pool`, `worker_task`, `worker_payload` | processes here, what each does and receives |
+| `lost_workers`, `blas_threads` | errors of lost workers; one thread for matrix products |
 | `interruption` | Ctrl-C, and how long a search may take |
 | `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
 | `cost` | the cost at given parameters |
 """
 
-from greybox.engine.solve.executors import WorkerPool as WorkerPool
+from greybox.engine.solve.worker_pool import WorkerPool as WorkerPool
 from greybox.modeling.formulation.starts import Listed as Listed, Sobol as Sobol, Starts as Starts

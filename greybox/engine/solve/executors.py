@@ -10,54 +10,38 @@ Dask's workers have ``MALLOC_TRIM_THRESHOLD_`` in their environment, which makes
 take twice as long: memory is released and requested again and again. Start them with it and
 ``MALLOC_MMAP_THRESHOLD_`` at 2000000000, one thread each: ``dask worker ADDRESS --nworkers 2
 --nthreads 1``.
-
-Worker processes on this machine, which are replaced when they are killed.
-
-Matrix products on one thread: several threads wait for each other and gain nothing here.
-
-With two threads, a record of 6000 samples takes twice the processor time on an idle machine, and
-six times beside another program, and is not ready sooner.
 """
 
 import math
 import os
-import pickle
-import signal
-import sys
-import threading
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import (
     BrokenExecutor,
     CancelledError,
     Executor,
     Future,
-    ThreadPoolExecutor,
     wait,
 )
-from contextlib import contextmanager, suppress
-from functools import cache, partial
 from itertools import islice, starmap
 from typing import Any
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
-from greybox.data.files.argument_checks import require_whole
 from greybox.data.files.arrays import Array
 from greybox.engine.solve.interruption import (
-    ENDING,
     interrupt_noted,
-    limited,
     search_end,
     stop_requested,
 )
 from greybox.engine.solve.local_solver import Runner
+from greybox.engine.solve.lost_workers import ExecutorLostError, WorkerLostError
 from greybox.engine.solve.run_storage import Memory
 from greybox.engine.solve.runs import CUT_SHORT, WORKER_LOST, Outcome, Outcomes, has_raised
+from greybox.engine.solve.worker_payload import pickled
+from greybox.engine.solve.worker_task import run_starts
 from greybox.modeling.fingerprint import value_fingerprint
-from greybox.modeling.one_thread import Stored
 
 Batch = list[tuple[int, Array]]
 Made = Iterator[tuple[int, Array, Outcome]]
@@ -71,12 +55,6 @@ TASK_SECONDS = 0.3
 MOST_BYTES = 1 << 28
 
 LOST = "the executor gave up its tasks: its workers or its scheduler are gone."
-
-# The C library of Linux keeps freed memory up to twice the size of the largest array that was
-# freed so far, if that has at most 32 MiB, and returns the rest to the system. To ask for it again
-# at each evaluation makes one of 15 starts of 30 responses 1.5 to 2 times as long, and a fit of
-# 6000 samples 6 % longer. So an array of that size is freed first, which nothing fills.
-np.empty(4_000_000)
 
 
 def run_all(
@@ -145,16 +123,6 @@ def require_executor(executor: Any) -> None:
         )
 
 
-def pickled(value: Any) -> bytes:
-    """Return a value for a worker; empty if it cannot travel."""
-    with suppress(Exception):
-        return pickle.dumps(value)
-    return b""
-
-
-unpickled = pickle.loads
-
-
 def _batches(numbered: Iterable[tuple[int, Array]], first: int, size: int) -> Iterator[Batch]:
     iterator = iter(numbered)
     while batch := list(islice(iterator, first)):
@@ -212,7 +180,7 @@ def _on_workers(
     tasks: Iterator[tuple[Batch, Outcomes | None]],
 ) -> Made:
     """Yield the runs of all tasks in order; some tasks at a time are handed out."""
-    payload = pickle.dumps(solver)
+    payload = pickled(solver)
     # The scheduler holds all tasks that are handed out.
     most = min(max(MOST_BYTES // len(payload), 2), 128)
     waiting: deque[tuple[Batch, Future[Outcomes]]] = deque()
@@ -323,150 +291,3 @@ def _result(future: Future[Outcomes]) -> Outcomes | None:
             f"a task of the executor failed, {type(error).__name__}: {message}. "
             f"Start its workers again, {cure}."
         ) from error
-
-
-# --- on the worker
-
-
-# A solver takes longer to build than many of its runs. Four serve the members of a study in turn.
-_solvers = Stored(4)
-
-
-def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> Outcomes:
-    """Run the pickled solver `payload` from every row of `starts` (r, p).
-
-    `coordinator` is the process that decides about Ctrl-C, `end` the time of day at which its
-    search ends.
-    """
-    if os.getpid() != coordinator and threading.current_thread() is threading.main_thread():
-        # A terminal sends Ctrl-C to the workers as well.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with limited(end), one_blas_thread():
-        solver = _solvers.result(payload, partial(unpickled, payload))
-        size = solver.together
-        batches = (starts[k : k + size] for k in range(0, len(starts), size))
-        return [outcome for batch in batches for outcome in solver.outcomes(batch)]
-
-
-class WorkerLostError(RuntimeError):
-    """The worker of a task was killed each time that the task was tried."""
-
-
-class ExecutorLostError(RuntimeError):
-    """An executor has lost its workers, or they cannot do its tasks."""
-
-
-class WorkerPool(Executor):
-    """Worker processes on this machine as an executor for `fit`; killed ones are replaced.
-
-    ``with gb.solve.WorkerPool(4) as workers: gb.fit(problem, executor=workers)``. In a script, put
-    these lines under ``if __name__ == "__main__":``, since the workers import the script.
-
-    Parameters
-    ----------
-    workers : int, optional
-        By default as many as the machine has processors.
-
-    Raises
-    ------
-    ValueError
-        For less than one worker.
-    """
-
-    def __init__(self, workers: int | None = None) -> None:
-        workers = workers if workers is not None else os.cpu_count() or 1
-        require_whole("workers", workers, 1)
-        import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
-
-        # A worker that imports an unguarded script gets here. It ends without a traceback, and
-        # `ExecutorLostError` says what to change.
-        if getattr(multiprocessing.current_process(), "_inheriting", False):
-            raise SystemExit(1)
-        self.num_workers = workers
-        # A thread for each worker, which waits for it: a worker that is killed is then the loss of
-        # one task alone.
-        self._threads = ThreadPoolExecutor(workers)
-        self._processes: dict[int, Executor] = {}  # by thread
-        self._has_worked = False
-
-    def __repr__(self) -> str:
-        return f"WorkerPool({self.num_workers})"
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Queue a call for the next worker that is free.
-
-        Raises
-        ------
-        RuntimeError
-            After `shutdown`.
-        """
-        return self._threads.submit(self._call, fn, args, kwargs)
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes, after the calls that were submitted."""
-        self._threads.shutdown(wait, cancel_futures=cancel_futures)
-        for process in self._processes.values():
-            process.shutdown(wait)
-
-    def _call(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]
-    ) -> Any:
-        """Call a function in the process of this thread, or in the next one if that is killed."""
-        thread = threading.get_ident()
-        # Twice, since another program may have used up the memory when the worker ended.
-        for _ in range(2):
-            if thread not in self._processes:
-                self._processes[thread] = _new_process()
-            with suppress(BrokenExecutor):  # the process was killed between two calls
-                call = self._processes[thread].submit(function, *arguments, **options)
-                if not isinstance(call.exception(), BrokenExecutor):
-                    self._has_worked = True
-                    return call.result()
-            del self._processes[thread]
-
-        if self._has_worked:
-            raise WorkerLostError("the worker was killed.")
-        raise ExecutorLostError(
-            "no worker process could begin: in a script, put what it runs under "
-            "if __name__ == '__main__':, since the workers import the script."
-        )
-
-
-def _new_process() -> Executor:
-    import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
-    from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415  (as above)
-
-    # Python's helper outlives a program that is killed, and would print a line about semaphores.
-    sys.warnoptions.append("ignore:resource_tracker")
-    # Forked processes would share the locks of threads that they do not have.
-    return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare_worker)
-
-
-def _prepare_worker() -> None:
-    """Leave Ctrl-C and SIGTERM, which may go to all processes, to the parent, and end with it."""
-    for number in ENDING:
-        signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """Wait for the end of the parent: one that is killed cannot tell its workers."""
-    import multiprocessing  # noqa: PLC0415  (as above)
-
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-_libraries = cache(ThreadpoolController)  # finding them takes 5 ms
-
-
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Leave matrix products to one thread until the end."""
-    # It brings a library of its own, which a fit loads anyway: later, it would keep its threads.
-    import scipy.linalg  # noqa: F401, PLC0415
-
-    with _libraries().limit(limits=1, user_api="blas"):
-        yield

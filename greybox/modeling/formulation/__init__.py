@@ -6,6 +6,8 @@ Begin with `problem`.
 | --- | --- |
 | `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
 | `several`, `several_responses` | one model for several records, or the responses of many pairs |
+| `data_kind`, `data_kinds` | what a problem asks of its data, and the kinds that answer |
+| `response_kind`, `record_kind`, `spectrum_kind` | the kinds of data, one each |
 | `unsupported_data` | what a problem cannot take as data, and the cure |
 | `resolved_parameters` | what of the parameters is free, fixed, tied and renamed |
 | `restated_parameter` | a parameter with other bounds or starts |
@@ -15,6 +17,7 @@ Begin with `problem`.
 | `frequency_criteria` | the criteria for frequency responses |
 | `time_criteria`, `spectrum_criteria` | the criteria for records and for spectra of manoeuvres |
 | `included_criteria` | the list of them |
+| `signal_bias` | the constant error of a measured signal, as a parameter |
 | `relative_score` | bias and spread of relative criteria by noise |
 | `prior`, `prior_part` | a-priori knowledge, and a sum with it |
 | `held_estimate` | an earlier fit whose values a problem holds fixed |

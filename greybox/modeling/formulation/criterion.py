@@ -63,6 +63,11 @@ class AnyCriterion(ABC):
         """The rule in words, with its options."""
         return self.rule or self.name
 
+    @property
+    def bias_names(self) -> tuple[str, ...]:
+        """Names of the added parameters that are constant errors of one record's signals."""
+        return ()
+
     def condition_on(self, data: Any) -> str:
         """Return the condition for these data."""
         return self.condition

@@ -19,7 +19,9 @@ from greybox.data.intersample import MULTIPLIED
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.formula_arguments import Names
-from greybox.modeling.formulation.frequency_criteria import Criterion, RelativeError
+from greybox.modeling.formulation.data_kind import DataKind
+from greybox.modeling.formulation.data_kinds import kind_of
+from greybox.modeling.formulation.frequency_criteria import Criterion
 from greybox.modeling.formulation.held_estimate import HeldEstimate
 from greybox.modeling.formulation.parameter_formulas import (
     evaluated,
@@ -33,11 +35,8 @@ from greybox.modeling.formulation.resolved_parameters import (
     StatedParameters,
     resolved_parameters,
 )
-from greybox.modeling.formulation.signal_units import check_response_units, check_units
-from greybox.modeling.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.modeling.formulation.sum import Addable
-from greybox.modeling.formulation.time_criteria import OutputError, TimeCriterion
-from greybox.modeling.formulation.unsupported_data import described
+from greybox.modeling.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import Model, ParameterFormula, require_operating_point
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, Parameters
@@ -138,9 +137,7 @@ class Problem(Addable):
         is_class = isinstance(self.model, type)
         cure = "an instance such as Tilt(), not the class" if is_class else "a model, then the data"
         require_kind("model", self.model, Model, cure)
-        if not isinstance(self.data, FrequencyResponse | Record | TransientSpectrum):
-            raise TypeError(f"data is {described(self.data)}.")
-
+        kind_of(self.data)  # refuses what is no data
         self._fill_in_defaults()
         if not is_finite_number(self.weight) or self.weight <= 0:
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
@@ -155,49 +152,28 @@ class Problem(Addable):
 
     def _fill_in_defaults(self) -> None:
         """Choose criterion and name, and give data, model and names their final form."""
-        data: Any = self.data
-        if isinstance(data, FrequencyResponse):
-            usual, kind, place = RelativeError(), Criterion, "a frequency response"
-        else:
-            usual, kind, place = OutputError(), TimeCriterion, "a record or a TransientSpectrum"
-        criterion: Any = usual if self.criterion is None else self.criterion
-        cure = f"a criterion such as {type(usual).__name__}(), for {place}"
-        require_kind("criterion", criterion, kind, cure)
+        kind = self.kind
+        usual = kind.criteria[0]
+        criterion = usual if self.criterion is None else self.criterion
+        cure = f"a criterion such as {type(usual).__name__}(), for {kind.noun}"
+        require_kind("criterion", criterion, kind.criterion_class, cure)
 
         normalize(
             self,
             criterion=criterion,
             has_default_criterion=self.criterion is None,
             free=as_names(self.free),
-            name=self.name or self._default_name(),
+            name=self.name or kind.label(self.model, self.data),
         )
-        if isinstance(data, Record):
-            normalize(self, model=criterion.disturbed(self.model, data))
-        if isinstance(data, FrequencyResponse):
-            # In records and spectra of manoeuvres too, a hold is not a part of the model.
-            normalize(self, data=data.without_hold())
-
-    def _default_name(self) -> str:
-        """Return the name of the data, the pair of a response of several, or that of the model."""
-        model, data = self.model, self.data
-        has_several = len(model.input_names) * len(model.output_names) > 1
-        pair = data.pair if has_several and isinstance(data, FrequencyResponse) else ""
-        return data.name or pair or model.label
+        normalize(
+            self,
+            model=kind.compared_model(self.model, self.data, criterion),
+            data=kind.compared_data(self.data),
+        )
 
     def _added_by_criterion(self) -> Parameters:
         """Check model, data and criterion; return the parameters that the criterion adds."""
-        criterion: Any = self.criterion  # of the kind of the data
-        if isinstance(self.data, FrequencyResponse):
-            criterion.check(self.data)
-            check_response_units(self.model, self.data)
-            return {}
-
-        if isinstance(self.data, TransientSpectrum):
-            outputs_in_spectrum(criterion, self.model, self.data)
-            added = criterion.color(self.data) if isinstance(criterion, EquationError) else {}
-        else:
-            added = criterion.parameters(self.model, self.data)
-        check_units(self.model, self.data)
+        added = self.kind.added_parameters(self.model, self.data, self.criterion)
         for name in added:
             if name in self.model.parameters:
                 raise ValueError(
@@ -220,10 +196,11 @@ class Problem(Addable):
         )
 
     def _check_operating_point(self) -> None:
-        if isinstance(self.data, Record) and self.at:
+        if self.at and not self.kind.has_operating_point:
             raise ValueError(
-                f"at={dict(self.at)} is the operating point of a frequency response and this is a "
-                "record: leave it out; known initial states go into OutputError(initial=...)."
+                f"at={dict(self.at)} is the operating point of a frequency response and this is "
+                f"{self.kind.noun}: leave it out; known initial states go into "
+                "OutputError(initial=...)."
             )
         require_operating_point(self.model, self.at)
 
@@ -249,6 +226,11 @@ class Problem(Addable):
                 "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
                 "where variances are known."
             )
+
+    @property
+    def kind(self) -> DataKind:
+        """The kind of the data."""
+        return kind_of(self.data)
 
     @property
     def declared(self) -> Parameters:

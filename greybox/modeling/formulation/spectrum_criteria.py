@@ -50,7 +50,7 @@ class EquationError(TimeCriterion):
                 "EquationError estimates the size of the errors of the equation: leave out noise."
             )
 
-    def color(self, spectrum: TransientSpectrum) -> dict[str, Parameter]:
+    def spectrum_parameters(self, spectrum: TransientSpectrum) -> dict[str, Parameter]:
         """Return the time constant of gusts, between a sample and the manoeuvre."""
         ends = spectrum.step, spectrum.duration
         return {"T_gust": gust_time(ends, "equation")} if self.gusts else {}

@@ -13,9 +13,8 @@ from greybox.data.files.grouping import unique
 from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import one_line, preformatted
 from greybox.data.files.wording import counted, numbered_where_alike
-from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record
-from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.formulation.frequency_criteria import RelativeLikelihood
 from greybox.modeling.formulation.held_estimate import HeldEstimate
 from greybox.modeling.merged_parameters import merged_parameters
@@ -161,10 +160,8 @@ def _require_data_once(problem: Sum[Any]) -> None:
         With the stretch.
     """
     records = problem.parts_with(Record)
-    for part in problem.parts_with(FrequencyResponse | TransientSpectrum):
-        data = part.data
-        stretches = data.stretches if isinstance(data, FrequencyResponse) else [data.stretch]
-        for stretch in filter(None, stretches):
+    for part in problem.parts:
+        for stretch in part.kind.source_stretches(part.data):
             for record in records:
                 if _holds(record.data, stretch):
                     raise ValueError(
@@ -225,31 +222,21 @@ def numbered_parts(parts: Sequence[Any]) -> Iterator[Any]:
     of one record share its biases. A bias is not numbered, so that records can share it, if a
     part renames it (also to its own name) or fixes it at an earlier fit, which has that name.
     """
-    distinct: dict[Any, int] = {}
-    records = [
-        # Two stretches of one log have the same checksum, but not the same times.
-        distinct.setdefault((data.checksum, len(data), *data.span), len(distinct) + 1)
-        if isinstance(data, Record)
-        else 0
-        for data in (part.data for part in parts)
-    ]
+    numbers = _record_numbers(parts)
     outside = [{part.outside(name) for name in part.declared} for part in parts]
     names_in_use = set().union(*outside)
 
     numbered: dict[tuple[str, int], str] = {}
     part_names = numbered_where_alike([part.name for part in parts])
-    for part, record, part_name in zip(parts, records, part_names, strict=True):
+    for part, record, part_name in zip(parts, numbers, part_names, strict=True):
         renamed = {}
-        for name in part.declared:
-            # Held estimates come last: with 30 parts, looking for them takes a tenth of compiling.
-            if (
-                name in {*part.model.parameters, *part.rename}
-                or not name.endswith("_bias")
-                or isinstance(part.fixed_values.get(name), HeldEstimate)
-            ):
+        for name in part.criterion.bias_names:
+            # An earlier fit has the name of its bias.
+            is_held = isinstance(part.fixed_values.get(name), HeldEstimate)
+            if name in part.rename or is_held:
                 continue
             # A bias that only one record has keeps its plain name.
-            owners = {r for r, names in zip(records, outside, strict=True) if name in names}
+            owners = {k for k, names in zip(numbers, outside, strict=True) if name in names}
             if len(owners) > 1:
                 if (name, record) not in numbered:
                     candidates = (f"{name}_{k}" for k in itertools.count(record))
@@ -257,5 +244,20 @@ def numbered_parts(parts: Sequence[Any]) -> Iterator[Any]:
                     numbered[name, record] = new
                     names_in_use.add(new)
                 renamed[name] = numbered[name, record]
+
         changes = {"name": part_name, "rename": {**part.rename, **renamed}}
         yield part.with_(**changes) if renamed or part_name != part.name else part
+
+
+def _record_numbers(parts: Sequence[Any]) -> list[int]:
+    """Return the number of the record of every part, from one; zero for other data."""
+    distinct: dict[Any, int] = {}
+    numbers = []
+    for part in parts:
+        number = 0
+        if isinstance(part.data, Record):
+            # Two stretches of one log have the same checksum, but not the same times.
+            identity = (part.data.checksum, len(part.data), *part.data.span)
+            number = distinct.setdefault(identity, len(distinct) + 1)
+        numbers.append(number)
+    return numbers

@@ -25,6 +25,7 @@ from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.formulation.criterion import AnyCriterion
+from greybox.modeling.formulation.signal_bias import bias_name, bias_parameter
 from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.statistics.error_distribution import ErrorDistribution, NormalErrors
@@ -186,6 +187,11 @@ class TimeCriterion(AnyCriterion):
         estimated = "variances" if self.noise == "diagonal" else "covariance"
         return f"{self.rule}, estimated {estimated}"
 
+    @property
+    def bias_names(self) -> tuple[str, ...]:
+        """Names of the parameters that are constant errors of signals."""
+        return tuple(map(bias_name, self.biases))
+
     def contains(self, other: AnyCriterion) -> bool:
         """Return whether this is the `other` criterion, perhaps with more biases."""
         if not isinstance(other, TimeCriterion) or not {*other.biases} <= {*self.biases}:
@@ -233,7 +239,10 @@ class TimeCriterion(AnyCriterion):
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
         gains = self.gains(model, self.compared(model, record))
-        result = {f"{name}_bias": bias_parameter(name, record) for name in self.biases}
+        result = {
+            bias: bias_parameter(name, record)
+            for bias, name in zip(self.bias_names, self.biases, strict=True)
+        }
         # With process noise, the gains follow from the steady Kalman filter. Otherwise all runs
         # begin without corrections, which is output error.
         for state, output in () if self.driven() else gains:
@@ -245,6 +254,10 @@ class TimeCriterion(AnyCriterion):
             )
 
         return result
+
+    def spectrum_parameters(self, spectrum: TransientSpectrum) -> dict[str, Parameter]:
+        """Return the unknowns that the criterion adds to those of the model for a spectrum."""
+        return {}
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return the pairs of state and output with a gain, ``K_<state>_<output>``."""
@@ -475,26 +488,3 @@ def modeled_outputs(
         )
 
     return compared
-
-
-# Measured ranges of the signal that bound a bias: far beyond any error of a sensor.
-WIDEST_BIAS = 10.0
-
-
-def bias_parameter(name: str, record: Record) -> Parameter:
-    """Return the unknown constant error of a signal, in a box around zero."""
-    values = record[name][np.isfinite(record[name])]
-    if not values.size:
-        raise ValueError(
-            f"biases names {name!r}, but the record has no measured value of it: leave it out."
-        )
-
-    span = float(np.ptp(values)) or 1.0  # a constant signal has no range
-    return Parameter(
-        0.0,
-        bounds=(-WIDEST_BIAS * span, WIDEST_BIAS * span),
-        # Near zero, since a larger error of a sensor would be seen by eye.
-        starts=(-0.05 * span, 0.05 * span),
-        unit=record.units.get(name, "1"),
-        about=f"constant error of the measured {name}",
-    )

@@ -22,18 +22,13 @@ from greybox.data.files.control_characters import printable
 from greybox.data.files.error_place import error_sentence
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import unique
+from greybox.data.files.normalization import normalize
 from greybox.data.files.progress import bar
 from greybox.data.files.wording import counted
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.engine.compiled.compiled_problem import AnyProblem, require_problem
 from greybox.engine.compiled.transcription.method import Transcription
-from greybox.engine.solve.executors import (
-    ExecutorLostError,
-    pickled,
-    require_executor,
-    run_all,
-    unpickled,
-)
+from greybox.engine.solve.executors import require_executor, run_all
 from greybox.engine.solve.interruption import (
     Interrupted,
     Response,
@@ -46,10 +41,12 @@ from greybox.engine.solve.interruption import (
     responding,
 )
 from greybox.engine.solve.local_solver import LocalSolver, Runner
+from greybox.engine.solve.lost_workers import ExecutorLostError
 from greybox.engine.solve.multistart import BATCHED
 from greybox.engine.solve.response_solver import ResponseSolver
 from greybox.engine.solve.run_storage import RunStorageError
 from greybox.engine.solve.runs import Outcome
+from greybox.engine.solve.worker_payload import pickled_or_empty, unpickled
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.formulation.starts import AnyStarts, as_starts
 from greybox.modeling.traced_once import unchanged, unchanged_in
@@ -95,7 +92,7 @@ class Member:
         self.by  # noqa: B018  (checks the options)
         self.start_count  # noqa: B018  (checks starts and seed)
         if not self.name:
-            vars(self)["name"] = self.problem.name
+            normalize(self, name=self.problem.name)
         if self.name != printable(self.name):
             raise ValueError(
                 f"name={self.name!r} has characters that cannot be printed: omit them."
@@ -279,7 +276,7 @@ def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterato
     """Yield what every member stores; nothing if it is large, or if its worker was lost."""
     # In a worker, classes of the user's script have another module, and members another key.
     study = unchanged_in.get()
-    rows = ((k, np.array([pickled((m, _key(m), study))])) for k, m in enumerate(members))
+    rows = ((k, np.array([pickled_or_empty((m, _key(m), study))])) for k, m in enumerate(members))
     for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
         changes = [] if outcome.status else outcome.estimate
         if not (changes or number):

@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -130,9 +129,7 @@ class RecordReplicates(Replicates):
         parts = [part.with_outputs(rows) for part, rows in pairs]
 
         # Only the data change: what was compiled is shared with the original.
-        nlp = copy(self.nlp)
-        vars(nlp)["parts"] = tuple(parts)
-        solver = GaussNewton(nlp)
+        solver = GaussNewton(replace(self.nlp, parts=tuple(parts)))
         outcome = solver.solved_from(self.start, self.nodes)
         # The states of the fit are a good start only if the drawn errors are small.
         if not outcome.converged:

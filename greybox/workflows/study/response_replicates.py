@@ -2,7 +2,6 @@
 
 import math
 import time
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -182,8 +181,7 @@ class ResponseReplicates(Replicates):
             return Outcome(np.full(len(self.start), np.nan), cut, 0, 0.0, converged=False)
         # The compiled functions are shared; near the estimate, no other criterion is needed to
         # locate the minimum.
-        nlp = copy(self.nlp)
-        vars(nlp).update(data=data, programs=self.nlp.programs[-1:])
+        nlp = replace(self.nlp, data=data, programs=self.nlp.programs[-1:])
         return ResponseSolver(nlp, WARM, batched=False).run(self.start)
 
     @cached_property

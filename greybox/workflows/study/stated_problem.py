@@ -19,12 +19,8 @@ from greybox.engine.compiled.compiled_problem import AnyProblem
 from greybox.engine.compiled.transcription.collocation import Collocation
 from greybox.engine.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.engine.compiled.transcription.single_shooting import SingleShooting
+from greybox.modeling.formulation.data_kinds import DATA_KINDS
 from greybox.modeling.formulation.frequency_criteria import Criterion
-from greybox.modeling.formulation.included_criteria import (
-    CRITERIA,
-    SPECTRUM_CRITERIA,
-    TIME_CRITERIA,
-)
 from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.formulation.several_responses import responses_in
 from greybox.modeling.formulation.sum import Sum
@@ -51,14 +47,8 @@ METHODS = {
     "collocation": Collocation,
 }
 FILTER_NAMES = ("-filter", "-notch")  # ends of the names of filters in responses
-# Kinds of data, and their criteria.
-KINDS = {
-    "frequency responses": (FrequencyResponse, CRITERIA),
-    "records": (Record, TIME_CRITERIA),
-    "manoeuvres": (TransientSpectrum, SPECTRUM_CRITERIA),
-}
 CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
-    criterion.name: criterion for _, criteria in KINDS.values() for criterion in criteria
+    criterion.name: criterion for kind in DATA_KINDS for criterion in kind.criteria
 }
 
 
@@ -211,20 +201,17 @@ def _with_criterion(problem: AnyProblem, name: Any) -> AnyProblem:
         return problem.with_(criterion=name)
     require_known([name], CRITERIA_BY_NAME, "criterion", "greybox")
     criterion = CRITERIA_BY_NAME[name]
-    served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
-    kinds = tuple(served.values())
-    usable = unique(c.name for kind, of in KINDS.values() if problem.parts_with(kind) for c in of)
+    served = [kind for kind in DATA_KINDS if criterion in kind.criteria]
+    usable = unique(usual.name for part in problem.parts for usual in part.kind.criteria)
     if name not in usable:
         raise ValueError(
-            f"criterion={name} is for {' and '.join(served)} and {problem.name} has none: use one "
-            f"of {', '.join(usable)}, or leave it out."
+            f"criterion={name} is for {' and '.join(kind.plural for kind in served)} and "
+            f"{problem.name} has none: use one of {', '.join(usable)}, or leave it out."
         )
 
     return problem.with_parts(
         [
-            part.with_(criterion=_like(criterion, part.criterion))
-            if isinstance(part.data, kinds)
-            else part
+            part.with_(criterion=_like(criterion, part.criterion)) if part.kind in served else part
             for part in problem.parts
         ]
     )

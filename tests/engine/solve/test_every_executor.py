@@ -25,10 +25,10 @@ from sampled_lag import SampledLag, lag_problem, lag_record
 import greybox as gb
 from greybox.engine.compiled.compiled_problem import compile_problem
 from greybox.engine.compiled.transcription.method import Transcription
-from greybox.engine.solve.executors import run_starts
 from greybox.engine.solve.local_solver import LocalSolver, Runner
 from greybox.engine.solve.multistart import SEARCHES, solver_for
 from greybox.engine.solve.response_solver import ResponseSolver
+from greybox.engine.solve.worker_task import run_starts
 from greybox.modeling.formulation.included_criteria import (
     CRITERIA,
     SPECTRUM_CRITERIA,

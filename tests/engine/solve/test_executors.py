@@ -31,16 +31,12 @@ from sampled_lag import lag_problem
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import greybox as gb
-from greybox.engine.solve.executors import (
-    TASK_SECONDS,
-    ExecutorLostError,
-    WorkerLostError,
-    run_all,
-    run_starts,
-)
+from greybox.engine.solve.executors import TASK_SECONDS, run_all
 from greybox.engine.solve.local_solver import LocalSolver, Runner
+from greybox.engine.solve.lost_workers import ExecutorLostError, WorkerLostError
 from greybox.engine.solve.run_storage import Memory
 from greybox.engine.solve.runs import Outcome
+from greybox.engine.solve.worker_task import run_starts
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

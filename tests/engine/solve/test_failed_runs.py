@@ -11,9 +11,10 @@ from sampled_lag import SampledLag, lag_problem
 
 import greybox as gb
 from greybox.assessment.fit import fingerprint
-from greybox.engine.solve.executors import ExecutorLostError, run_all
+from greybox.engine.solve.executors import run_all
 from greybox.engine.solve.gauss_newton.driver import GaussNewton
 from greybox.engine.solve.local_solver import Runner
+from greybox.engine.solve.lost_workers import ExecutorLostError
 from greybox.engine.solve.response_solver import ResponseSolver
 from greybox.engine.solve.runs import Outcome
 from greybox.workflows.study.record_replicates import RecordReplicates

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from greybox.engine.solve.executors import WorkerLostError, WorkerPool
+from greybox.engine.solve.lost_workers import WorkerLostError
+from greybox.engine.solve.worker_pool import WorkerPool
 
 
 @pytest.fixture(scope="module")
@@ -79,5 +80,5 @@ def test_calls_that_have_not_begun_are_cancelled(tmp_path):
 
 def test_its_size_is_that_of_the_machine_unless_stated(monkeypatch):
     assert repr(WorkerPool(2)) == "WorkerPool(2)"
-    monkeypatch.setattr("greybox.engine.solve.executors.os.cpu_count", lambda: 7)
+    monkeypatch.setattr("greybox.engine.solve.worker_pool.os.cpu_count", lambda: 7)
     assert WorkerPool().num_workers == 7

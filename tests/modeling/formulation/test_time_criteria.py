@@ -25,7 +25,7 @@ from spring_lag_tilt import (
 )
 
 import greybox as gb
-from greybox.modeling.formulation.time_criteria import bias_parameter
+from greybox.modeling.formulation.signal_bias import bias_parameter
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

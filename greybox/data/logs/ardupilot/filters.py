@@ -31,6 +31,7 @@ CONTROLLER_FILTERS = {"d-term-filter": "FLTD", "target-filter": "FLTT", "error-f
 # INS_HNTCH_MODE; in other modes the notch follows sensors, and only FTN or FTNS has its frequency.
 FIXED, THROTTLE = 0, 1
 DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
+KEYS = ("MODE", "FREQ", "BW", "ATT", "HMNCS", "REF", "OPTS")  # of a harmonic notch
 
 
 def named_filters(recording: Recording, axis: str = "") -> KnownFilters:
@@ -60,9 +61,6 @@ def _harmonic_notches(recording: Recording) -> Iterator[Notch]:
         center, width, depth = (parameters.get(f"INS_NOTCH_{k}", 0) for k in ("FREQ", "BW", "ATT"))
         if center > width / 2 > 0:
             yield Notch(center, _quality(center, width), depth)
-
-
-KEYS = ("MODE", "FREQ", "BW", "ATT", "HMNCS", "REF", "OPTS")
 
 
 def _one_harmonic_notch(recording: Recording, number: int, setting: Values) -> list[Notch]:
