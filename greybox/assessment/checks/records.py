@@ -2,7 +2,7 @@
 
 from greybox.assessment.checks.evidence import Pairs
 from greybox.assessment.fitted_part import FittedRecord
-from greybox.assessment.missing_terms import dynamic_equations
+from greybox.assessment.misfit.tested_record import dynamic_equations
 from greybox.data.files.arrays import Array
 from greybox.engine.compiled.record_part import RecordPart
 
@@ -32,5 +32,5 @@ def place_of(fitted: FittedRecord, pairs: Pairs) -> str:
 
 def gust_criterion(part: RecordPart) -> str:
     """Return the code of the criterion that estimates gusts, for a state that they may reach."""
-    place = next(iter(dynamic_equations(part)))
-    return f"PredictionError(disturbance={{{part.system.states[place]!r}: 'colored'}})"
+    state = dynamic_equations(part)[0].state
+    return f"PredictionError(disturbance={{{state!r}: 'colored'}})"

@@ -1,11 +1,12 @@
 """The test of misfit of a fit that is at hand, with terms of the user."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from greybox.assessment.fitted_problem import compiled_again
-from greybox.assessment.misfit import Misfit
-from greybox.assessment.misfit_assessment import assessed_misfit
+from greybox.assessment.misfit.answer import Misfit
+from greybox.assessment.misfit.assessment import assessed_misfit
+from greybox.assessment.misfit.causes.included import CAUSES, RecordCause
 from greybox.assessment.result import Fit, require_fit
 from greybox.data.files.argument_checks import require_kind
 from greybox.engine.compiled.compiled_problem import AnyProblem
@@ -17,6 +18,7 @@ def misfit(
     fit: Fit,
     problem: AnyProblem | None = None,
     candidates: Mapping[str, Formula] = MappingProxyType({}),
+    causes: Sequence[RecordCause] = CAUSES,
 ) -> Misfit | None:
     """Test whether the model of a fit explains its data, and what it may lack, without another fit.
 
@@ -28,6 +30,9 @@ def misfit(
     candidates : mapping of name to function
         Terms of your own, as functions ``lambda x, u, p: abs(x.v) * x.v`` of states, inputs and
         parameters as arrays. They are tried in the equation of every state of a `StateSpace`.
+    causes : sequence of functions, optional
+        What is tried for records, ``gb.CAUSES`` by default. Each function yields terms of a
+        `TestedRecord`; your own joins them by ``causes=[*gb.CAUSES, mine]``.
 
     Returns
     -------
@@ -58,6 +63,5 @@ def misfit(
         )
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate
-    solver = solver_for(nlp)
-    trajectories = solver.profile(x).trajectories
-    return assessed_misfit(nlp, x, trajectories, fit.at_bound, candidates, solver)
+    trajectories = solver_for(nlp).profile(x).trajectories
+    return assessed_misfit(nlp, x, trajectories, fit.at_bound, candidates, causes)
