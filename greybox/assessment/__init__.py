@@ -19,7 +19,7 @@ Begin with `fit`.
 | `identifiability` | how well each parameter is determined; combinations that are, or are not |
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
-| `misfit/` | whether the model explains the data, and what it may lack; `causes/` has what is tried |
+| `misfit/` | whether the model explains the data, and what it may lack |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
 | `profile` | likelihood profiles, by minima with a quantity held, and where they end |
 | `held_minima` | minima with a quantity held, the points of a profile |

@@ -31,8 +31,9 @@ def misfit(
         Terms of your own, as functions ``lambda x, u, p: abs(x.v) * x.v`` of states, inputs and
         parameters as arrays. They are tried in the equation of every state of a `StateSpace`.
     causes : sequence of functions, optional
-        What is tried for records, ``gb.CAUSES`` by default. Each function yields terms of a
-        `TestedRecord`; your own joins them by ``causes=[*gb.CAUSES, mine]``.
+        What is tried for records, ``gb.CAUSES`` by default: functions that yield the terms
+        (`gb.RecordTerm`) which the model of a record may lack. Your own joins them by
+        ``causes=[*gb.CAUSES, mine]``.
 
     Returns
     -------
@@ -42,6 +43,8 @@ def misfit(
 
     Raises
     ------
+    TypeError
+        If causes are no functions.
     ValueError, LookupError
         If the problem does not follow from the fit, or is another one, or for candidates without a
         record of a `StateSpace`.
@@ -60,6 +63,11 @@ def misfit(
         raise ValueError(
             f"candidates are terms in the equations of a record, and {fit.name!r} has no record: "
             "leave them out, or fit the time history."
+        )
+    if isinstance(causes, str) or not all(callable(cause) for cause in causes):
+        raise TypeError(
+            f"causes is {causes!r:.80}: give functions of a record that yield terms, "
+            "[*gb.CAUSES, mine]."
         )
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate

@@ -13,7 +13,7 @@ from greybox.assessment.misfit.term import ResponseTerm, Wording
 from greybox.data.files.arrays import Array
 from greybox.statistics.restricted_likelihoods import Block, correlated_fits, p_values_of_fits
 
-NO_TERM = ResponseTerm(Wording(""), values=np.zeros(1))
+NO_TERM = ResponseTerm(Wording(""), values=np.zeros(1, dtype=complex))
 # A step or two suffice where values are near the common ones; of resonances a factor of 20 apart, p
 # falls from 0.4 without a step to 1e-38 with five. Frequency and damping of a term take ten.
 STEPS = 10
