@@ -1,7 +1,8 @@
-"""Whether a function of any shape is missing, of a state in an equation or of an input."""
+"""Whether a function of any shape is missing: of a state, an input or an output."""
 
 from collections.abc import Iterator
 
+from greybox.assessment.misfit.causes.sensors import CURVED
 from greybox.assessment.misfit.term import KNOTS, RecordTerm, Wording
 from greybox.assessment.misfit.tested_record import TestedRecord
 
@@ -18,9 +19,12 @@ FINE = 41  # knots of a function of an input, which an actuator may quantize
 
 
 def functions(flight: TestedRecord) -> Iterator[RecordTerm]:
-    """Yield functions of the inputs, and of the states in every equation."""
+    """Yield functions of the inputs, of the outputs, and of the states in every equation."""
     for u in flight.inputs:
         yield RecordTerm(CHARACTERISTIC, u.name, values=u.values, effect=u.place, knots=FINE)
+
+    for y in flight.outputs:
+        yield RecordTerm(CURVED, target=y.name, values=y.values, effect=y.place, knots=KNOTS)
 
     if flight.has_equations:
         for equation in flight.equations:

@@ -1,6 +1,8 @@
-"""Whether a sensor is late, or feels another output or an input at once."""
+"""Whether a sensor is late or curved, or feels another output or an input at once."""
 
 from collections.abc import Iterator
+
+import numpy as np
 
 from greybox.assessment.misfit.term import RecordTerm, Wording
 from greybox.assessment.misfit.tested_record import Output, TestedRecord
@@ -11,6 +13,10 @@ LATE = Wording(
     "a state {target}_late as the output {target}, with the derivative (h - x.{target}_late) / "
     "p.T_late for the present output h; if the sensor is early, move {target} later in the record",
     opposite="a sensor of {target} that is early by {size} s",
+)
+CURVED = Wording(
+    "a sensor of {target} with a curved characteristic",
+    "a function of the output {target} in place of it, which gb.plotting.residuals draws",
 )
 CROSS = Wording(
     "an effect of {signal} on the sensor of {target}",
@@ -23,8 +29,10 @@ DIRECT = Wording(
 
 
 def sensors(flight: TestedRecord) -> Iterator[RecordTerm]:
-    """Yield the lateness of every sensor, and its couplings to other outputs and inputs."""
+    """Yield faults of every sensor, and its couplings to other outputs and inputs."""
     for y in flight.outputs:
+        for power in (2, 3):
+            yield _at(y, CURVED, (y.values - np.mean(y.values)) ** power)
         if len(flight.outputs) > 1:
             yield from _lateness(flight, y)
         for other in flight.outputs:
