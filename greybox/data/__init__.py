@@ -12,6 +12,7 @@ Begin with `record` and `frequency_response`.
 | `intersample` | signals between their samples: held or continuous |
 | `wrapped_angles` | angles that jump by a full turn |
 | `units` | conversion of units to SI |
+| `headings` | the grammar of headers: names, units, indices, holds |
 | `time_column` | time columns of tables, and the clocks that wrote them |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
 | `frequency_band` | pairs of numbers, such as the ends of a band |

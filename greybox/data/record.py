@@ -28,6 +28,7 @@ from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import Printed, one_line
 from greybox.data.files.spelling import alternatives, nearest
 from greybox.data.files.wording import counted, some
+from greybox.data.headings import units_and_holds
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 
@@ -299,8 +300,9 @@ class Record(Printed):
         Parameters
         ----------
         frame : pandas.DataFrame
-            Missing values are NaN. The time is its index, if this has dates or a name such as
-            ``time``, else the column ``time``, ``t``, ``timestamp`` or ``Time (ms)``.
+            Missing values are NaN. Columns are named as in `greybox.data.headings`. The time is the
+            index, if this has dates or a name such as ``time``, else the column ``time``, ``t``,
+            ``timestamp`` or ``Time (ms)``, else an index of numbers with fractions.
         time : str, optional
             Name of another time column. Dates and time differences count from the first.
         units : mapping of name to str, optional
@@ -315,12 +317,14 @@ class Record(Printed):
         """
         require_frame(frame)
         moments = None
-        column = ""
+        place = None
         findings = ()
         if others.pop("has_time", True):
-            moments, column, findings = times_of(frame, time)
-        columns = columns_of(frame, without=column)
+            moments, place, findings = times_of(frame, time)
+        columns, statements = columns_of(frame, without=place)
         described = selected(frame.attrs, ("units", "hold", "name", "source", "gaps"))
+        for what, in_header in zip(("units", "hold"), units_and_holds(statements), strict=True):
+            described[what] = {**in_header, **described.get(what, {})}
         described["findings"] = findings
         # Those of columns that were dropped later stay in `attrs`.
         for what in {"units", "hold"} & described.keys():

@@ -18,15 +18,9 @@ from greybox.data.units import known_unit
 # Names of a time column, in lower case and without a unit.
 TIMES = ("time", "t", "timestamp", "timestamps", "tout", "second", "seconds")
 # As ArduPilot's tools, MAVLink's messages and Arduino's functions name them.
-COUNTERS = {"timeus": 1e-6, "timems": 1e-3, "time_boot_ms": 1e-3, "time_usec": 1e-6}
-COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
-# Other names end in "_in", "_min" or "_T" without meaning inches, minutes or tesla.
-UNITS = "mV|kV|mA|uA|kN|kW|mm|cm|km|ft|kPa|hPa|mbar|degC|degF|kts|mph|kmh|m/s|m/s2|ft/s|km/h"
-# pitch_deg, "pitch deg", pitch/deg, and q_deg_s as well as q_deg/s
-IN_NAME = re.compile(
-    rf"(?i:(?:{'|'.join(TIMES)})(?: in)?[_ /:](s|sec|ms|us|ns)"
-    rf"|.+[_ /:]((?:deg|rad)(?:[_/]s(?:ec)?2?)?|dps|rpm))|.+[_ /:]({UNITS})"
-)
+COUNTERS = {"timeus": "us", "timems": "ms", "time_boot_ms": "ms", "time_usec": "us"}
+COUNTERS |= {"micros": "us", "millis": "ms"}
+SUFFIXED = re.compile(rf"(?:{'|'.join(TIMES)})(?: in)?[_ /:](s|sec|ms|us|ns)")
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
 # Hz: no logger of flights or of motor stands is slower or faster, but a wrong unit is.
@@ -43,20 +37,15 @@ def seconds(name: str, unit: str = "") -> float | None:
     Names are time, t, timestamp, tout and second, in capitals or not, with a unit or a suffix as in
     ``time_ms`` (else in seconds), and those of counters such as TimeUS and millis.
     """
-    name = name.lower()
-    if name in COUNTERS:
-        return COUNTERS[name]
     # A unit in the name takes precedence over one in brackets.
-    suffix = unit_in_name(name)
-    return tick(suffix or unit or "s") if suffix or name in TIMES else None
+    suffix = unit_of_clock(name)
+    return tick(suffix or unit or "s") if suffix or name.lower() in TIMES else None
 
 
-def unit_in_name(name: str) -> str:
-    """Return the unit at the end of a name, as in ``t_ms`` or ``pitch_deg``; empty without one."""
-    match = IN_NAME.fullmatch(name)
-    if match is None:
-        return ""
-    return match[3] or (match[1] or match[2]).lower().replace("_", "/")
+def unit_of_clock(name: str) -> str:
+    """Return the unit in the name of a clock, as in ``t_ms`` and ``TimeUS``; empty without one."""
+    match = SUFFIXED.fullmatch(name.lower())
+    return match[1] if match else COUNTERS.get(name.lower(), "")
 
 
 def tick(unit: str) -> float | None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.files.arrays import AnyArray, Array
 from greybox.data.files.wording import some
-from greybox.data.logs.named_columns import BETWEEN, unit_and_hold
+from greybox.data.headings import units_and_holds
 from greybox.data.logs.readers.messages import Messages
 from greybox.data.time_column import seconds, tick, times_in_seconds
 
@@ -47,15 +47,12 @@ def table(
         time = np.arange(size) * (1 / rate if rate else float(interval[0]))
 
     split = {}
-    labels = {}
-    hold = {}
+    statements = {}
     for key, values in signals.items():
-        unit, word = unit_and_hold(units.get(key, ""))
         parts = _split(key, values, size)
         split |= parts
-        labels |= dict.fromkeys(parts, unit)
-        if word:
-            hold |= dict.fromkeys(parts, BETWEEN[word])
+        statements |= dict.fromkeys(parts, units.get(key, ""))
+    labels, hold = units_and_holds(statements)
     odd = [key for key, values in signals.items() if len(values) != size]
     left_out = (
         (f"{name}: left out, because their length is not that of the time: {some(odd, 12)}.",)

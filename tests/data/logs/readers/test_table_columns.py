@@ -1,27 +1,11 @@
-"""Headings with units, time columns by name and unit, and what becomes of matrices."""
+"""Time columns by name and unit, and what becomes of matrices."""
 
 import numpy as np
 import pytest
 
-from greybox.data.files.column_headings import Heading, heading
 from greybox.data.logs.readers.table_columns import WIDEST, seconds, table
 
 TIME = np.arange(5) * 20.0  # ms
-
-
-@pytest.mark.parametrize(
-    ("cell", "expected"),
-    [
-        ("pitch [deg]", Heading("pitch", "deg")),
-        (" pitch (deg/s) ", Heading("pitch", "deg/s")),
-        ("pitch", Heading("pitch", "")),
-        ("q[0]", Heading("q[0]", "")),
-        ("a []", Heading("a", "")),
-        ("[deg]", Heading("[deg]", "")),
-    ],
-)
-def test_units_in_headings(cell, expected):
-    assert heading(cell) == expected
 
 
 @pytest.mark.parametrize(
