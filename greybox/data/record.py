@@ -30,7 +30,7 @@ from greybox.data.files.spelling import alternatives, nearest
 from greybox.data.files.wording import counted, some
 from greybox.data.headings import units_and_holds
 from greybox.data.intersample import checked_hold
-from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
+from greybox.data.pandas_frames import Frame, frame_of, require_frame, table_of
 
 NOT_STORED = {"stored": False}  # in the file of a fit
 
@@ -316,23 +316,18 @@ class Record(Printed):
             For anything but a data frame of numbers that makes a record.
         """
         require_frame(frame)
-        moments = None
-        place = None
-        findings = ()
-        if others.pop("has_time", True):
-            moments, place, findings = times_of(frame, time)
-        columns, statements = columns_of(frame, without=place)
+        clock, columns, statements = table_of(frame, time, has_time=others.pop("has_time", True))
         described = selected(frame.attrs, ("units", "hold", "name", "source", "gaps"))
         for what, in_header in zip(("units", "hold"), units_and_holds(statements), strict=True):
             described[what] = {**in_header, **described.get(what, {})}
-        described["findings"] = findings
+        described["findings"] = clock.findings if clock else ()
         # Those of columns that were dropped later stay in `attrs`.
         for what in {"units", "hold"} & described.keys():
             described[what] = selected(described[what], columns)
         # What the caller states overrides the attributes of the frame.
         options = described | others | ({} if units is None else {"units": units})
 
-        return cls(moments, columns, **options)  # type: ignore[arg-type]
+        return cls(clock.time if clock else None, columns, **options)  # type: ignore[arg-type]
 
     def to_pandas(self) -> Frame:
         """Return the signals as columns of a pandas data frame with the time in s as index.

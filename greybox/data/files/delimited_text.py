@@ -170,6 +170,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     if _are_separated_by_blanks(lines[body[-1]]):
         lines = list(map(_with_tabs, lines))
     header = _header(lines, body)
+    above: list[int] = []
     if header is not None:
         body = body[body.index(header) :]
     else:

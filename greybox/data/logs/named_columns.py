@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
+from greybox.data.dates import OF_DAY, SINCE_1970
 from greybox.data.files.arrays import Array
 from greybox.data.headings import Heading, find_column, unit_and_hold, unit_in_name
 from greybox.data.record import Record
@@ -54,6 +55,8 @@ def renamed(
 
 def _agreed(stated: str, written: str) -> str:
     """Return the unit of a column with its hold; ValueError if the table has another unit."""
+    if written in (SINCE_1970, OF_DAY):
+        return written
     unit, hold = unit_and_hold(written)
     wanted, wanted_hold = unit_and_hold(stated)
     # Two names of one unit agree, such as deg and °. What is stated decides between two readings.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.data.dates import seconds_in_texts
 from greybox.data.files.arrays import Array
 from greybox.data.files.control_characters import printable
 from greybox.data.files.decimal_marks import has_decimal_comma, is_like_number, number_in
@@ -17,9 +18,8 @@ from greybox.data.headings import Heading, find_column, headings, with_units_in_
 from greybox.data.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.data.logs.readers.messages import MessageNames
 from greybox.data.logs.readers.named_arrays import recording
-from greybox.data.logs.readers.table_columns import time_column
 from greybox.data.record import Recording
-from greybox.data.time_column import TIMES, seconds
+from greybox.data.time_column import clock_names, is_clock_name
 
 Rows = Sequence[tuple[int, Sequence[str]]]  # numbers of lines and their cells
 
@@ -38,11 +38,9 @@ def read(
     Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as ``nan``, are
     missing samples. A header that is repeated is skipped.
 
-    The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
-    in ``time_s``, ``time_ms``), or TimeUS, TimeMS as the tools of ArduPilot write it; for times
-    without a unit see `greybox.data.time_column`. It may have dates such as
-    ``2026-05-01T10:00:00.25``. Otherwise it is the first column, if this increases and has a unit
-    of time. The rows of a table without a time column have no order in time, see `Record`.
+    The time column is that of `greybox.data.time_column`; it may have dates such as
+    ``2026-05-01T10:00:00.25`` or times of day. The rows of a table without a time column have no
+    order in time, see `Record`.
 
     Parameters
     ----------
@@ -86,20 +84,18 @@ def read(
         )
 
     named = with_units(headings(text.header))
-    columns, findings = _columns(named, text)
+    columns, units_of_texts, findings = _columns(named, text)
     _require_numbers(path, stated or {}, [h for h in named if h.name not in columns])
-    units = {h.name: h.unit for h in named}
-    is_timed = time_column(columns, units) or "time" in (stated or ())
+    units = {h.name: h.unit for h in named} | units_of_texts
+    is_timed = clock_names(columns, units) or "time" in (stated or ())
     if is_timed and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
     # As rows without a time, the samples would count as independent.
-    unread = next((h for h in named if h.name.lower() in TIMES or seconds(*h)), None)
+    unread = next((h for h in named if is_clock_name(h.base)), None)
     if unread and not (is_timed or rate):
-        unit = f" [{unread.unit}]" if unread.unit else ""
         raise ValueError(
-            f"{path} has the column '{unread.name}{unit}', which is not a time in numbers with a "
-            "known unit: give it in seconds as 'time [s]', or give it another name if it is not a "
-            "time."
+            f"{path} has the column '{unread}', which is not a time in numbers with a known unit: "
+            "give it in seconds as 'time [s]', or give it another name if it is not a time."
         )
 
     groups = {path.stem: (columns, units)}
@@ -122,8 +118,10 @@ def _require_numbers(path: Path, stated: Mapping[str, str], without: Sequence[He
     raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
 
 
-def _columns(named: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, Array], list[str]]:
-    """Return the numeric columns by name, and findings."""
+def _columns(
+    named: Sequence[Heading], text: DelimitedText
+) -> tuple[dict[str, Array], dict[str, str], list[str]]:
+    """Return the columns of numbers and times, the units of times that are texts, and findings."""
     try:
         lines = bar(text.lines, desc=f"reading {printable(text.path.name)}", unit="line")
         # The usual table has plain numbers, which numpy reads ten times as fast as cell by cell.
@@ -131,7 +129,7 @@ def _columns(named: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, A
     except ValueError:
         clean = np.empty((0, 0))
     if clean.shape[1] == len(named) and not np.isinf(clean).any():
-        return {h.name: clean[:, i] for i, h in enumerate(named) if h.name}, []
+        return {h.name: clean[:, i] for i, h in enumerate(named) if h.name}, {}, []
 
     rows, findings = _complete_rows(text, named)
     places = {h.name: k for k, h in enumerate(named) if h.name}
@@ -143,6 +141,7 @@ def _columns(named: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, A
     comma = has_decimal_comma(text.path, cells)
 
     columns = {}
+    units = {}
     odd_cells = []
     not_numeric = []
     for name, k in places.items():
@@ -150,13 +149,11 @@ def _columns(named: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, A
             columns[name], odd = _numbers(rows, k, comma)
             odd_cells += [f"{name} ({odd})"] if odd else []
             continue
-        # Dates of ISO 8601, UTC, in ns since 1970.
-        dates = [row[k].removesuffix("Z") for _, row in rows]
-        with suppress(ValueError):
-            if any(dates):
-                columns[name] = np.array(dates, "datetime64[ns]").astype(float)
-                continue
-        not_numeric.append(name)
+        dates = seconds_in_texts([row[k] for _, row in rows])
+        if dates:
+            columns[name], units[name] = dates
+        else:
+            not_numeric.append(name)
     if odd_cells:
         findings.append(
             f"cells that are not finite numbers, which count as missing: {some(odd_cells, 12)}."
@@ -164,7 +161,7 @@ def _columns(named: Sequence[Heading], text: DelimitedText) -> tuple[dict[str, A
     if not_numeric:
         findings.append(f"columns without numbers were left out: {some(not_numeric, 12)}.")
 
-    return columns, findings
+    return columns, units, findings
 
 
 def _numbers(rows: Rows, place: int, comma: bool) -> tuple[Array, str]:
