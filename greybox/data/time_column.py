@@ -17,6 +17,7 @@ A counter that starts again at its largest number runs on; what becomes of rows 
 order of their times is in `greybox.data.row_order`.
 """
 
+import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping
@@ -146,7 +147,7 @@ def table_clock(
     if not names:
         return None
     if len(names) == 2:
-        time = _sum(*((columns[name], units.get(name, "")) for name in names), names[1])
+        time = _sum(names[0], names[1], columns, units)
         findings = ()
     else:
         time, findings = times_in_seconds(names[0], units.get(names[0], ""), columns[names[0]])
@@ -244,7 +245,7 @@ def _increases(values: AnyArray) -> bool:
 
 def _pairs(vectors: Mapping[str, AnyArray], units: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     """Yield pairs of columns that are a time together: sec and nanosec, Date and Time."""
-    kinds = {units.get(name): name for name in reversed(vectors)}
+    kinds = {units.get(name): name for name in reversed([*vectors])}
     if SINCE_1970 in kinds and OF_DAY in kinds:
         dates = vectors[kinds[SINCE_1970]]
         if np.all(dates[np.isfinite(dates)] % DAY == 0):
@@ -260,13 +261,14 @@ def _pairs(vectors: Mapping[str, AnyArray], units: Mapping[str, str]) -> Iterato
                 yield whole, part
 
 
-def _sum(whole: tuple[Array, str], part: tuple[Array, str], name: str) -> Array:
+def _sum(whole: str, part: str, columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> Array:
     """Return the sum (n,), s, of whole seconds or dates and of fractions or times of day."""
-    seconds_of_part = part[0] * (1.0 if part[1] == OF_DAY else FRACTIONS[_words(name)[-1]])
-    start = whole[0][0]
+    start = columns[whole][0]
+    is_date = units.get(whole) == SINCE_1970
+    in_seconds = columns[part] * (1.0 if is_date else FRACTIONS[_words(part)[-1]])
     # Of seconds since 1970, the digits behind the microseconds would be lost.
-    is_date = whole[1] == SINCE_1970 or start >= EPOCHS["s"]
-    return (whole[0] - start if is_date else whole[0]) + seconds_of_part
+    is_date = is_date or start >= EPOCHS["s"]
+    return in_seconds + (columns[whole] - start if is_date else columns[whole])
 
 
 def _running_on(times: Array, largest: tuple[float, ...]) -> tuple[Array, str]:
@@ -293,9 +295,9 @@ def _running_on(times: Array, largest: tuple[float, ...]) -> tuple[Array, str]:
 
 def _by_evidence(name: str, times: Array, finite: Array) -> tuple[Array, str]:
     """Return the times (n,) of a column without a unit in s, and the conclusion in words."""
-    # The absolute time decides first: it shows the unit at any rate.
+    # The absolute time decides first: no other unit gives a usual log then.
     for unit, first in EPOCHS.items():
-        if first <= finite[0] < 4.1 * first:
+        if first <= finite[0] < 4.1 * first and USUAL[0] <= _rate(unit, finite) <= USUAL[1]:
             text = f"has dates or {unit} since 1970: times are from the first sample"
             return (times - finite[0]) * (tick(unit) or 1.0), text
 
@@ -336,19 +338,24 @@ def _possible_units(finite: Array) -> list[str]:
 
 def _is_usual(unit: str, finite: Array, is_counter: bool) -> bool:
     """Return whether times (n,) in a unit are those of a usual log."""
-    length = float(np.ptp(finite)) * (tick(unit) or 1.0)
-    rate = (finite.size - 1) / length if length else np.inf
+    rate = _rate(unit, finite)
     # What people call a time they measure as slowly as they like.
     if unit == "s" and not is_counter:
         return PLAUSIBLE[0] <= rate <= PLAUSIBLE[1]
-    end = float(np.abs(finite).max()) * (tick(unit) or 1.0)
-    return USUAL[0] <= rate <= USUAL[1] and length >= SHORTEST and (unit == "days" or end <= LATEST)
+    length, end = (x * (tick(unit) or 1.0) for x in (np.ptp(finite), np.abs(finite).max()))
+    is_recent = unit == "days" or end <= LATEST
+    return bool(USUAL[0] <= rate <= USUAL[1] and length >= SHORTEST and is_recent)
+
+
+def _rate(unit: str, finite: Array) -> float:
+    """Return the mean rate in Hz of times (n,) in a unit; infinite where all are equal."""
+    length = float(np.ptp(finite)) * (tick(unit) or 1.0)
+    return (finite.size - 1) / length if length else math.inf
 
 
 def _in_words(unit: str, finite: Array) -> str:
     length = float(np.ptp(finite)) * (tick(unit) or 1.0)
-    rate = (finite.size - 1) / length if length else np.inf
-    return f"{number(rate, 3)} Hz for {number(length, 3)} s"
+    return f"{number(_rate(unit, finite), 3)} Hz for {number(length, 3)} s"
 
 
 def _cure(name: str, unit: str) -> str:

@@ -8,7 +8,7 @@ from greybox.data.files.arrays import Array
 from greybox.data.headings import Heading, find_column, unit_and_hold, unit_in_name
 from greybox.data.record import Record
 from greybox.data.time_column import unit_of_clock
-from greybox.data.units import AmbiguousUnitError, known_unit, misspelled, to_si
+from greybox.data.units import AmbiguousUnitError, is_unit, known_unit, misspelled, to_si
 
 
 def renamed(
@@ -68,9 +68,9 @@ def _agreed(stated: str, written: str) -> str:
     except AmbiguousUnitError as error:
         raise ValueError(f"its unit {error}, behind a colon") from None
     except ValueError:
-        # A unit of the user's own, such as counts, is no misspelled one.
-        if sentence := misspelled(wanted or unit):
-            raise ValueError(sentence) from None
+        # A table may have any unit; what a user states is misspelled, if it does not count.
+        if misspelled(wanted or unit) or not (is_unit(wanted) or wanted in ("", unit)):
+            raise
     return f"{wanted or unit} {wanted_hold or hold}".strip()
 
 
