@@ -41,6 +41,9 @@ def seconds_in_texts(cells: Sequence[str]) -> tuple[Array, str] | None:
     if not filled or not filled[0][0].isdigit():
         return None
     if all(map(TIME.fullmatch, filled)):
+        # 10:05 alone may be hours and minutes, or minutes and seconds.
+        if all(re.fullmatch(r"\d+:\d+", cell) for cell in filled):
+            return None
         values = [_of_day(cell.strip()) if cell.strip() else np.nan for cell in cells]
         return np.array(values), OF_DAY
 

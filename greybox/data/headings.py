@@ -33,8 +33,10 @@ from greybox.data.units import is_unit, known_unit
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}  # words on how a signal varies between samples
 
 INDEX = re.compile(r"(?<=\w)[\[(]\d+(, ?\d+)*[\])]")
-# The round ones may have one more pair inside, as in N/(m/s).
-BRACKET = re.compile(r"\[([^\[\]]*)\]|\{([^{}]*)\}|\(((?:[^()]|\([^()]*\))*)\)")
+# The last one may not be closed; the round ones may have one more pair inside, as in N/(m/s).
+BRACKET = re.compile(
+    r"\[([^\[\]]*)(?:\]|$)|\{([^{}]*)(?:\}|$)|<([^<>]*)(?:>|$)|\(((?:[^()]|\([^()]*\))*)(?:\)|$)"
+)
 
 NUMBERS = re.compile(r"\W[\d, ]+\W")  # in brackets apart from a name, as in pos [0]
 
@@ -91,9 +93,10 @@ def heading(cell: str) -> Heading:
 def headings(cells: Iterable[str]) -> list[Heading]:
     """Return the headings of all columns of a table; every name is that of one column.
 
-    A cell that is empty gives an empty name.
+    A cell that is empty gives an empty name, apart from the first one, which may be a clock.
     """
     texts = [" ".join(cell.split()) for cell in cells]
+    texts[:1] = [text or "(column 1)" for text in texts[:1]]
     result = [heading(text) for text in texts]
     families = defaultdict(list)
     for place, text in enumerate(texts):
@@ -203,7 +206,7 @@ def _base(text: str) -> str:
 
 
 def _content(group: re.Match[str]) -> str:
-    return (group[1] or group[2] or group[3] or "").strip()
+    return next(filter(None, group.groups()), "").strip()
 
 
 def _is_unit(content: str) -> bool:

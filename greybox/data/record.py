@@ -467,8 +467,8 @@ def require_time(record: Record, what: str) -> None:
     if not record.has_time:
         raise ValueError(
             f"{what} needs samples in time, and {record.name or 'the record'} has rows without a "
-            "time: give their times, Record(time, ...), or for a table a column named 'time [s]' "
-            "or a rate."
+            "time: give their times, Record(time, ...), or for a table its column of times, "
+            "columns=time=COLUMN:s, or a rate."
         )
 
 
