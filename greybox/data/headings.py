@@ -148,11 +148,26 @@ def with_units_in_header(text: DelimitedText) -> DelimitedText:
 def find_column(text: str, columns: Sequence[Heading]) -> Column:
     """Return the column that ``name`` or ``name:unit`` means, with or without brackets.
 
+    Commas separate the names that a column has in several files: ``pitch:deg,Theta``.
+
     Raises
     ------
     ValueError
         If there is no such column, or two. The caller puts the name of the file before the message.
     """
+    places = [place for part in (text, *text.split(",")) if (place := _place(part, columns))]
+    if len(set(places)) > 1:
+        raise ValueError(f"has all of the columns {text!r}: name one of them.")
+    if not places:
+        # A name may have a colon of its own.
+        wanted = text.rpartition(":")[0] or text
+        names = alternatives(wanted, map(str, columns))
+        raise ValueError(f"has no column {wanted!r}; it has {names}")
+    return places[0]
+
+
+def _place(text: str, columns: Sequence[Heading]) -> Column | None:
+    """Return the column that one name means, with its unit; None if there is none."""
     name, _, unit = text.rpartition(":")
     # The whole text is tried first: a name may have a colon of its own.
     for wanted, stated in ((text, ""), (name, unit)):
@@ -168,8 +183,7 @@ def find_column(text: str, columns: Sequence[Heading]) -> Column:
             raise ValueError(f"has several columns {wanted!r}: name one of {names}.")
         if places:
             return Column(places[0], stated or columns[places[0]].unit)
-    wanted = name or text
-    raise ValueError(f"has no column {wanted!r}; it has {alternatives(wanted, map(str, columns))}")
+    return None
 
 
 def unit_and_hold(text: str) -> tuple[str, str]:

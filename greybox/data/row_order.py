@@ -89,7 +89,7 @@ def _is_unsorted(time: Array) -> bool:
 
 def _stored_twice(time: Array, rows: IntArray, signals: Sequence[AnyArray]) -> BoolArray:
     """Return which rows (m,) are equal to the one before."""
-    twice = np.concatenate([[False], np.diff(time) == 0])
+    twice = np.concatenate([[False], (np.diff(time) == 0) & bool(signals)])
     for values in signals:
         before, after = values[rows[:-1]], values[rows[1:]]
         equal = (before == after) | (np.isnan(before) & np.isnan(after))

@@ -1,12 +1,10 @@
-"""Columns of a table under the user's names, and signals in SI."""
+"""Columns of a table under the user's names."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
 from greybox.data.dates import OF_DAY, SINCE_1970
 from greybox.data.files.arrays import Array
 from greybox.data.headings import Heading, find_column, unit_and_hold, unit_in_name
-from greybox.data.record import Record
 from greybox.data.time_column import unit_of_clock
 from greybox.data.units import AmbiguousUnitError, is_unit, known_unit, misspelled, to_si
 
@@ -39,6 +37,8 @@ def renamed(
             labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:
             sentence = str(error)
+            if sentence.startswith("has no column"):
+                sentence += f" If other files have it, name both: {name}={text},COLUMN."
             joint = " " if sentence.startswith("has ") else f": {text}: "
             stop = "" if sentence.endswith((".", "?")) else "."
             raise ValueError(f"{source}{joint}{sentence}{stop}") from None
@@ -72,32 +72,3 @@ def _agreed(stated: str, written: str) -> str:
         if misspelled(wanted or unit) or not (is_unit(wanted) or wanted in ("", unit)):
             raise
     return f"{wanted or unit} {wanted_hold or hold}".strip()
-
-
-def in_si(record: Record, names: Iterable[str]) -> Record:
-    """Return a record with these signals in SI; units that are not known become findings.
-
-    Raises
-    ------
-    AmbiguousUnitError
-        If a unit has two readings.
-    """
-    signals = dict(record.signals)
-    units = dict(record.units)
-    findings = [*record.findings]
-    for name in names:
-        unit = record.units.get(name, "")
-        try:
-            conversion = to_si(unit)
-        except AmbiguousUnitError as error:
-            raise AmbiguousUnitError(
-                f"{record.source}: the unit of {name}, {error}, columns={name}=COLUMN:UNIT."
-            ) from None
-        except ValueError as error:
-            findings.append(f"{name} was taken as it is, in {unit!r}: {error}.")
-            continue
-        signals[name] = conversion.apply(record[name])
-        units[name] = conversion.si
-        findings += [f"{name}: {conversion.remark}."] if conversion.remark else []
-
-    return replace(record, signals=signals, units=units, findings=tuple(findings))

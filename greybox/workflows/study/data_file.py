@@ -12,7 +12,6 @@ from greybox.data.files.grouping import unique
 from greybox.data.files.safe_files import require_file
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.headings import headings
-from greybox.data.logs.named_columns import in_si
 from greybox.data.logs.prepare import prepare as prepared
 from greybox.data.logs.readers import read
 from greybox.data.record import Record, Recording
@@ -144,7 +143,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
 
     (record,) = records
     # Models are written in SI units, tables in any.
-    record = in_si(record, [name for name in names if name in record.signals])
+    record = record.in_si(name for name in names if name in record.signals)
     return replace(record, findings=unique([*record.findings, *log.findings]))
 
 
