@@ -37,7 +37,7 @@ def renamed(
             labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:
             sentence = str(error)
-            if sentence.startswith("has no column"):
+            if sentence.startswith("has no column") and not sentence.endswith("?"):
                 sentence += f" If other files have it, name both: {name}={text},COLUMN."
             joint = " " if sentence.startswith("has ") else f": {text}: "
             stop = "" if sentence.endswith((".", "?")) else "."
