@@ -8,10 +8,11 @@
 | ``stamp.sec`` and ``stamp.nanosec``; ``Date`` and ``Time`` | both together |
 
 A unit is stated in brackets, at the end of the name, or by a counter's name, such as ``TimeUS``.
-Dates and times of day, 10:00:01.25, state theirs. Without a statement, the numbers must show it:
-by their size (times since 1970, days of a spreadsheet), or because only one unit gives a log of a
-plausible rate and length. Otherwise the column is refused: a wrong unit makes every time constant
-wrong by a factor of 1000. Findings state what was concluded.
+Dates and times of day, 10:00:01.25, state theirs. Without a statement, the numbers must show it: by
+their size (times since 1970, days of a spreadsheet), or because only one unit gives a log of a
+plausible rate and length: seconds, or what a counter such as ``timestamp`` may count. Otherwise the
+column is refused: a wrong unit makes every time constant wrong by a factor of 1000. Findings state
+what was concluded.
 
 A counter that starts again at its largest number runs on; what becomes of rows that are not in the
 order of their times is in `greybox.data.row_order`.
@@ -309,7 +310,9 @@ def _by_evidence(name: str, times: Array, finite: Array) -> tuple[Array, str]:
             f"{_cure(name, 'ms')}"
         )
     readings = [unit for unit in _possible_units(finite) if _is_usual(unit, finite, is_counter)]
-    if len(readings) != 1:
+    # What a person calls a time is in seconds, or in a unit of which a number alone is no evidence.
+    is_certain = len(readings) == 1 and (is_counter or readings[0] in ("s", "days"))
+    if not is_certain:
         texts = [f"in {unit} {_in_words(unit, finite)}" for unit in readings or ["s"]]
         raise ValueError(
             f"{printable(name)} has no unit, which may be {' or '.join(readings) or 'any'}, "

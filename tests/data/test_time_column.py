@@ -96,8 +96,8 @@ def test_a_clock_without_a_unit_is_right_or_refused_with_a_cure(tmp_path, name, 
         record, was_refused = read_or_cured(path, unit)
         np.testing.assert_allclose(record.time - record.time[0], exact - start, atol=6e-4)
         refused += was_refused
-    # Half are read without a question.
-    assert refused <= 14
+    # Most counters are read without a question; what is called a time must be in seconds.
+    assert refused <= (10 if name == "timestamp" else 22)
 
 
 CLOCKS = {
