@@ -2,7 +2,7 @@
 
 from greybox.assessment.checks.evidence import Pairs
 from greybox.assessment.fitted_part import FittedRecord
-from greybox.assessment.misfit.tested_record import dynamic_equations
+from greybox.assessment.misfit.equations import dynamic_equations
 from greybox.data.files.arrays import Array
 from greybox.engine.compiled.record_part import RecordPart
 

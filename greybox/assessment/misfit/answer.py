@@ -10,12 +10,12 @@ from greybox.modeling.added_terms import Formula
 
 # Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
 # 0.6 % are below it; below 0.01 would be 2 %.
-FALSE_ALARMS = 0.003
+FALSE_ALARMS = 0.001
+NAMED = 0.003  # the same for a cause of a model that is called wrong
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 # Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
-SLOW = 0.9  # share of the squares that earlier samples predict, as of errors by gusts
 # Share of squares, a millionth of an output, below which no sensor has errors: a simulation without
 # noise leaves rounding and integration errors, which may follow the input.
 EXACT = 1e-12
@@ -168,7 +168,7 @@ class Misfit(Printed):
             return ()
         # Where drift alone, or correlated errors of a response, would excuse the model.
         excused = 0.05 if self.is_drifting else 0.001
-        limit = excused if self.explains else self.level
+        limit = excused if self.explains else max(self.level, NAMED)
         return tuple([cause for cause in self.causes if cause.p_value < limit][:3])
 
     @property
@@ -183,7 +183,7 @@ class Misfit(Printed):
         Gusts bias the values that a simulation fits, and through a controller they reach the
         inputs. At biased values, residuals are slow and follow the inputs.
         """
-        return not (self.explains or self.is_unstable) and self.drift > SLOW
+        return not (self.explains or self.is_unstable) and self.drift > DRIFTING
 
     @property
     def verdict(self) -> str:
