@@ -9,7 +9,7 @@ counts, an actuator is at its limit, a vehicle stands. `benchmarks/signal_faults
 often one of them is accused.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,8 @@ import numpy as np
 from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.wording import counted
-from greybox.data.spectral.saturation import at_limit
+from greybox.data.record import Record
+from greybox.data.saturation import at_limit
 
 # Fewer samples show no pattern.
 FEWEST = 100
@@ -81,6 +82,20 @@ def signal_faults(
     return ()
 
 
+def record_faults(
+    record: Record, outputs: Sequence[str], commands: Sequence[str] = ()
+) -> tuple[SignalFault, ...]:
+    """Return the faults of some signals of a record: outputs, and commands as inputs are."""
+    if not record.has_time:
+        return ()
+    faults: list[SignalFault] = []
+    for name in (*outputs, *commands):
+        others = [record[other] for other in record.signals if other != name]
+        rows = np.array(others).reshape(-1, len(record))
+        faults += signal_faults(name, record[name], rows, is_command=name not in outputs)
+    return tuple(faults)
+
+
 Faults = Iterator[tuple[str, str]]
 
 
@@ -135,8 +150,9 @@ def _interpolated(name: str, values: Array, others: Array) -> Faults:
     if period and is_lines and moves and not _is_made_of_steps(np.diff(values)[corners]):
         yield (
             "interpolated",
-            f"{name} runs in straight lines from every {_ordinal(period)} row to the next: a slower "
-            "log was interpolated, which takes off its fast part. Give NaN in the rows between.",
+            f"{name} runs in straight lines from every {_ordinal(period)} row to the next: a "
+            "slower log was interpolated, which takes off its fast part. Give NaN in the rows "
+            "between.",
         )
 
 
@@ -172,7 +188,8 @@ def _frozen(name: str, values: Array, others: Array) -> Faults:
     steps = np.abs(np.diff(values))
     jump = steps[end] if end < steps.size else np.inf
     is_jump = jump > 4 * (np.median(steps) + _resolution(values))
-    if is_jump and any(np.mean(np.diff(row) != 0) > REGULAR for row in during):
+    is_long = longest > max(100, 50 * usual)
+    if (is_jump or is_long) and any(np.mean(np.diff(row) != 0) > REGULAR for row in during):
         yield (
             "frozen",
             f"{name} has one value in {counted(longest, 'row')} from row {begin + 1} on, while "
@@ -193,11 +210,12 @@ def _far_off(name: str, values: Array, others: Array) -> Faults:
     both = [np.abs(bend / np.where(is_far, middle, 1.0) - 0.5) < 0.2 for bend in beside]
     places = np.flatnonzero(is_far & both[0] & both[1]) + 1
     if 0 < places.size <= RARE * values.size:
+        first = places[0]
+        before, far, after = (number(x, 3) for x in values[first - 1 : first + 2])
         yield (
             "far off",
-            f"{name} has {counted(places.size, 'sample')} far from both neighbors, the first in row "
-            f"{places[0]}: {number(values[places[0]], 3)} between {number(values[places[0] - 1], 3)} "
-            f"and {number(values[places[0] + 1], 3)}. Make them NaN.",
+            f"{name} has {counted(places.size, 'sample')} far from both neighbors, the first in "
+            f"row {first}: {far} between {before} and {after}. Make them NaN.",
         )
 
 
@@ -210,8 +228,8 @@ def _alternating(name: str, values: Array, others: Array) -> Faults:
     if turns > 0.95 and apart > pairs:
         yield (
             "alternating",
-            f"{name} jumps by {number(2 * np.median(np.abs(middle)), 3)} from row to row and back: two "
-            "sensors were logged in turn. Give each its own column.",
+            f"{name} jumps by {number(apart, 3)} from row to row and back: two sensors were logged "
+            "in turn. Give each its own column.",
         )
 
 

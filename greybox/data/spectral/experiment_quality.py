@@ -9,11 +9,13 @@ import numpy as np
 
 from greybox.data.excited_segment import Segments
 from greybox.data.files.arrays import Array
+from greybox.data.files.numbers_in_text import number
 from greybox.data.files.printed import Printed
 from greybox.data.files.wording import counted, some
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
-from greybox.data.spectral.saturation import at_limit
+from greybox.data.saturation import at_limit
+from greybox.data.signal_faults import record_faults
 
 Severity = Literal["note", "warning", "refusal"]
 
@@ -136,6 +138,8 @@ def check(
         *_filters(record, (input, output)),
         *_gaps(record, usable),
         *jitter(record),
+        *_faults(record, output, input),
+        *_unstated_hold(record, input),
         *_saturation(record, usable, input),
         *_amplitude(record, input, output),
         *_segments(segments),
@@ -184,6 +188,24 @@ def _gaps(record: Record, segments: Segments) -> Findings:
             "interpolated across."
         )
         yield Finding("gaps", severity, float(share), text)
+
+
+def _faults(record: Record, output: str, input: str) -> Findings:
+    for fault in record_faults(record, (output,), (input,)):
+        yield Finding("samples", "warning", math.nan, fault.text)
+
+
+def _unstated_hold(record: Record, input: str) -> Findings:
+    """Say how much the response changes if the input is held, where nothing states it."""
+    if input in record.hold:
+        return
+    half = 500 * record.step
+    text = (
+        f"nothing states how {input} runs between its samples: if each is held until the next, as "
+        f"commands of a controller are, {number(half, 3)} ms of the delay belong to the hold. "
+        f"State it: {input} [held] in the header of the table, or hold={{{input!r}: np.inf}}."
+    )
+    yield Finding("hold", "note", half, text)
 
 
 def jitter(record: Record) -> Findings:
