@@ -9,13 +9,14 @@ import numpy as np
 
 from greybox.data.excited_segment import Segments
 from greybox.data.files.arrays import Array
-from greybox.data.files.numbers_in_text import number
+from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.printed import Printed
 from greybox.data.files.wording import counted, some
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
 from greybox.data.saturation import at_limit
 from greybox.data.signal_faults import record_faults
+from greybox.data.spectral.uniform_stretches import FILLED, longest_stretch
 
 Severity = Literal["note", "warning", "refusal"]
 
@@ -177,6 +178,17 @@ def _gaps(record: Record, segments: Segments) -> Findings:
     within = np.any([(time[1:] > start) & (time[:-1] < end) for start, end in spans], axis=0)
     holes = record.clock.holes
     wide = np.diff(time)[holes[within[holes]]]
+    missing = np.rint(wide / record.step) - 1
+    is_short = (missing <= FILLED) & (record.gaps != "cut")
+    if is_short.any():
+        count = int(missing[is_short].sum())
+        share = count / (count + np.count_nonzero(within))
+        text = (
+            f"{counted(count, 'lost row')} in {counted(int(is_short.sum()), 'short gap')} "
+            f"({percent(share)} %): interpolated, at most {FILLED} in a row."
+        )
+        yield Finding("gaps", "note", share, text)
+    wide = wide[~is_short]
     if wide.size:
         share = wide.sum() / np.diff(time)[within].sum()
         # Nothing is interpolated across gaps: a larger share costs data but not accuracy, so the
@@ -290,8 +302,8 @@ def _length(record: Record, lowest: float, segments: Segments) -> Findings:
         periods = fewest.periods
         lowest = fewest.band[0]
     else:
-        # Nothing is estimated across a gap.
-        periods = max(piece.duration for piece in record.pieces) * lowest / math.tau
+        # Nothing is estimated across a long gap.
+        periods = longest_stretch(record) * lowest / math.tau
     yield from graded(
         "length",
         periods,
