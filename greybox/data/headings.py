@@ -169,8 +169,8 @@ def find_column(text: str, columns: Sequence[Heading]) -> Column:
 def _place(text: str, columns: Sequence[Heading]) -> Column | None:
     """Return the column that one name means, with its unit; None if there is none."""
     name, _, unit = text.rpartition(":")
-    # The whole text is tried first: a name may have a colon of its own.
-    for wanted, stated in ((text, ""), (name, unit)):
+    # The whole text is tried first: a name may have a colon of its own. No unit has a comma.
+    for wanted, stated in ((text, ""), (name, unit))[: 1 if "," in unit else 2]:
         meant = heading(wanted)
         alike = [
             [k for k, h in enumerate(columns) if h.name == wanted],
