@@ -24,11 +24,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from greybox.data.files.arrays import AnyArray
 from greybox.data.files.decimal_marks import are_numbers
 from greybox.data.files.delimited_text import DelimitedText
 from greybox.data.files.spelling import alternatives
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.data.units import is_unit, known_unit
+from greybox.data.units import is_unit
 
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}  # words on how a signal varies between samples
 
@@ -117,17 +118,27 @@ def headings(cells: Iterable[str]) -> list[Heading]:
     return result
 
 
+def split_names(
+    columns: Mapping[str, AnyArray], units: Mapping[str, str]
+) -> tuple[dict[str, AnyArray], dict[str, str]]:
+    """Return the columns of a file that has names only, by their names without units, and units."""
+    named = headings(columns)
+    split = {h.name: x for h, x in zip(named, columns.values(), strict=True)}
+    texts = {h.name: units.get(n) or h.unit for h, n in zip(named, columns, strict=True)}
+    return split, texts
+
+
 def with_units_in_header(text: DelimitedText) -> DelimitedText:
     """Return a table in whose header are the units that the line below it has, as in flight tests.
 
-    In such a line, a known unit stands above a number, and no number but a 1 stands in it.
+    In such a line, a unit stands above a number, and no number but a 1 stands in it.
     """
     rows = text.rows()
     _, row = next(rows, (0, []))
     _, below = next(rows, (0, []))
     units = [cell.strip("[](){} ") for cell in row]
     is_above_number = any(
-        known_unit(unit) and not are_numbers([unit]) and are_numbers([number])
+        is_unit(unit) and not are_numbers([unit]) and are_numbers([number])
         for unit, number in zip(units, below, strict=False)
     )
     has_numbers = any(are_numbers([unit]) and unit != "1" for unit in units)

@@ -120,10 +120,10 @@ def unit_of_clock(name: str) -> str:
 
 
 def tick(unit: str) -> float | None:
-    """Return a unit of time in s; None for any other unit."""
-    if unit in (SINCE_1970, OF_DAY):
+    """Return a unit of time in s, also of "days since 2020-01-01"; None for any other unit."""
+    if unit == OF_DAY:
         return 1.0
-    conversion = known_unit(unit.lower())
+    conversion = known_unit(unit.lower().partition(" since ")[0])
     return conversion.factor if conversion and conversion.si == "s" else None
 
 
@@ -212,7 +212,7 @@ def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, tuple[s
         )
     if stated or finite.size < 2:
         in_seconds = times * (tick(stated) or 1.0)
-        if stated == SINCE_1970:
+        if " since " in stated:
             in_seconds = in_seconds - finite[:1]
     else:
         in_seconds, text = _by_evidence(name, times, finite)

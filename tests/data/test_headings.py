@@ -227,3 +227,27 @@ def test_a_hold_and_units_can_be_stated_after_reading(tmp_path):
     with pytest.raises(ValueError, match="nm may be a torque or a length"):
         record.in_si()
     np.testing.assert_allclose(record.stated({"y": "N*m"}).in_si()["y"], [1, 2, 3])
+
+
+def test_names_of_signals_may_have_dots(tmp_path):
+    path = tmp_path / "flight.csv"
+    rows = "\n".join(f"{t:.2f},{t:.2f},{2 * t:.2f}" for t in TIME)
+    path.write_text(f"time [s],cmd.x,pose.x.value\n{rows}\n")
+    log = gb.read(path)
+    signals = {"u": "cmd.x", "y": "flight.pose.x.value"}
+    record = gb.prepare(log, signals)
+    np.testing.assert_allclose(record["y"], 2 * record["u"])
+    with pytest.raises(KeyError, match="cmd"):
+        gb.prepare(log, {"u": "cmd.y"})
+
+
+def test_names_in_files_of_arrays_follow_the_grammar(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "flight.h5"
+    with h5py.File(path, "w") as file:
+        file["stamp.sec"], file["stamp.nanosec"] = np.floor(TIME), np.round(TIME % 1 * 1e9)
+        file["Pos (X) [mm]"] = 1000 * TIME
+        file["T"] = 300 - TIME
+    record = gb.read(path, columns={"x": "Pos (X)"})["flight"]
+    np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(record["x"], TIME)

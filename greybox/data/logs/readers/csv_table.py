@@ -213,9 +213,11 @@ def _complete_rows(text: DelimitedText, named: Sequence[Heading]) -> tuple[Rows,
 
 def _require_one_header(text: DelimitedText, rows: Rows, numeric: Sequence[int]) -> None:
     """Raise ValueError if a row has other names than the header above its numbers."""
-    for number, row in rows:
+    for number, row in rows if len(numeric) > 1 else ():
+        if is_like_number(row[numeric[0]]):
+            continue
         names = {row[k] for k in numeric}
-        if len(names) == len(numeric) > 1 and not any(map(is_like_number, names)):
+        if len(names) == len(numeric) and not any(map(is_like_number, names)):
             raise text.second_header(number)
 
 
