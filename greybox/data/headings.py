@@ -39,7 +39,8 @@ BRACKET = re.compile(
     r"\[([^\[\]]*)(?:\]|$)|\{([^{}]*)(?:\}|$)|<([^<>]*)(?:>|$)|\(((?:[^()]|\([^()]*\))*)(?:\)|$)"
 )
 
-NUMBERS = re.compile(r"\W[\d, ]+\W")  # in brackets apart from a name, as in pos [0]
+# At the end, square brackets and braces are for units; numbers in them are an index, as in pos [0].
+UNKNOWN_UNIT = re.compile(r"[\[{](?![\d, ]+[\]}]).*")
 
 # Units that are labels where a neighbor has a label: V (N) and V (E), Temp (min) and Temp (max).
 LABELS = re.compile(r"[A-Za-z]|\d+|in|min")
@@ -78,17 +79,12 @@ def heading(cell: str) -> Heading:
     """Return the name and the unit in one cell of a header."""
     text = " ".join(cell.split())
     groups = _groups(text)
-    last = groups[-1:]
-    is_at_end = bool(last) and last[0].end() == len(text)
-    units = [group for group in groups if _is_unit(_content(group))]
-    if not units and is_at_end and last[0][0][0] in "[{" and not NUMBERS.fullmatch(last[0][0]):
-        units = last
-    if not units:
-        return Heading(text, "")
-
-    before, after = text[: units[-1].start()].rstrip(), text[units[-1].end() :].lstrip()
-    name = f"{before} {after}".strip()
-    return Heading(name, _content(units[-1])) if name else Heading(text, "")
+    for group in reversed(groups):
+        if _is_unit(_content(group)):
+            return _split_at(group)
+    if groups and groups[-1].end() == len(text) and UNKNOWN_UNIT.fullmatch(groups[-1][0]):
+        return _split_at(groups[-1])
+    return Heading(text, "")
 
 
 def headings(cells: Iterable[str]) -> list[Heading]:
@@ -98,24 +94,38 @@ def headings(cells: Iterable[str]) -> list[Heading]:
     """
     texts = [" ".join(cell.split()) for cell in cells]
     texts[:1] = [text or "(column 1)" for text in texts[:1]]
-    result = [heading(text) for text in texts]
+    named = [heading(text) for text in texts]
+    _keep_labels(texts, named)
+
+    # Names that are alike keep their brackets; those that are alike then have their places.
+    alike = _in_several(named)
+    named = [
+        Heading(text, h.unit) if h.name in alike else h
+        for text, h in zip(texts, named, strict=True)
+    ]
+    alike = _in_several(named)
+    return [
+        Heading(f"{h.name} (column {k})", h.unit) if h.name in alike else h
+        for k, h in enumerate(named, start=1)
+    ]
+
+
+def _keep_labels(texts: Sequence[str], named: list[Heading]) -> None:
+    """Give units that are labels back to their names: beside V (E), V (N) is no force."""
     families = defaultdict(list)
     for place, text in enumerate(texts):
         families[_base(text)].append(place)
-
     for places in families.values():
-        # Beside a label, a letter is a label.
-        has_labels = any(_groups(texts[k]) and not result[k].unit for k in places)
-        for k in places if has_labels else ():
-            if LABELS.fullmatch(result[k].unit):
-                result[k] = Heading(texts[k], "")
+        if any(_groups(texts[k]) and not named[k].unit for k in places):
+            for k in places:
+                if LABELS.fullmatch(named[k].unit):
+                    named[k] = Heading(texts[k], "")
 
-    for rename in (lambda k: texts[k], lambda k: f"{result[k].name} (column {k + 1})"):
-        counts = Counter(h.name for h in result)
-        for k, h in enumerate(result):
-            if h.name and counts[h.name] > 1:
-                result[k] = Heading(rename(k), h.unit)
-    return result
+
+def _in_several(named: Iterable[Heading]) -> set[str]:
+    """Return the names of several columns."""
+    counts = Counter(h.name for h in named)
+    return {name for name, count in counts.items() if name and count > 1}
 
 
 def split_names(
@@ -228,6 +238,13 @@ def _groups(text: str) -> list[re.Match[str]]:
 def _base(text: str) -> str:
     groups = _groups(text)
     return text[: groups[0].start()].strip() if groups else text
+
+
+def _split_at(group: re.Match[str]) -> Heading:
+    """Return the heading whose unit is in this bracket, and whose name is the text around it."""
+    text = group.string
+    name = f"{text[: group.start()].rstrip()} {text[group.end() :].lstrip()}".strip()
+    return Heading(name, _content(group)) if name else Heading(text, "")
 
 
 def _content(group: re.Match[str]) -> str:
