@@ -195,6 +195,14 @@ def test_numbers_that_nobody_uses_decide_nothing(tmp_path):
     assert record["x"].tolist() == [1.5, 2.5, 3.5]
 
 
+@pytest.mark.parametrize("clock", ["t", "time", "Time [s]"])
+def test_a_clock_decides_the_decimal_mark_though_only_a_signal_is_named(tmp_path, clock):
+    path = tmp_path / "flight.csv"
+    path.write_text(f"{clock};x;n\n0,0;1;7\n0,5;2;8\n1,0;3;9\n")
+    record = gb.read(path, columns={"x": "x"})["flight"]
+    assert record.time.tolist() == [0, 0.5, 1]
+
+
 def test_a_text_beside_a_column_of_numbers_is_not_meant(tmp_path):
     path = tmp_path / "flight.csv"
     path.write_text("time,x,x (note)\n0,1,a\n0.5,2,b\n1,3,c\n")

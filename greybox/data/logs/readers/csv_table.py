@@ -19,7 +19,7 @@ from greybox.data.logs.readers.betaflight import completed, with_units, without_
 from greybox.data.logs.readers.messages import MessageNames
 from greybox.data.logs.readers.named_arrays import recording
 from greybox.data.record import Recording
-from greybox.data.time_column import clock_names, is_clock_name
+from greybox.data.time_column import clock_names, is_clock_name, seconds
 
 Rows = Sequence[tuple[int, Sequence[str]]]  # numbers of lines and their cells
 
@@ -89,15 +89,15 @@ def read(
     for name in used - columns.keys() if stated else ():
         raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
     units = {h.name: h.unit for h in named} | units_of_texts
-    is_timed = clock_names(columns, units) or "time" in (stated or ())
-    if is_timed and rate:
+    clock = ("time",) if "time" in (stated or ()) else clock_names(columns, units)
+    if clock and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
     # As rows without a time, the samples would count as independent.
-    unread = next((h for h in named if is_clock_name(h.base)), None)
-    if unread and not (is_timed or rate):
+    unread = [h for h in named if is_clock_name(h.base) and not (clock and h.name in columns)]
+    if unread and not (rate or any(map(is_clock_name, clock))):
         raise ValueError(
-            f"{path} has the column '{unread}', which is not a time in numbers with a known unit: "
-            "give it in seconds as 'time [s]', or give it another name if it is not a time."
+            f"{path} has the column '{unread[0]}', which is not a time in numbers with a known "
+            "unit: give it in seconds as 'time [s]', or give it another name if it is not a time."
         )
 
     groups = {path.stem: (columns, units)}
@@ -141,7 +141,7 @@ def _columns(
     numeric = {name: k for name, k in places.items() if _is_of_numbers(rows, k)}
     _require_one_header(text, rows, [*numeric.values()])
     # One decision for the whole table: a column of integers shows no decimal mark.
-    decisive = [k for name, k in numeric.items() if name in used or is_clock_name(name)]
+    decisive = [k for name, k in numeric.items() if name in used or seconds(name)]
     cells = ((number, [row[k] for k in decisive]) for number, row in rows)
     comma = has_decimal_comma(text.path, cells)
 
