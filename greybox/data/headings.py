@@ -112,7 +112,7 @@ def headings(cells: Iterable[str]) -> list[Heading]:
 
 def _keep_labels(texts: Sequence[str], named: list[Heading]) -> None:
     """Give units that are labels back to their names: beside V (E), V (N) is no force."""
-    families = defaultdict(list)
+    families: defaultdict[str, list[int]] = defaultdict(list)
     for place, text in enumerate(texts):
         families[_base(text)].append(place)
     for places in families.values():
