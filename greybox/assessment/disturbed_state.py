@@ -70,4 +70,5 @@ def _effects(
     one = np.eye(len(transition))
     turned = np.exp(1j * angles)[:, None, None] * one
     # What adds to a derivative during a step moves its end by the mean of both transitions.
-    return weight @ outputs @ np.linalg.solve(turned - transition, (one + transition) / 2)
+    moved = np.linalg.solve(turned - transition, (one + transition) / 2)
+    return np.asarray(weight @ outputs @ moved, complex)
