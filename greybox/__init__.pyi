@@ -36,6 +36,7 @@ from greybox.engine.compiled.transcription import (
     Transcription as Transcription,
 )
 from greybox.engine.solve.cost import cost as cost
+from greybox.engine.solve.objective import Objective as Objective, objective as objective
 from greybox.modeling import (
     Integrator as Integrator,
     Parameter as Parameter,

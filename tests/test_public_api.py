@@ -14,10 +14,10 @@ import greybox as gb
 
 NAMES = """
 Bootstrap CHECKS Collocation Controller Criterion Draws EquationError Evidence Finding Fit FrequencyResponse Integrator MagnitudePhase
-MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
+MaximumLikelihood MultipleShooting Objective OutputError Parameter PredictionError Problem Profiles Record RelativeError
 Radau RelativeLikelihood RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
 Transcription TransferFunction batch bootstrap compare cost draws feedback fit frequency_response identify load margins misfit
-plot predict prepare profile read read_response report safe_gains save several simulate stepwise
+objective plot predict prepare profile read read_response report safe_gains save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
 

@@ -29,6 +29,9 @@ Begin with `search`.
 | `lost_workers`, `blas_threads` | errors of lost workers; one thread for matrix products |
 | `interruption` | Ctrl-C, and how long a search may take |
 | `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
+| `objective` | the cost with its derivatives, for any solver or sampler |
+| `point_costs`, `response_costs`, `record_costs` | what it asks of a compiled problem at a point |
+| `response_residuals` | residuals of a frequency response |
 | `cost` | the cost at given parameters |
 """
 
