@@ -101,7 +101,7 @@ def test_a_byte_order_mark_and_the_order_of_columns_do_not_matter(tmp_path):
         ("omega_rad_s,alpha,beta\n1,2\n", r"line 2, has 2 cells where the header has 3"),
         ("omega_rad_s,alpha,beta\n1,2,3\n1,2,3\n", r"data\.csv: omega = 1 rad/s is repeated"),
         ("omega_rad_s,alpha,beta\n1,nan,3\n", r"line 2: alpha is 'nan', which is not a number"),
-        ("omega_rad_s,alpha,beta,alpha\n1,2,3,4\n", r"data\.csv has two columns 'alpha'"),
+        ("omega_rad_s,alpha,beta,alpha\n1,2,3,4\n", r"data\.csv has several columns 'alpha'"),
     ],
 )
 def test_bad_files_are_refused_in_a_sentence(tmp_path, text, sentence):

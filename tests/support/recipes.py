@@ -154,6 +154,20 @@ class SoftErrors(gb.formulation.ErrorDistribution):
         return (1 + (errors / self.bound) ** 2) ** -1.5
 
 
+@dataclass(frozen=True)
+class OneBoard(gb.formulation.ErrorCovariance):
+    """Sensors on one board: noise of each, and a disturbance that all of them have in common."""
+
+    own: float = 0.02
+    common: float = 0.05
+    description: ClassVar[str] = "covariance of the board"
+    is_correlated: ClassVar[bool] = True
+
+    def known(self, outputs):
+        count = len(outputs)
+        return self.own**2 * np.eye(count) + self.common**2 * np.ones((count, count))
+
+
 class Hold(gb.Controller):
     """Holds the position of the mass."""
 

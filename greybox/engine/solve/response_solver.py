@@ -334,7 +334,9 @@ class ResponseSolver(Descent):
     def meets_constraints(self, x: Array) -> bool:
         """Return whether a search that knows none of the constraints ended where all hold."""
         nlp = self.nlp
-        return bool(nlp.constraint(nlp.all_values(x)).full().min(initial=0) >= 0)
+        if not nlp.limits:
+            return True
+        return bool(nlp.constraint(nlp.all_values(x)).full().min() >= 0)
 
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS

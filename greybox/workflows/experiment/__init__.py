@@ -23,7 +23,7 @@ test).
 | `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |
-| `sine_plan` | sines that reach the wanted errors in the shortest flight |
+| `sine_plan`, `shortest_flight` | sines that reach the wanted errors in the shortest flight |
 | `optimal_design` | shares of time for the frequencies of a plan |
 """
 

@@ -4,12 +4,12 @@ Begin with `plan_sines`.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import field
 
 import numpy as np
 
-from greybox.data.files.arrays import Array, BoolArray, IntArray, Interval, positive_or_one
+from greybox.data.files.arrays import Array, Interval, positive_or_one
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import NOTHING, Values, array_of
 from greybox.data.files.text_table import text_table
@@ -24,8 +24,9 @@ from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.model import pick_signals, require_known
 from greybox.workflows.experiment.controller import Controllers
 from greybox.workflows.experiment.excitation import Excitation
-from greybox.workflows.experiment.optimal_design import require_determined, shares, time_needed
+from greybox.workflows.experiment.optimal_design import require_determined
 from greybox.workflows.experiment.sampled_loop import sampled_loop
+from greybox.workflows.experiment.shortest_flight import Candidates, shortest_flight
 from greybox.workflows.experiment.sine_schedules import sine_schedule
 
 # A quiet flight has at least this number of periods of the lowest frequency.
@@ -131,7 +132,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
     A sine of amplitude U at the plant's input and of duration t measures the response with the
     variance E|P̂ - P|² = 2 G / (t |U|²), where G is the one-sided spectral density of the output
-    noise. The shares of the flight time maximize the Fisher information within the limits. The
+    noise. Frequencies and lengths make the flight short, see `shortest_flight`. The
     model is linearized: fly the plan by `virtual_flight` first to see whether the amplitudes are
     too large for that.
 
@@ -215,22 +216,17 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     matters = np.array([name in wanted for name in nlp.free])
     require_determined(information.mean(axis=0), nlp.free)
 
-    def flown(omega: Array, seconds: Array) -> tuple[Array, float]:
-        """Return durations (n,) of whole periods of at least these seconds, and the flight time."""
-        period = HZ / omega
-        duration = np.maximum(np.ceil(seconds / period - 1e-9), periods) * period
-        settling = np.ceil(lead_in / period - 1e-9) * period
-        return duration, float(np.sum(duration + settling + pause)) + pause
-
-    chosen, duration = _fewest(omega, information, matters, flown)
-    if not duration.size:
+    period = HZ / omega
+    settling = np.ceil(lead_in / period - 1e-9) * period
+    candidates = Candidates(information, matters, period, settling + pause, periods)
+    # Four numbers more than the parameters use up remain for judging the model.
+    flight = shortest_flight(candidates, math.ceil((len(nlp.free) + 4) / 2))
+    chosen, duration = flight.places, flight.seconds
+    if not np.isfinite(flight.total):
         raise ValueError(
             "no flight in this band reaches the wanted errors of "
             f"{', '.join(f'{name} ± {error:g}' for name, error in wanted.items())}: raise them."
         )
-    # Four numbers more than the parameters use up remain for judging the model.
-    count = math.ceil((len(nlp.free) + 4) / 2)
-    chosen, duration = with_spare_sines(omega, chosen, duration, count, periods)
     covariance = np.linalg.inv(np.tensordot(duration, information[chosen], 1))
     errors = np.sqrt(np.diag(covariance)) * scale
     return SinePlan(
@@ -240,7 +236,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         limited_by=tuple((excitation, *limits)[k] for k in limit[chosen]),
         standard_error=dict(zip(nlp.free, errors.tolist(), strict=True)),
         wanted=dict(wanted),
-        flight_time=flown(omega[chosen], duration)[1],
+        flight_time=flight.total + pause,
         signal=excitation,
         unit=unit,
         rate=rate,
@@ -289,46 +285,3 @@ def noise_density(
             f"{omega[0]:.3g} rad/s: give a longer one."
         )
     return total / seconds
-
-
-def _fewest(
-    omega: Array,
-    information: Array,
-    matters: BoolArray,
-    flown: Callable[[Array, Array], tuple[Array, float]],
-) -> tuple[IntArray, Array]:
-    """Return the places of the sines that make the flight shortest, and their durations, s.
-
-    The optimal shares concentrate on few frequencies and their neighbors. Every further sine costs
-    its time to settle, so the smallest share is dropped as long as that shortens the flight.
-    """
-    chosen = np.arange(len(omega))
-    best = math.inf, chosen, np.zeros(0)
-    while len(chosen):
-        share = shares(information[chosen], matters)
-        chosen, share = chosen[share > 0], share[share > 0]
-        second = np.tensordot(share, information[chosen], 1)
-        if np.linalg.cond(second) > 1e14:
-            break
-        duration, total = flown(omega[chosen], share * time_needed(second, matters))
-        if total > 1.5 * best[0]:
-            break
-        if total < best[0]:
-            best = total, chosen, duration
-        # The sine with the smallest share costs its settling time and informs least.
-        chosen = np.delete(chosen, np.argmin(share))
-    return best[1:]
-
-
-def with_spare_sines(
-    omega: Array, chosen: IntArray, duration: Array, count: int, periods: int
-) -> tuple[IntArray, Array]:
-    """Return at least `count` sines: short ones are added in the widest gaps of the band."""
-    seconds = dict(zip(chosen.tolist(), duration.tolist(), strict=True))
-    while len(seconds) < min(count, len(omega)):
-        edges = [-1, *sorted(seconds), len(omega)]
-        k = np.argmax(np.diff(edges))
-        middle = (edges[k] + edges[k + 1]) // 2
-        seconds[middle] = periods * HZ / omega[middle]
-    order = sorted(seconds)
-    return np.array(order), np.array([seconds[k] for k in order])

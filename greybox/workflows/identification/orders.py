@@ -8,7 +8,6 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from greybox.assessment.fit import fit
 from greybox.assessment.fitted_problem import problem_of
@@ -263,6 +262,8 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, Values]
         longest *= 2
 
     around = grid[max(best - 1, 0) : best + 2]
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (slow to import)
+
     refined = minimize_scalar(
         lambda delay: at(delay)[0],
         bounds=(around[0], around[-1]),

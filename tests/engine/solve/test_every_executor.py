@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from recipes import OneBoard
 from sampled_lag import SampledLag, lag_problem, lag_record
 
 import greybox as gb
@@ -275,7 +276,8 @@ def test_criteria_of_responses(executors, criterion, search, data):
 
 
 @pytest.mark.parametrize(
-    ("criterion", "method", "data"), by_pairs(TIME_CRITERIA, [*methods()], [*RECORDS])
+    ("criterion", "method", "data"),
+    by_pairs([*TIME_CRITERIA, gb.OutputError(noise=OneBoard())], [*methods()], [*RECORDS]),
 )
 def test_criteria_and_methods_of_records(executors, criterion, method, data):
     # IPOPT takes long to build the derivatives of these problems, and a run need not end.

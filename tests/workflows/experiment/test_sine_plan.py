@@ -8,11 +8,8 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import NonlinearTilt
 from greybox.workflows.experiment import expected_errors, plan_sines
-from greybox.workflows.experiment.sine_plan import (
-    QUIET_PERIODS,
-    noise_density,
-    with_spare_sines,
-)
+from greybox.workflows.experiment.shortest_flight import with_spare_sines
+from greybox.workflows.experiment.sine_plan import QUIET_PERIODS, noise_density
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 
@@ -92,6 +89,52 @@ def test_half_of_the_errors_take_four_times_as_long(lag):
     half = {name: error / 2 for name, error in lag.standard_error.items()}
     found = plan_sines(Lag(), LAG, half, amplitude=0.5, noise=0.05, **OPEN_LOOP)
     assert found.duration.sum() == pytest.approx(4 * lag.duration.sum(), rel=0.15)
+
+
+def flight_time_of(omega, wanted):
+    """The shortest time of three sines in open loop, in whole periods, by its closed formulas."""
+    s = 1j * omega
+    slopes = np.array([1 / (0.3 * s + 1), -2.0 * s / (0.3 * s + 1) ** 2]).T
+    scaled = slopes * [wanted["K"], wanted["tau"]]
+    second = 0.5**2 * 50 / (2 * 0.05**2) * np.real(scaled.conj()[:, :, None] * scaled[:, None, :])
+    period = 2 * np.pi / omega
+    overhead = np.ceil(2 / period) * period + 2.0
+    best = np.inf
+    for shares in np.random.default_rng(0).dirichlet(np.ones(3), 30):
+        # Times in these shares, but ten periods of each at least.
+        for scale in np.geomspace(10, 1000, 40):
+            seconds = np.maximum(np.ceil(shares * scale / period), 10) * period
+            variances = np.diag(np.linalg.inv(np.tensordot(seconds, second, 1)))
+            if max(variances) <= 1:
+                best = min(best, np.sum(seconds + overhead) + 2.0)
+                break
+    return best
+
+
+def test_no_other_sines_make_a_shorter_flight():
+    """Against random choices of three frequencies in the band, and the best of some times for each."""
+    wanted = {"K": 0.0024, "tau": 0.0008}
+    planned = plan_sines(Lag(), LAG, wanted, amplitude=0.5, noise=0.05, **OPEN_LOOP)
+    random = np.random.default_rng(3)
+    times = []
+    for _ in range(100):
+        omega = np.sort(np.exp(random.uniform(np.log(0.5), np.log(15), 3)))
+        if np.all(omega[1:] / omega[:-1] > 2 ** (1 / 3)):
+            times.append(flight_time_of(omega, wanted))
+    assert len(times) > 30
+    assert planned.flight_time < min(times)
+    assert planned.flight_time > 0.7 * min(times)
+
+
+def test_tighter_wishes_take_longer():
+    """Least periods make a flight that reaches more than is wanted: it serves looser wishes, too."""
+    times = []
+    for share in (0.4, 0.6, 0.8, 1.0, 1.3, 1.7, 2.5, 4.0):
+        wanted = {"K": 0.003 * share, "tau": 0.001 * share}
+        planned = plan_sines(Lag(), LAG, wanted, amplitude=0.5, noise=0.05, **OPEN_LOOP)
+        assert all(planned.standard_error[name] <= 1.0001 * wanted[name] for name in wanted)
+        times.append(planned.flight_time)
+    assert times == sorted(times, reverse=True)
 
 
 def test_the_limits_are_kept_in_flight(tilt):
@@ -191,7 +234,7 @@ def test_white_noise_beside_the_response_has_itsnoise_density_at_every_frequency
 
 def test_sines_that_are_added_stand_in_the_middle_of_the_widest_gap():
     """One sine of sixteen frequencies, at the thirteenth: below it is most room."""
-    chosen, _ = with_spare_sines(np.arange(1.0, 17.0), np.array([12]), np.array([5.0]), 2, 3)
+    chosen = with_spare_sines(np.array([12]), 16, 2)
     assert [*chosen] == [5, 12]  # twelve places from 0 to 11
 
 
@@ -268,11 +311,7 @@ def test_a_quiet_flight_has_a_few_periods_of_the_lowest_frequency():
 
 
 def test_no_more_sines_are_added_than_there_are_frequencies():
-    chosen, seconds = with_spare_sines(
-        np.array([1.0, 2.0, 4.0]), np.array([1]), np.array([5.0]), 10, 3
-    )
-    assert [*chosen] == [0, 1, 2]
-    assert seconds == pytest.approx([3 * 2 * np.pi, 5.0, 3 * 2 * np.pi / 4])
+    assert [*with_spare_sines(np.array([1]), 3, 10)] == [0, 1, 2]
 
 
 def test_a_signal_that_the_model_does_not_have_is_named():

@@ -142,7 +142,8 @@ def recording(
     # Every group has a clock of its own.
     for name, group in groups.items():
         columns, units = renamed(*group, stated, path.name) if stated else group
-        part, assumed = table(name, columns, units, rate)
+        timer = "time" if "time" in (stated or {}) else ""
+        part, assumed = table(name, columns, units, rate, timer)
         if part.time is None and part.columns and rows_allowed:
             about = (name, path.name, checksum)
             by_name[name] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]
