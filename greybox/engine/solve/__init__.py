@@ -5,7 +5,9 @@ Begin with `search`.
 | file | contents |
 | --- | --- |
 | `search` | the first step of a fit: runs from all starts, finer steps, polished minima |
-| `multistart` | the solver of a problem, the order of its starts, and its runs from them |
+| `multistart` | the order of the starts, the runs from them, and their minima |
+| `search_method` | the solver of a problem, by a word or an object |
+| `own_solver` | a user's own solver, and its runs |
 | `promising` | which of many starts are run first, and when the others are not needed |
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
