@@ -25,6 +25,7 @@ Begin with `fit`.
 | `held_minima` | minima with a quantity held, the points of a profile |
 | `profile_result` | the profiles as values |
 | `largest_deviation` | the point of a response that deviates most |
+| `disturbed_state` | the state that gusts reach, by the residuals |
 | `wrapped_outputs` | outputs that jump by a full turn |
 | `pade_error` | how far a Padé approximation is from the delay |
 | `simulation/` | models run at given values: simulation, prediction |

@@ -18,6 +18,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
+from greybox.data.wrapped_angles import unwrapped
 from greybox.modeling.formulation.signal_units import as_the_only_pair
 from greybox.modeling.model import Model, require_known
 
@@ -99,12 +100,12 @@ def _is_response(names: tuple[str, ...] | None, columns: Mapping[str, str]) -> b
         return False
     if OMEGA in names:
         return True
-    columns = headings(names)
+    named = headings(names)
     # Alpha and beta are also the angles of attack and sideslip of a flight, which has a time.
-    if any(seconds(*column) for column in columns):
+    if any(seconds(*column) for column in named):
         return False
     are_roles = any(name.endswith((OMEGA, *RECTANGULAR)) for name in names)
-    return are_roles or any(c.name.lower() == "magnitude" or c.unit == "dB" for c in columns)
+    return are_roles or any(c.name.lower() == "magnitude" or c.unit == "dB" for c in named)
 
 
 def _record_of(log: Recording, path: Path, model: Model) -> Record:
@@ -143,7 +144,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
 
     (record,) = records
     # Models are written in SI units, tables in any.
-    record = record.in_si(name for name in names if name in record.signals)
+    record = unwrapped(record.in_si(name for name in names if name in record.signals))
     return replace(record, findings=unique([*record.findings, *log.findings]))
 
 
