@@ -81,11 +81,11 @@ def objective(
     >>> from greybox.problems import pitch_hover
     >>> objective = gb.objective(pitch_hover.problem())
     >>> objective.names
-    ('a1', 'a2', 'a3', 'a4', 'T_rotor')
+    ('a1', 'a2', 'a3', 'a4')
     >>> round(objective.value(pitch_hover.published["values"]), 4)
     0.5866
     >>> objective.gradient(objective.start).shape, objective.hessian(objective.start).shape
-    ((5,), (5, 5))
+    ((4,), (4, 4))
     """
     if states not in KINDS:
         raise ValueError(f"states is {states!r:.40}: give 'profiled' or 'simulated'.")
