@@ -55,7 +55,7 @@ def verdict(fit: Any) -> Verdict:
     sentences = [_minimum(fit), _determined(fit)]
     misfit = fit.misfit
     if misfit:
-        holds = misfit.explains_here and not misfit.is_drifting
+        holds = misfit.explains and not misfit.is_drifting
         sentences.insert(0, (holds, f"The model {misfit.verdict}."))
     if fit.left_out:
         count = counted(len(fit.left_out), "check")

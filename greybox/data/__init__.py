@@ -10,6 +10,7 @@ Begin with `record` and `frequency_response`.
 | `excited_segment` | one excited segment of a record, and the table of several |
 | `clock` | the steps of a record: uniform, in coarse stamps, a schedule; and where rows are lost |
 | `intersample` | signals between their samples: held or continuous |
+| `signal_faults`, `saturation` | what a logger did to samples; samples at a limit |
 | `wrapped_angles` | angles that jump by a full turn |
 | `units` | conversion of units to SI |
 | `headings` | the grammar of headers: names, units, indices, holds |

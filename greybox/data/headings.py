@@ -24,11 +24,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from greybox.data.files.arrays import AnyArray
 from greybox.data.files.decimal_marks import are_numbers
 from greybox.data.files.delimited_text import DelimitedText
 from greybox.data.files.spelling import alternatives
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.data.units import is_unit, known_unit
+from greybox.data.units import is_unit
 
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}  # words on how a signal varies between samples
 
@@ -38,7 +39,8 @@ BRACKET = re.compile(
     r"\[([^\[\]]*)(?:\]|$)|\{([^{}]*)(?:\}|$)|<([^<>]*)(?:>|$)|\(((?:[^()]|\([^()]*\))*)(?:\)|$)"
 )
 
-NUMBERS = re.compile(r"\W[\d, ]+\W")  # in brackets apart from a name, as in pos [0]
+# At the end, square brackets and braces are for units; numbers in them are an index, as in pos [0].
+UNKNOWN_UNIT = re.compile(r"[\[{](?![\d, ]+[\]}]).*")
 
 # Units that are labels where a neighbor has a label: V (N) and V (E), Temp (min) and Temp (max).
 LABELS = re.compile(r"[A-Za-z]|\d+|in|min")
@@ -77,17 +79,12 @@ def heading(cell: str) -> Heading:
     """Return the name and the unit in one cell of a header."""
     text = " ".join(cell.split())
     groups = _groups(text)
-    last = groups[-1:]
-    is_at_end = bool(last) and last[0].end() == len(text)
-    units = [group for group in groups if _is_unit(_content(group))]
-    if not units and is_at_end and last[0][0][0] in "[{" and not NUMBERS.fullmatch(last[0][0]):
-        units = last
-    if not units:
-        return Heading(text, "")
-
-    before, after = text[: units[-1].start()].rstrip(), text[units[-1].end() :].lstrip()
-    name = f"{before} {after}".strip()
-    return Heading(name, _content(units[-1])) if name else Heading(text, "")
+    for group in reversed(groups):
+        if _is_unit(_content(group)):
+            return _split_at(group)
+    if groups and groups[-1].end() == len(text) and UNKNOWN_UNIT.fullmatch(groups[-1][0]):
+        return _split_at(groups[-1])
+    return Heading(text, "")
 
 
 def headings(cells: Iterable[str]) -> list[Heading]:
@@ -97,37 +94,61 @@ def headings(cells: Iterable[str]) -> list[Heading]:
     """
     texts = [" ".join(cell.split()) for cell in cells]
     texts[:1] = [text or "(column 1)" for text in texts[:1]]
-    result = [heading(text) for text in texts]
-    families = defaultdict(list)
+    named = [heading(text) for text in texts]
+    _keep_labels(texts, named)
+
+    # Names that are alike keep their brackets; those that are alike then have their places.
+    alike = _in_several(named)
+    named = [
+        Heading(text, h.unit) if h.name in alike else h
+        for text, h in zip(texts, named, strict=True)
+    ]
+    alike = _in_several(named)
+    return [
+        Heading(f"{h.name} (column {k})", h.unit) if h.name in alike else h
+        for k, h in enumerate(named, start=1)
+    ]
+
+
+def _keep_labels(texts: Sequence[str], named: list[Heading]) -> None:
+    """Give units that are labels back to their names: beside V (E), V (N) is no force."""
+    families: defaultdict[str, list[int]] = defaultdict(list)
     for place, text in enumerate(texts):
         families[_base(text)].append(place)
-
     for places in families.values():
-        # Beside a label, a letter is a label.
-        has_labels = any(_groups(texts[k]) and not result[k].unit for k in places)
-        for k in places if has_labels else ():
-            if LABELS.fullmatch(result[k].unit):
-                result[k] = Heading(texts[k], "")
+        if any(_groups(texts[k]) and not named[k].unit for k in places):
+            for k in places:
+                if LABELS.fullmatch(named[k].unit):
+                    named[k] = Heading(texts[k], "")
 
-    for rename in (lambda k: texts[k], lambda k: f"{result[k].name} (column {k + 1})"):
-        counts = Counter(h.name for h in result)
-        for k, h in enumerate(result):
-            if h.name and counts[h.name] > 1:
-                result[k] = Heading(rename(k), h.unit)
-    return result
+
+def _in_several(named: Iterable[Heading]) -> set[str]:
+    """Return the names of several columns."""
+    counts = Counter(h.name for h in named)
+    return {name for name, count in counts.items() if name and count > 1}
+
+
+def split_names(
+    columns: Mapping[str, AnyArray], units: Mapping[str, str]
+) -> tuple[dict[str, AnyArray], dict[str, str]]:
+    """Return the columns of a file that has names only, by their names without units, and units."""
+    named = headings(columns)
+    split = {h.name: x for h, x in zip(named, columns.values(), strict=True)}
+    texts = {h.name: units.get(n) or h.unit for h, n in zip(named, columns, strict=True)}
+    return split, texts
 
 
 def with_units_in_header(text: DelimitedText) -> DelimitedText:
     """Return a table in whose header are the units that the line below it has, as in flight tests.
 
-    In such a line, a known unit stands above a number, and no number but a 1 stands in it.
+    In such a line, a unit stands above a number, and no number but a 1 stands in it.
     """
     rows = text.rows()
     _, row = next(rows, (0, []))
     _, below = next(rows, (0, []))
     units = [cell.strip("[](){} ") for cell in row]
     is_above_number = any(
-        known_unit(unit) and not are_numbers([unit]) and are_numbers([number])
+        is_unit(unit) and not are_numbers([unit]) and are_numbers([number])
         for unit, number in zip(units, below, strict=False)
     )
     has_numbers = any(are_numbers([unit]) and unit != "1" for unit in units)
@@ -169,8 +190,8 @@ def find_column(text: str, columns: Sequence[Heading]) -> Column:
 def _place(text: str, columns: Sequence[Heading]) -> Column | None:
     """Return the column that one name means, with its unit; None if there is none."""
     name, _, unit = text.rpartition(":")
-    # The whole text is tried first: a name may have a colon of its own.
-    for wanted, stated in ((text, ""), (name, unit)):
+    # The whole text is tried first: a name may have a colon of its own. No unit has a comma.
+    for wanted, stated in ((text, ""), (name, unit))[: 1 if "," in unit else 2]:
         meant = heading(wanted)
         alike = [
             [k for k, h in enumerate(columns) if h.name == wanted],
@@ -217,6 +238,13 @@ def _groups(text: str) -> list[re.Match[str]]:
 def _base(text: str) -> str:
     groups = _groups(text)
     return text[: groups[0].start()].strip() if groups else text
+
+
+def _split_at(group: re.Match[str]) -> Heading:
+    """Return the heading whose unit is in this bracket, and whose name is the text around it."""
+    text = group.string
+    name = f"{text[: group.start()].rstrip()} {text[group.end() :].lstrip()}".strip()
+    return Heading(name, _content(group)) if name else Heading(text, "")
 
 
 def _content(group: re.Match[str]) -> str:

@@ -9,7 +9,7 @@ from greybox.data.dates import OF_DAY, SINCE_1970, seconds_from_first, seconds_i
 from greybox.data.files.arrays import AnyArray, Array
 from greybox.data.files.named_values import non_empty
 from greybox.data.files.optional_package import required
-from greybox.data.headings import heading, headings
+from greybox.data.headings import Heading, heading, headings
 from greybox.data.time_column import TableClock, seconds, table_clock
 
 Frame = Any
@@ -54,7 +54,12 @@ def table_of(
     labels = list(map(str, frame.columns))
     if time is not None and time not in labels:
         raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(labels)}.")
-    named = headings(labels)
+    # The names of a record that `to_pandas` wrote are whole.
+    own = frame.attrs.get("units", {})
+    named = [
+        Heading(label, own[label]) if label in own else in_header
+        for label, in_header in zip(labels, headings(labels), strict=True)
+    ]
     columns = {}
     units = {}
     # By position: a name may be a number, and was made a text.

@@ -1,5 +1,6 @@
 """Measured time histories: one experiment on one time base, and all records of a log file."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, fields, replace
 from functools import cached_property
@@ -492,12 +493,15 @@ class Recording(Mapping[str, Record]):
         KeyError
             If no message or several messages have it. The message names the alternatives.
         """
-        message, dot, name = signal.rpartition(".")
-        if dot:
-            record = self[message]
-            record[name]  # KeyError for an unknown field
-            return record, name
+        # Names of messages and of signals may have dots, too.
+        for place in [match.start() for match in re.finditer(r"\.", signal)]:
+            message, name = signal[:place], signal[place + 1 :]
+            if message in self and name in self[message].signals:
+                return self[message], name
         holders = [key for key, record in self.records.items() if signal in record.signals]
+        message, dot, name = signal.rpartition(".")
+        if dot and not holders:
+            self[message][name]  # KeyError for an unknown message or field
         if not holders:
             fields = unique(name for record in self.values() for name in record.signals)
             similar = nearest(signal, fields) or some(fields, 12)

@@ -124,11 +124,18 @@ def assembled(
 ) -> FrequencyResponse:
     """Return the response of these columns (n,) by role; `others` are names and the like.
 
+    A first point at 0 Hz is left out, as `about` then says.
+
     Raises
     ------
     ValueError
         For units that are not known, and whatever a `FrequencyResponse` refuses.
     """
+    # Spectra of other programs begin with the mean, at 0 Hz, which is no response to a test.
+    is_mean = values["frequency"] == 0
+    if np.count_nonzero(is_mean) == 1 and is_mean[0] and is_mean.size > 1:
+        values = {role: x[1:] for role, x in values.items()}
+        others["about"] = {**others.get("about", {}), "left out": "the point at 0 Hz"}
     omega = angular_frequency(values["frequency"], columns["frequency"].unit)
     if "alpha" in values:
         response = complex_array(values["alpha"], values["beta"])

@@ -21,7 +21,7 @@ order of their times is in `greybox.data.row_order`.
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +38,7 @@ from greybox.data.units import known_unit
 FULL = frozenset(
     "time timestamp timestamps tout second seconds elapsed elapsedtime timeelapsed datetime "
     "timedate stamp headerstamp fieldheaderstamp timeboot timesinceboot timesincestart "
-    "systemtime systime logtime rostime simtime simulationtime unixtime epoch epochtime utc "
-    "utctime gpstime".split()
+    "systemtime systime logtime rostime simtime simulationtime unixtime epochtime gpstime".split()
 )
 SHORT = "t"
 # As ArduPilot's tools and Arduino's functions name them.
@@ -110,8 +109,8 @@ def seconds(name: str, unit: str = "") -> float | None:
 
 
 def is_clock_name(name: str) -> bool:
-    """Return whether this is the name of a time column, whatever its unit is."""
-    return bool(_clock_and_unit(name)[0])
+    """Return whether this is the full name of a time column, whatever its unit is."""
+    return _clock_and_unit(name)[0] not in ("", SHORT)
 
 
 def unit_of_clock(name: str) -> str:
@@ -120,10 +119,10 @@ def unit_of_clock(name: str) -> str:
 
 
 def tick(unit: str) -> float | None:
-    """Return a unit of time in s; None for any other unit."""
-    if unit in (SINCE_1970, OF_DAY):
+    """Return a unit of time in s, also of "days since 2020-01-01"; None for any other unit."""
+    if unit == OF_DAY:
         return 1.0
-    conversion = known_unit(unit.lower())
+    conversion = known_unit(unit.lower().partition(" since ")[0])
     return conversion.factor if conversion and conversion.si == "s" else None
 
 
@@ -162,22 +161,21 @@ def table_clock(
 def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tuple[str, ...]:
     """Return the names of the columns that are the time: one, two or none."""
     vectors = {name: x for name, x in columns.items() if x.ndim == 1 and x.size}
-    for pair in _pairs(vectors, units):
-        return pair
-
+    pair = next(_pairs(vectors, units), ())
     ranks = {}
     for name, values in vectors.items():
         base = Heading(name, "").base
         clock, suffix = _clock_and_unit(base)
         is_stated = bool(suffix or units.get(name))
-        if not seconds(base, units.get(name, "")):
-            continue
+        is_clock = name not in pair and seconds(base, units.get(name, ""))
         # T may be a temperature or a thrust.
-        if base == "T" and not is_stated and not _increases(values):
-            continue
-        ranks[name] = (clock == SHORT, not is_stated)
-    if ranks:
-        return (min(ranks, key=ranks.__getitem__),)
+        if is_clock and (base != "T" or is_stated or _increases(values)):
+            ranks[name] = (clock == SHORT, not is_stated)
+    best = min(ranks, key=ranks.__getitem__, default="")
+    if best and not (pair and any(ranks[best])):
+        return (best,)
+    if pair:
+        return pair
 
     # Without such a name, texts of times, or a first column that is a clock.
     for name in vectors:
@@ -212,7 +210,7 @@ def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, tuple[s
         )
     if stated or finite.size < 2:
         in_seconds = times * (tick(stated) or 1.0)
-        if stated == SINCE_1970:
+        if " since " in stated:
             in_seconds = in_seconds - finite[:1]
     else:
         in_seconds, text = _by_evidence(name, times, finite)
@@ -252,14 +250,20 @@ def _pairs(vectors: Mapping[str, AnyArray], units: Mapping[str, str]) -> Iterato
         if np.all(dates[np.isfinite(dates)] % DAY == 0):
             yield kinds[SINCE_1970], kinds[OF_DAY]
 
-    wholes = [name for name in vectors if _words(name)[-1:] and _words(name)[-1] in WHOLE]
-    parts = [name for name in vectors if _words(name)[-1:] and _words(name)[-1] in FRACTIONS]
-    for whole in wholes:
-        for part in parts:
+    wholes = [name for name in vectors if _is_part(name, WHOLE)]
+    for part in [name for name in vectors if _is_part(name, FRACTIONS)]:
+        in_second = vectors[part] * FRACTIONS[_words(part)[-1]]
+        for whole in wholes:
             is_whole = np.all(vectors[whole] == np.round(vectors[whole]))
-            in_second = np.abs(vectors[part] * FRACTIONS[_words(part)[-1]] - 0.5) <= 0.5
-            if _words(whole)[:-1] == _words(part)[:-1] and is_whole and np.all(in_second):
+            is_fraction = np.all((in_second >= 0) & (in_second < 1))
+            if _words(whole)[:-1] == _words(part)[:-1] and is_whole and is_fraction:
                 yield whole, part
+
+
+def _is_part(name: str, ends: Collection[str]) -> bool:
+    """Return whether a name is one of the ends, alone or behind the word stamp or time."""
+    *before, end = _words(name) or [""]
+    return end in ends and (not before or before[-1] in ("stamp", "time", "timestamp"))
 
 
 def _sum(whole: str, part: str, columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> Array:
@@ -310,7 +314,7 @@ def _by_evidence(name: str, times: Array, finite: Array) -> tuple[Array, str]:
             f"{_cure(name, 'ms')}"
         )
     readings = [unit for unit in _possible_units(finite) if _is_usual(unit, finite, is_counter)]
-    # What a person calls a time is in seconds, or in a unit of which a number alone is no evidence.
+    # What a person calls a time is in seconds or asks: ticks of any length may count it.
     is_certain = len(readings) == 1 and (is_counter or readings[0] in ("s", "days"))
     if not is_certain:
         texts = [f"in {unit} {_in_words(unit, finite)}" for unit in readings or ["s"]]
@@ -323,7 +327,7 @@ def _by_evidence(name: str, times: Array, finite: Array) -> tuple[Array, str]:
     in_seconds = times * (tick(unit) or 1.0)
     text = f"has no unit and was taken for {unit}, {_in_words(unit, finite)}"
     if unit == "days":
-        return in_seconds - in_seconds[:1], f"{text}: times are from the first sample"
+        return (times - finite[0]) * DAY, f"{text}: times are from the first sample"
     # In a slow table, seconds are less certain.
     is_slow = np.ptp(finite) > finite.size
     return in_seconds, text if unit != "s" or is_slow else ""

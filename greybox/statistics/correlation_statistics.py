@@ -15,6 +15,9 @@ from greybox.statistics.metrics import rms
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
+# Means are of ever more samples, each time by this factor: correlations at 12 of its multiples
+# overlap. Fewer means than these hardly have correlations at 12 lags.
+COARSER, FEWEST_MEANS = 4, 150
 NORMAL_99 = 2.576  # standard deviations within which 99 % of normal values lie
 
 
@@ -64,6 +67,34 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     statistic = float(np.sum(r[used] ** 2 * n * (n + 2) / pairs[used]))
 
     return _tested(statistic, max(int(used.sum()) - fitted, 1), r, NORMAL_99 / math.sqrt(n))
+
+
+def whiteness_of_means(
+    stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0
+) -> list[tuple[int, CorrelationTest]]:
+    """Test residuals and their means over ever more samples, see `whiteness`.
+
+    Noise of a sensor that is sampled fast hides slow errors from one sample to the next, and
+    averages out of means. Every test is a pair of the number of samples in a mean and the result;
+    whoever takes the least probability divides the level by their number.
+    """
+    series = [_present(s) for s in stretches]
+    present = sum(np.isfinite(s).sum() for s in series)
+    tests = [(1, whiteness(series, lags, fitted))]
+    count = COARSER
+    while present >= FEWEST_MEANS * count:
+        tests.append((count, whiteness([_means(s, count) for s in series], lags)))
+        count *= COARSER
+    return tests
+
+
+def _means(values: Array, count: int) -> Array:
+    """Return the means of every `count` values (n,), NaN where half of them are missing."""
+    blocks = values[: len(values) // count * count].reshape(-1, count)
+    present = np.isfinite(blocks)
+    numbers = present.sum(axis=1)
+    sums = np.where(present, blocks, 0.0).sum(axis=1)
+    return np.where(2 * numbers > count, sums / np.maximum(numbers, 1), np.nan)
 
 
 def cross_correlation(

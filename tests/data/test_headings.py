@@ -184,3 +184,78 @@ def test_thousands_are_refused_whatever_separates_them(tmp_path, cell):
     path.write_text(f"time;x\n0;1\n1;{cell}\n2;3\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"line 3: .* has a thousands separator: leave it out"):
         gb.read(path)
+
+
+def test_numbers_that_nobody_uses_decide_nothing(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("time;x;load;mass\n0;1.5;1,234;1 234\n0.5;2.5;2,5;1'234\n1;3.5;3;1.234.567\n")
+    with pytest.raises(ValueError, match="thousands separator"):
+        gb.read(path)
+    record = gb.read(path, columns={"x": "x"})["flight"]
+    assert record["x"].tolist() == [1.5, 2.5, 3.5]
+
+
+@pytest.mark.parametrize("clock", ["t", "time", "Time [s]"])
+def test_a_clock_decides_the_decimal_mark_though_only_a_signal_is_named(tmp_path, clock):
+    path = tmp_path / "flight.csv"
+    path.write_text(f"{clock};x;n\n0,0;1;7\n0,5;2;8\n1,0;3;9\n")
+    record = gb.read(path, columns={"x": "x"})["flight"]
+    assert record.time.tolist() == [0, 0.5, 1]
+
+
+def test_a_text_beside_a_column_of_numbers_is_not_meant(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("time,x,x (note)\n0,1,a\n0.5,2,b\n1,3,c\n")
+    assert gb.read(path, columns={"x": "x"})["flight"]["x"].tolist() == [1, 2, 3]
+    with pytest.raises(ValueError, match="no numbers in the column"):
+        gb.read(path, columns={"x": "x (note)"})
+
+
+def test_files_of_unlike_headers_have_one_statement(tmp_path):
+    columns = {"time": "t:ms,Time", "x": "pos,Position (X)"}
+    for header, scale in {"t,pos [mm]": 1000, "Time [s],Position (X) [m]": 1}.items():
+        path = tmp_path / "flight.csv"
+        rows = "\n".join(f"{scale * t:.3f},{scale * t:.3f}" for t in TIME)
+        path.write_text(f"{header}\n{rows}\n")
+        record = gb.read(path, columns=columns)["flight"]
+        np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+        np.testing.assert_allclose(record["x"], TIME, atol=1e-9)
+    with pytest.raises(ValueError, match=r"name both: x=altitude,COLUMN"):
+        gb.read(path, columns={"x": "altitude"})
+
+
+def test_a_hold_and_units_can_be_stated_after_reading(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("time,u,x [mm],y [nm]\n0,1,1000,1\n0.5,2,2000,2\n1,3,3000,3\n")
+    record = gb.read(path)["flight"].stated(units={"u": "deg"}, hold={"u": "held", "x": 0.0})
+    assert (record.hold, record.units["u"]) == ({"u": np.inf, "x": 0.0}, "deg")
+    in_si = record.in_si(["u", "x"])
+    np.testing.assert_allclose(in_si["u"], np.radians([1, 2, 3]))
+    assert in_si["x"].tolist() == [1, 2, 3]
+    with pytest.raises(ValueError, match="nm may be a torque or a length"):
+        record.in_si()
+    np.testing.assert_allclose(record.stated({"y": "N*m"}).in_si()["y"], [1, 2, 3])
+
+
+def test_names_of_signals_may_have_dots(tmp_path):
+    path = tmp_path / "flight.csv"
+    rows = "\n".join(f"{t:.2f},{t:.2f},{2 * t:.2f}" for t in TIME)
+    path.write_text(f"time [s],cmd.x,pose.x.value\n{rows}\n")
+    log = gb.read(path)
+    signals = {"u": "cmd.x", "y": "flight.pose.x.value"}
+    record = gb.prepare(log, signals)
+    np.testing.assert_allclose(record["y"], 2 * record["u"])
+    with pytest.raises(KeyError, match="cmd"):
+        gb.prepare(log, {"u": "cmd.y"})
+
+
+def test_names_in_files_of_arrays_follow_the_grammar(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "flight.h5"
+    with h5py.File(path, "w") as file:
+        file["stamp.sec"], file["stamp.nanosec"] = np.floor(TIME), np.round(TIME % 1 * 1e9)
+        file["Pos (X) [mm]"] = 1000 * TIME
+        file["T"] = 300 - TIME
+    record = gb.read(path, columns={"x": "Pos (X)"})["flight"]
+    np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(record["x"], TIME)

@@ -212,3 +212,14 @@ def test_numbers_beyond_arithmetic_are_refused_without_a_warning(tmp_path, cell)
     path.write_text(path.read_text().replace(f",{cell},.5,1", f",1,.5,{cell}"))
     with pytest.raises(ValueError, match=r"common|variance"):
         gb.read_response(path)
+
+
+def test_a_point_at_0_hertz_is_left_out_and_said(tmp_path):
+    path = tmp_path / "bode.csv"
+    path.write_text("f [Hz],Gain [dB],ph [deg]\n0,-200,0\n1,0,-45\n2,-6,-90\n")
+    response = gb.read_response(path)
+    np.testing.assert_allclose(response.omega, [2 * np.pi, 4 * np.pi])
+    assert response.about["left out"] == "the point at 0 Hz"
+    path.write_text("f [Hz],Gain [dB],ph [deg]\n1,0,-45\n0,-200,0\n2,-6,-90\n")
+    with pytest.raises(ValueError, match="omega is 0 at index 1"):
+        gb.read_response(path)

@@ -154,6 +154,21 @@ def test_a_temperature_is_no_time():
     assert seconds("flight_time") is None
 
 
+def test_a_temperature_is_no_time_where_the_time_cannot_be_read(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("time,T,x\n05/01/2026 10:00,20,1\n05/01/2026 10:01,21,2\n")
+    with pytest.raises(ValueError, match="'time', which is not a time in numbers"):
+        gb.read(path)
+    assert gb.read(path, columns={"time": "T:s"})["flight"].step == 1
+
+
+def test_a_stated_clock_beats_two_columns_and_these_beat_one_without_a_unit():
+    columns = {"sec": np.zeros(250), "nanosec": 1e6 * np.arange(250), "time": TIME}
+    assert clock_names(columns, {"time": "s"}) == ("time",)
+    assert clock_names(columns, {}) == ("sec", "nanosec")
+    assert clock_names({"pulse_s": TIME, "pulse_ms": 1e3 * TIME % 1}, {}) == ()
+
+
 @pytest.mark.parametrize("prefix", ["", "stamp.", "header.stamp.", "time_"])
 @pytest.mark.parametrize("epoch", [0.0, 1.7e9])
 @pytest.mark.parametrize(

@@ -8,7 +8,12 @@ from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest, norm
 
-from greybox.statistics.correlation_statistics import cross_correlation, mean_test, whiteness
+from greybox.statistics.correlation_statistics import (
+    cross_correlation,
+    mean_test,
+    whiteness,
+    whiteness_of_means,
+)
 from greybox.statistics.residual_autocorrelation import autoregression
 
 
@@ -28,6 +33,38 @@ def test_whiteness_of_white_noise_is_rejected_as_often_as_said():
     tested = whiteness([colored])
     assert tested.p_value < 1e-6
     assert tested.correlations[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_means_show_slow_errors_that_noise_hides_from_sample_to_sample():
+    random = np.random.default_rng(0)
+    slow = lfilter([0.1], [1, -(0.99**0.5)], random.normal(size=4000))
+    series = 0.2 * slow + random.normal(size=4000)
+    tests = whiteness_of_means([series[:1000], series[1000:]], lags=12)
+    assert [count for count, _ in tests] == [1, 4, 16]
+    by_sample = whiteness([series[:1000], series[1000:]], lags=12)
+    assert_allclose(tests[0][1].statistic, by_sample.statistic)
+    assert np.all(tests[0][1].correlations < 0.1)
+    assert tests[-1][1].correlations[0] > 0.2
+
+    # By hand: the means of 16 samples, without one that lacks more than half of them.
+    holes = series.copy()
+    holes[32:41] = np.nan
+    means = series.reshape(-1, 16).mean(axis=1)
+    means[2] = np.nan
+    assert_allclose(
+        whiteness_of_means([holes], lags=12)[-1][1].statistic,
+        whiteness([means], lags=12).statistic,
+    )
+
+
+def test_means_of_white_noise_are_rejected_as_often_as_said():
+    random = np.random.default_rng(1)
+    least = []
+    for _ in range(1000):
+        tests = whiteness_of_means([random.normal(size=3000)], lags=12)
+        least.append(len(tests) * min(test.p_value for _, test in tests))
+    # A share of 0.01, with a standard deviation of 0.003.
+    assert np.mean(np.array(least) < 0.01) < 0.022
 
 
 def test_the_statistic_is_that_of_ljung_and_box():

@@ -7,6 +7,7 @@ from greybox.assessment.result import Fit
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
 from greybox.engine.compiled.compiled_problem import CompiledProblem
+from greybox.engine.compiled.part import Trajectory
 from greybox.engine.compiled.record_part import RecordPart
 from greybox.engine.covariance.accuracy import Accuracy
 from greybox.engine.solve.search import Search
@@ -64,6 +65,11 @@ class Evidence:
         Disturbances under feedback may look like missing terms, which leave a part of the misfit.
         """
         return not self.is_exact and not (self.fit.misfit and self.fit.misfit.is_large)
+
+    def trajectory(self, part: RecordPart) -> Trajectory:
+        """Return the trajectory of a compiled record at the estimate."""
+        rows = zip(self.nlp.parts, self.accuracy.trajectories, strict=True)
+        return next(trajectory for other, trajectory in rows if other is part)
 
     @cached_property
     def records(self) -> Pairs:

@@ -2,7 +2,13 @@
 
 from greybox.assessment.checks.evidence import Evidence
 from greybox.assessment.checks.finding import Finding, Findings
-from greybox.assessment.checks.records import FALSE_ALARMS, by_piece, in_time, place_of
+from greybox.assessment.checks.records import (
+    FALSE_ALARMS,
+    by_piece,
+    gust_criterion,
+    in_time,
+    place_of,
+)
 from greybox.data.files.wording import some
 from greybox.statistics.correlation_statistics import cross_correlation, whiteness
 from greybox.statistics.metrics import is_resolved
@@ -52,6 +58,7 @@ def feedback(evidence: Evidence) -> Findings:
 
     if responding:
         places = some(responding)
+        part, _ = tested[0]
         yield Finding(
             (
                 f"feedback answers the errors of an unstable model, noise or gusts ({places}), "
@@ -66,6 +73,8 @@ def feedback(evidence: Evidence) -> Findings:
             + (
                 "use data without feedback."
                 if all(part.is_static for part, _ in tested)
-                else "compare with criterion=PredictionError()."
+                # Free gains suffice for white disturbances, and leave slow ones in the errors.
+                else "compare with criterion=PredictionError(), and if its errors are not white, "
+                f"with {gust_criterion(evidence, part)}."
             )
         )

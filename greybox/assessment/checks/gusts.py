@@ -26,7 +26,9 @@ def gusts(evidence: Evidence) -> Findings:
         if part.gains and (steady is None or steady.gain.any()):
             continue
         if evidence.is_noisy and part.problem.model.state_names and odds() > VERY_STRONG:
-            cure = "start process noise above zero" if part.gains else f"use {gust_criterion(part)}"
+            cure = "start process noise above zero"
+            if not part.gains:
+                cure = f"use {gust_criterion(evidence, part)}"
             like = (
                 "not like noise of sensors:"
                 if evidence.is_explained

@@ -1,10 +1,11 @@
 """What several checks of records ask of them."""
 
-from greybox.assessment.checks.evidence import Pairs
+from greybox.assessment.checks.evidence import Evidence, Pairs
+from greybox.assessment.disturbed_state import disturbed_state
 from greybox.assessment.fitted_part import FittedRecord
-from greybox.assessment.missing_terms import dynamic_equations
 from greybox.data.files.arrays import Array
 from greybox.engine.compiled.record_part import RecordPart
+from greybox.modeling.colored_disturbance import ColoredDisturbance
 
 # Share of fits with a false alarm about feedback, and about colored prediction errors.
 FALSE_ALARMS = 0.01
@@ -30,7 +31,13 @@ def place_of(fitted: FittedRecord, pairs: Pairs) -> str:
     return "" if len(pairs) == 1 else f" in {fitted.name!r}"
 
 
-def gust_criterion(part: RecordPart) -> str:
-    """Return the code of the criterion that estimates gusts, for a state that they may reach."""
-    place = next(iter(dynamic_equations(part)))
-    return f"PredictionError(disturbance={{{part.system.states[place]!r}: 'colored'}})"
+def gust_criterion(evidence: Evidence, part: RecordPart) -> str:
+    """Return the code of the criterion that estimates gusts, for the states that they reach.
+
+    A model that has gusts already keeps them.
+    """
+    model = part.problem.model
+    states = list(model.disturbed) if isinstance(model, ColoredDisturbance) else []
+    states.append(disturbed_state(part, evidence.trajectory(part)))
+    gusts = ", ".join(f"{state!r}: 'colored'" for state in dict.fromkeys(states))
+    return f"PredictionError(disturbance={{{gusts}}})"

@@ -13,10 +13,10 @@ from greybox.statistics.noise_ratio import noise_ratio
 def unexplained_outputs(evidence: Evidence) -> Findings:
     """Name outputs that the model hardly reproduces."""
     for part, fitted in evidence.records:
-        yield from _of_record(part, fitted)
+        yield from _of_record(evidence, part, fitted)
 
 
-def _of_record(part: RecordPart, fitted: FittedRecord) -> Findings:
+def _of_record(evidence: Evidence, part: RecordPart, fitted: FittedRecord) -> Findings:
     """Judge the outputs of one record."""
     # With constant inputs a static model is a mean, which reproduces no variation by definition.
     is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
@@ -37,7 +37,7 @@ def _of_record(part: RecordPart, fitted: FittedRecord) -> Findings:
         elif percent < noise.attainable_fit_percent / 2:
             kind, cure = "", "try other starts, narrower start boxes, or another model structure"
             if part.problem.model.state_names:
-                cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
+                cure = f"in turbulence, use {gust_criterion(evidence, part)}; else {cure}"
             values = np.concatenate(measured)
             if abs(np.nanmean(values)) > np.nanstd(values):
                 cure = (

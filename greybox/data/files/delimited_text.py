@@ -234,7 +234,7 @@ def _are_separated_by_blanks(line: str) -> bool:
 def _with_tabs(line: str) -> str:
     """Return a line with tabs between its cells; a unit belongs to its name: ``pitch [deg]``."""
     line = line.strip()
-    if not line.startswith(("[", "(", "{")):
+    if not line.startswith(("[", "(", "{")) and not line[:1].isdigit():
         line = re.sub(r"\s+([\[({])", r"\1", line)
     return "\t".join(line.split())
 

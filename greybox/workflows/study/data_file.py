@@ -99,12 +99,12 @@ def _is_response(names: tuple[str, ...] | None, columns: Mapping[str, str]) -> b
         return False
     if OMEGA in names:
         return True
-    columns = headings(names)
+    named = headings(names)
     # Alpha and beta are also the angles of attack and sideslip of a flight, which has a time.
-    if any(seconds(*column) for column in columns):
+    if any(seconds(*column) for column in named):
         return False
     are_roles = any(name.endswith((OMEGA, *RECTANGULAR)) for name in names)
-    return are_roles or any(c.name.lower() == "magnitude" or c.unit == "dB" for c in columns)
+    return are_roles or any(c.name.lower() == "magnitude" or c.unit == "dB" for c in named)
 
 
 def _record_of(log: Recording, path: Path, model: Model) -> Record:

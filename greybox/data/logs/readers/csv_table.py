@@ -1,6 +1,6 @@
 """Tables of measured signals as text: a header line, a time column, and numeric columns."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from greybox.data.logs.readers.betaflight import completed, with_units, without_
 from greybox.data.logs.readers.messages import MessageNames
 from greybox.data.logs.readers.named_arrays import recording
 from greybox.data.record import Recording
-from greybox.data.time_column import clock_names, is_clock_name
+from greybox.data.time_column import clock_names, is_clock_name, seconds
 
 Rows = Sequence[tuple[int, Sequence[str]]]  # numbers of lines and their cells
 
@@ -84,18 +84,20 @@ def read(
         )
 
     named = with_units(headings(text.header))
-    columns, units_of_texts, findings = _columns(named, text)
-    _require_numbers(path, stated or {}, [h for h in named if h.name not in columns])
+    used = _used(named, stated or {})
+    columns, units_of_texts, findings = _columns(named, text, used)
+    for name in used - columns.keys() if stated else ():
+        raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
     units = {h.name: h.unit for h in named} | units_of_texts
-    is_timed = clock_names(columns, units) or "time" in (stated or ())
-    if is_timed and rate:
+    clock = ("time",) if "time" in (stated or ()) else clock_names(columns, units)
+    if clock and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
     # As rows without a time, the samples would count as independent.
-    unread = next((h for h in named if is_clock_name(h.base)), None)
-    if unread and not (is_timed or rate):
+    unread = [h for h in named if is_clock_name(h.base) and not (clock and h.name in columns)]
+    if unread and not (rate or any(map(is_clock_name, clock))):
         raise ValueError(
-            f"{path} has the column '{unread}', which is not a time in numbers with a known unit: "
-            "give it in seconds as 'time [s]', or give it another name if it is not a time."
+            f"{path} has the column '{unread[0]}', which is not a time in numbers with a known "
+            "unit: give it in seconds as 'time [s]', or give it another name if it is not a time."
         )
 
     groups = {path.stem: (columns, units)}
@@ -107,21 +109,23 @@ def read(
     return replace(log, records={name: record}, metadata=about, findings=record.findings)
 
 
-def _require_numbers(path: Path, stated: Mapping[str, str], without: Sequence[Heading]) -> None:
-    """Raise ValueError if a stated column is one of those without numbers."""
+def _used(named: Sequence[Heading], stated: Mapping[str, str]) -> set[str]:
+    """Return the names of the columns that the user names, of all columns without a statement."""
+    used = set() if stated else {h.name for h in named}
     for column in stated.values():
+        # A column that does not exist is refused where columns are renamed.
         with suppress(ValueError):
-            name = without[find_column(column, without).place].name
-            break
-    else:
-        return
-    raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
+            used.add(named[find_column(column, named).place].name)
+    return used
 
 
 def _columns(
-    named: Sequence[Heading], text: DelimitedText
+    named: Sequence[Heading], text: DelimitedText, used: Collection[str]
 ) -> tuple[dict[str, Array], dict[str, str], list[str]]:
-    """Return the columns of numbers and times, the units of times that are texts, and findings."""
+    """Return the columns of numbers and times, the units of times that are texts, and findings.
+
+    Those that are used, and clocks, decide the decimal mark.
+    """
     try:
         lines = bar(text.lines, desc=f"reading {printable(text.path.name)}", unit="line")
         # The usual table has plain numbers, which numpy reads ten times as fast as cell by cell.
@@ -137,7 +141,8 @@ def _columns(
     numeric = {name: k for name, k in places.items() if _is_of_numbers(rows, k)}
     _require_one_header(text, rows, [*numeric.values()])
     # One decision for the whole table: a column of integers shows no decimal mark.
-    cells = ((number, [row[k] for k in numeric.values()]) for number, row in rows)
+    decisive = [k for name, k in numeric.items() if name in used or seconds(name)]
+    cells = ((number, [row[k] for k in decisive]) for number, row in rows)
     comma = has_decimal_comma(text.path, cells)
 
     columns = {}
@@ -208,9 +213,11 @@ def _complete_rows(text: DelimitedText, named: Sequence[Heading]) -> tuple[Rows,
 
 def _require_one_header(text: DelimitedText, rows: Rows, numeric: Sequence[int]) -> None:
     """Raise ValueError if a row has other names than the header above its numbers."""
-    for number, row in rows:
+    for number, row in rows if len(numeric) > 1 else ():
+        if is_like_number(row[numeric[0]]):
+            continue
         names = {row[k] for k in numeric}
-        if len(names) == len(numeric) > 1 and not any(map(is_like_number, names)):
+        if len(names) == len(numeric) and not any(map(is_like_number, names)):
             raise text.second_header(number)
 
 
