@@ -131,6 +131,18 @@ def test_a_test_of_nested_models_knows_that_variances_are_given():
     assert own.p_value == pytest.approx(f.sf(statistic, 1, 118), rel=0.1)
 
 
+def test_a_study_on_a_worker_gives_the_same_estimate_and_errors(tmp_path):
+    problem = gb.Problem(Board(), rows(1), gb.OutputError(noise=OneBoard()))
+    alone = gb.fit(problem, starts=[{}], progress=False)
+    with gb.solve.WorkerPool(1) as worker:
+        member = gb.study.Member(problem, [{}], name="board")
+        study = gb.batch([member], tmp_path, executor=worker, progress=False)
+    stored = study["board"].fit
+    assert stored.estimate == pytest.approx(alone.estimate)
+    assert stored.standard_error == pytest.approx(alone.standard_error)
+    assert stored.cost == pytest.approx(alone.cost)
+
+
 def test_rows_without_one_of_correlated_outputs_do_not_count():
     record = rows(3)
     z = np.where(np.arange(60) % 4 == 0, np.nan, record["z"])
