@@ -17,8 +17,9 @@ LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 # are seldom so slow, while a line, a parameter that varies, tanks that overflow and a drive with
 # friction are. And the share of the output that a reader would see.
 DRIFTING, NOTICED = 0.95, 0.01
-# Share from which residuals are called not white. The fit of a filter to white ones gives 0.01.
-COLORED = 0.1
+# Share from which residuals are called not white. A filter fitted to white ones predicts 0.01 of
+# 1000 samples by chance, and 0.2 of few.
+COLORED = 0.5
 # Share of squares, a millionth of an output, below which no sensor has errors: a simulation without
 # noise leaves rounding and integration errors, which may follow the input.
 EXACT = 1e-12
