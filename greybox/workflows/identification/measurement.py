@@ -30,6 +30,7 @@ from greybox.data.logs.known_filters import KnownFilters, in_series
 from greybox.data.logs.prepare import prepare
 from greybox.data.logs.segment_detection import find_segments, present
 from greybox.data.record import Record, Recording
+from greybox.data.signal_faults import SignalFault, record_faults
 from greybox.data.spectral.experiment_quality import (
     Finding,
     Findings,
@@ -303,8 +304,12 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     # Tests that were refused stay among the judged ones, so that the verdict names them.
     judged = [segment for segment in tests if segment in used or not segment.usable]
 
+    # Resampling smooths what the logger did.
+    faults = _faults_as_logged(recording, settings, record.span) or None
+
     def quality_of(response: FrequencyResponse | None) -> Quality:
-        return check(record, response, judged, input=u, output=y).with_findings(*jitter(during))
+        quality = check(record, response, judged, input=u, output=y, faults=faults)
+        return quality.with_findings(*jitter(during))
 
     quality = quality_of(None)
     response = None
@@ -374,6 +379,23 @@ def _tests_and_used(
     if sines and settings.band is not None:
         used = _within_band(sines, settings.band)
     return tests, used
+
+
+def _faults_as_logged(
+    recording: Recording, settings: Settings, span: Interval
+) -> tuple[SignalFault, ...]:
+    """Return the faults of input and output in their own messages, under the names of the test."""
+    records = []
+    for name, signal in settings.names:
+        logged, field = recording.locate(signal)
+        logged = logged.between(*span)
+        hold = {name: logged.hold[field]} if field in logged.hold else {}
+        signals = {**logged.signals, name: logged[field]}
+        records.append(replace(logged, signals=signals, hold={**logged.hold, **hold}))
+
+    (u, _), (y, _) = settings.names
+    driven, moved = records
+    return (*record_faults(moved, (y,)), *record_faults(driven, (), (u,)))
 
 
 def _refuse_closed_loop(recording: Recording, settings: Settings, controller: str) -> None:
