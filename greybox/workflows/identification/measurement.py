@@ -30,6 +30,7 @@ from greybox.data.logs.known_filters import KnownFilters, in_series
 from greybox.data.logs.prepare import prepare
 from greybox.data.logs.segment_detection import find_segments, present
 from greybox.data.record import Record, Recording
+from greybox.data.repetition import period_of
 from greybox.data.signal_faults import SignalFault, record_faults
 from greybox.data.spectral.experiment_quality import (
     Finding,
@@ -53,6 +54,9 @@ from greybox.workflows.identification.systematic_errors import (
 )
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
+
+# Findings that judge the estimate, not the record.
+OF_ESTIMATE = ("response", "coherence", "noise")
 
 FEEDBACK = (
     "In a loop, output noise returns through the controller to the input, and biases the direct "
@@ -341,6 +345,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = quality.with_findings(refused)
+        quality = quality if are_sines or settings.period else _with_period(quality, pieces, u)
     filters = named_filters(recording, axis_of(control))
     if response is not None:
         about = _about(recording, record, response, signals, filters, used, settings)
@@ -543,6 +548,27 @@ def _estimated(
             about = {"refined": "the polynomials describe what the best rational function leaves"}
             measured = replace(measured, about={**measured.about, **about})
     return measured, None, linear
+
+
+def _with_period(quality: Quality, pieces: Sequence[Record], control: str) -> Quality:
+    """Say that the excitation repeats itself: noise cannot be told from it between its lines.
+
+    Then whatever refuses the estimate over a band is only the look of these lines.
+    """
+    longest = max(pieces, key=len)
+    excitation = INSTRUMENT if INSTRUMENT in longest.signals else control
+    period = longest.step * period_of(longest[excitation])
+    if math.isnan(period):
+        return quality
+    text = (
+        f"{'the instrument' if excitation == INSTRUMENT else control} repeats itself every "
+        f"{number(period, 6)} s, as multisines do, and has power only at its own lines: state it, "
+        f"period={number(period, 6)}."
+    )
+    if quality.usable:
+        return quality.with_findings(Finding("period", "note", period, text))
+    others = [f for f in quality.findings if f.about not in OF_ESTIMATE]
+    return Quality(tuple(others)).with_findings(Finding("period", "refusal", period, text))
 
 
 def _on_points(points: FiniteFrequency | None) -> Findings:
