@@ -67,10 +67,11 @@ DAY, WEEK = 86400.0, 604800.0  # s
 
 # Hz; no logger of flights or of motor stands is slower or faster, but a wrong unit is.
 PLAUSIBLE = (1e-3, 1e5)
-# Of a counter's log: rates in Hz, shortest length and latest end after its start in s. Between two
-# units, which differ by 1000, these leave one for most logs.
+# Rates in Hz of a counter's log, its shortest length and its latest end after the start, in s.
+# Between units, which differ by 1000, these leave one for most logs: `benchmarks/clock_units.py`
+# shows what a tenth and ten times their values do.
 USUAL = (0.1, 5e4)
-SHORTEST = 1.0
+SHORTEST = 0.3
 LATEST = 12 * 3600.0
 
 COUNTS = tuple(2.0**bits for bits in (16, 24, 31, 32))  # after which counters start again
