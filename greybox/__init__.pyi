@@ -38,6 +38,8 @@ from greybox.engine.compiled.transcription import (
     Transcription as Transcription,
 )
 from greybox.engine.solve.cost import cost as cost
+from greybox.engine.solve.objective import Objective as Objective, objective as objective
+from greybox.engine.solve.own_solver import Solution as Solution, Solver as Solver
 from greybox.modeling import (
     Integrator as Integrator,
     Parameter as Parameter,

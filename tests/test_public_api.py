@@ -13,11 +13,12 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap CAUSES CHECKS Collocation Controller Criterion Draws EquationError Evidence Finding Fit FrequencyResponse Integrator MagnitudePhase
-MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
-Radau RecordTerm RelativeLikelihood RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction Wording batch bootstrap compare cost draws feedback fit frequency_response identify load margins misfit
-plot predict prepare profile read read_response report safe_gains save several simulate stepwise
+Bootstrap CAUSES CHECKS Collocation Controller Criterion Draws EquationError Evidence Finding Fit FrequencyResponse
+Integrator MagnitudePhase MaximumLikelihood MultipleShooting Objective OutputError Parameter PredictionError Problem
+Profiles Radau Record RecordTerm RelativeError RelativeLikelihood RungeKutta SingleShooting Solution Solver
+SquaredRelativeError Starts StateSpace TimeCriterion Transcription TransferFunction Wording batch bootstrap compare
+cost draws feedback fit frequency_response identify load margins misfit objective plot predict prepare profile read
+read_response report safe_gains save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
 

@@ -5,8 +5,8 @@ trace in a coherence: a signal that is held or interpolated between fewer sample
 late. So each of them is looked for in the samples, once, and every use of a record says it.
 
 Right signals have a similar look: steps, 3-2-1-1 and binary sequences rest and jump, an encoder
-counts, an actuator is at its limit, a vehicle stands. `benchmarks/signal_faults.py` counts how
-often one of them is accused.
+counts, an actuator is at its limit, a vehicle stands. `benchmarks/damaged_records.py` counts
+how often one of them is accused.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,6 +28,8 @@ LEVELS = 20
 LONGEST = 25
 # Share of the changes that keep to one slower clock.
 REGULAR = 0.9
+# Share of the time at a limit below which a clipped signal is hardly wrong.
+SHORT_CLIP = 0.005
 # Single samples: how far they lie from the line through their neighbors, in deviations of all such
 # distances and in deviations of the signal, and their share of the samples, at most.
 FAR, FAR_IN_SIGNAL, RARE = 20.0, 0.5, 0.01
@@ -140,8 +142,10 @@ def _interpolated(name: str, values: Array, others: Array) -> Faults:
     """Look for straight lines between the samples of a slower logger."""
     bends = np.abs(np.diff(values, 2))
     # Lines of numbers with few digits bend by their rounding.
-    straight = bends <= max(1e-9 * np.ptp(values), 4 * _resolution(values))
-    if straight.all():
+    rounding = max(1e-9 * float(np.ptp(values)), 2.01 * _resolution(values))
+    straight = bends <= rounding
+    # Where corners are hardly larger, a rounded curve looks like lines.
+    if straight.all() or np.median(bends[~straight]) < 10 * rounding:
         return
     corners = np.flatnonzero(~straight)
     period = _slower_clock(corners)
@@ -164,7 +168,7 @@ def _clipped(name: str, values: Array, others: Array) -> Faults:
     # A rounded top is entered slowly.
     slopes = np.abs(values[begins] - values[np.maximum(begins - 1, 0)])
     is_entered_fast = begins.size > 0 and np.median(slopes) > 4 * _resolution(values)
-    if is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
+    if np.mean(is_flat) > SHORT_CLIP and is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
         yield (
             "clipped",
             f"{name} rests at {number(np.abs(values[is_flat]).max(), 3)} for "

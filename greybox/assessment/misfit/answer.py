@@ -12,9 +12,12 @@ from greybox.modeling.added_terms import Formula
 # 0.6 % are below it; below 0.01 would be 2 %.
 FALSE_ALARMS = 0.003
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
-# Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
-# seldom so slow. And of the output, what a reader would see.
-DRIFTING, NOTICED = 0.99, 0.01
+# Share of the residuals that earlier samples predict, here more than four times the noise: sensors
+# are seldom so slow, while a line, a parameter that varies, tanks that overflow and a drive with
+# friction are. And the share of the output that a reader would see.
+DRIFTING, NOTICED = 0.95, 0.01
+# Share from which residuals are called not white. The fit of a filter to white ones gives 0.01.
+COLORED = 0.1
 SLOW = 0.9  # share of the squares that earlier samples predict, as of errors by gusts
 # Share of squares, a millionth of an output, below which no sensor has errors: a simulation without
 # noise leaves rounding and integration errors, which may follow the input.
@@ -226,10 +229,13 @@ class Misfit(Printed):
                 f"at one end: otherwise, {left} what drove the test{noise}"
             )
         terms = f"none of {self.tried} missing terms"
+        if self.drift > COLORED:
+            share = percent(self.drift)
+            terms += f", but are not white: earlier samples predict {share} % of their variance"
         # Residuals of half the standard deviation of an output, or more. White ones are noise;
         # those that their past predicts may also be a motion that the model lacks.
         if self.left * self.drift > 0.25:
-            return f"may explain the data: {left} {terms}"
+            return f"may explain the data: {left} none of {self.tried} missing terms"
         size = f" ({percent(self.left)} % of the variance)" if self.left > 0.25 else ""
         return f"explains the data: the residuals{size} follow {terms}"
 

@@ -10,7 +10,7 @@ from greybox.assessment.misfit.causes.included import CAUSES, RecordCause
 from greybox.assessment.result import Fit, require_fit
 from greybox.data.files.argument_checks import require_kind
 from greybox.engine.compiled.compiled_problem import AnyProblem
-from greybox.engine.solve.multistart import solver_for
+from greybox.engine.solve.search_method import solver_for
 from greybox.modeling.added_terms import Formula
 
 

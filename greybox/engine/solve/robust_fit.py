@@ -11,7 +11,7 @@ from greybox.engine.compiled.record_part import RecordPart
 from greybox.engine.solve.discretization_error import with_finer_steps
 from greybox.engine.solve.local_solver import LocalSolver
 from greybox.engine.solve.minima import Multistart
-from greybox.engine.solve.multistart import solver_for
+from greybox.engine.solve.search_method import solver_for
 
 # Relative change of the cost between two fits that no standard error shows.
 ROUNDING = 1e-9
