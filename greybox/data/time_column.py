@@ -6,6 +6,7 @@
 | ``t``, ``T`` | if there is no full name |
 | a first column that increases, in a unit of time | if there is no such name |
 | ``stamp.sec`` and ``stamp.nanosec``; ``Date`` and ``Time`` | both together |
+| ``hour``, ``minute`` and ``second`` | the three together |
 
 A unit is stated in brackets, at the end of the name, or by a counter's name, such as ``TimeUS``.
 Dates and times of day, 10:00:01.25, state theirs. Without a statement, the numbers must show it: by
@@ -58,6 +59,8 @@ FRACTIONS = {
     **dict.fromkeys("usec usecs microsec microsecs microsecond microseconds us".split(), 1e-6),
     **dict.fromkeys("msec msecs millisec millisecs millisecond milliseconds ms".split(), 1e-3),
 }
+
+OF_DAY_BY_NAME = {"hour": 3600.0, "minute": 60.0, "second": 1.0}  # s
 
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
@@ -147,9 +150,12 @@ def table_clock(
     names = (stated,) if stated in columns else clock_names(columns, units)
     if not names:
         return None
-    if len(names) == 2:
+    findings: tuple[str, ...] = ()
+    if len(names) == 3:
+        parts = zip(names, OF_DAY_BY_NAME.values(), strict=True)
+        time, _ = _running_on(np.sum([columns[n] * ticks for n, ticks in parts], axis=0), (DAY,))
+    elif len(names) == 2:
         time = _sum(names[0], names[1], columns, units)
-        findings = ()
     else:
         time, findings = times_in_seconds(names[0], units.get(names[0], ""), columns[names[0]])
     signals = [x for name, x in columns.items() if name not in names and len(x) == time.size]
@@ -160,8 +166,11 @@ def table_clock(
 
 
 def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the columns that are the time: one, two or none."""
+    """Return the names of the columns that are the time: one to three, or none."""
     vectors = {name: x for name, x in columns.items() if x.ndim == 1 and x.size}
+    by_word = {name.strip().lower().removesuffix("s"): name for name in vectors}
+    if by_word.keys() >= OF_DAY_BY_NAME.keys():
+        return tuple(by_word[word] for word in OF_DAY_BY_NAME)
     pair = next(_pairs(vectors, units), ())
     ranks = {}
     for name, values in vectors.items():
