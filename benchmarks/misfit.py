@@ -21,9 +21,9 @@ import time
 import numpy as np
 
 import greybox as gb
-import greybox.assessment.fit
+import greybox.assessment.assess
 
-FIT = sys.modules["greybox.assessment.fit"]
+ASSESS = sys.modules["greybox.assessment.assess"]
 LENGTHS, STEP = (330, 1000, 600, 3300, 10000), 0.03  # samples, s
 BOUNDS = (0.0, 500.0)
 
@@ -243,7 +243,7 @@ def fitted_spectrum(plant, defect, color, draw, base):
 def timed(problem, starts=2):
     """Return a fit, the time of its test of misfit, and that of the rest, s."""
     spent = []
-    assessed = FIT.assessed_misfit
+    assessed = ASSESS.assessed_misfit
 
     def watched(*arguments):
         began = time.perf_counter()
@@ -251,12 +251,12 @@ def timed(problem, starts=2):
         spent.append(time.perf_counter() - began)
         return answer
 
-    FIT.assessed_misfit = watched
+    ASSESS.assessed_misfit = watched
     began = time.perf_counter()
     try:
         fit = gb.fit(problem, starts, progress=False)
     finally:
-        FIT.assessed_misfit = assessed
+        ASSESS.assessed_misfit = assessed
     return fit, sum(spent), time.perf_counter() - began - sum(spent)
 
 

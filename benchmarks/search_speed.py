@@ -26,7 +26,8 @@ import numpy as np
 
 import greybox as gb
 from greybox.engine.compiled.compiled_problem import compile_problem
-from greybox.engine.solve.multistart import multistart, solver_for
+from greybox.engine.solve.multistart import multistart
+from greybox.engine.solve.search_method import solver_for
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formulation.starts import Sobol
 from greybox.models.polynomial import Polynomial

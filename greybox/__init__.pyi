@@ -8,7 +8,9 @@ from greybox.assessment.checks.finding import Finding as Finding
 from greybox.assessment.checks.included import CHECKS as CHECKS
 from greybox.assessment.draws import Draws as Draws, draws as draws
 from greybox.assessment.fit import fit as fit
-from greybox.assessment.misfit_candidates import misfit as misfit
+from greybox.assessment.misfit.causes.included import CAUSES as CAUSES
+from greybox.assessment.misfit.of_fit import misfit as misfit
+from greybox.assessment.misfit.term import RecordTerm as RecordTerm, Wording as Wording
 from greybox.assessment.profile import profile as profile
 from greybox.assessment.profile_result import Profiles as Profiles
 from greybox.assessment.result import Fit as Fit
@@ -36,6 +38,8 @@ from greybox.engine.compiled.transcription import (
     Transcription as Transcription,
 )
 from greybox.engine.solve.cost import cost as cost
+from greybox.engine.solve.objective import Objective as Objective, objective as objective
+from greybox.engine.solve.own_solver import Solution as Solution, Solver as Solver
 from greybox.modeling import (
     Integrator as Integrator,
     Parameter as Parameter,

@@ -14,7 +14,6 @@ from greybox.data.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.data.logs.axis_signals import NAMES
 from greybox.data.logs.flight_controllers import AXES, axis_of, named_filters, passed_filters
 from greybox.data.logs.loop_rate import GYRO_RATE
-from greybox.data.logs.named_columns import in_si
 from greybox.data.logs.px4 import AXES as PX4_AXES
 from greybox.modeling.model import require_known
 from greybox.models import ardupilot, betaflight, px4
@@ -176,7 +175,7 @@ class FlownController:
             places = [recording.locate(name) for name in self.signals[own].split("+")]
         except KeyError as error:
             raise ValueError(f"the log does not show its control law: {error.args[0]}") from None
-        return [(in_si(record, [name]), name) for record, name in places]
+        return [(record.in_si([name]), name) for record, name in places]
 
     def __str__(self):
         laws = [

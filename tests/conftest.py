@@ -131,7 +131,7 @@ def unjudged_file():
 @pytest.fixture
 def judged(monkeypatch):
     """Make fits with their misfit in a test of a file without."""
-    from greybox.assessment.misfit_assessment import assessed_misfit
+    from greybox.assessment.misfit.assessment import assessed_misfit
 
     module = import_module("greybox.assessment.assess")
     monkeypatch.setattr(module, "assessed_misfit", assessed_misfit)

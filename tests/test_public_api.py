@@ -13,11 +13,12 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap CHECKS Collocation Controller Criterion Draws EquationError Evidence Finding Fit FrequencyResponse Integrator MagnitudePhase
-MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
-Radau RelativeLikelihood RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction batch bootstrap compare cost draws feedback fit frequency_response identify load margins misfit
-plot predict prepare profile read read_response report safe_gains save several simulate stepwise
+Bootstrap CAUSES CHECKS Collocation Controller Criterion Draws EquationError Evidence Finding Fit FrequencyResponse
+Integrator MagnitudePhase MaximumLikelihood MultipleShooting Objective OutputError Parameter PredictionError Problem
+Profiles Radau Record RecordTerm RelativeError RelativeLikelihood RungeKutta SingleShooting Solution Solver
+SquaredRelativeError Starts StateSpace TimeCriterion Transcription TransferFunction Wording batch bootstrap compare
+cost draws feedback fit frequency_response identify load margins misfit objective plot predict prepare profile read
+read_response report safe_gains save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
 
@@ -30,7 +31,7 @@ NAMESPACES = {
     "segment_table write_response write_responses",
     "experiment": "ControlCheck Controller Excitation ExpectedErrors GainComparison Margins SafeGains SinePlan ardupilot_script broken_loop check_controller "
     "expected_errors margin_table margins measured_margins multisine plan_sines safe_gains sine_schedule sweep systemid_parameters virtual_flight write_excitation write_gains",
-    "formulation": "Criterion EquationError ErrorDistribution MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
+    "formulation": "Criterion EquationError ErrorCovariance ErrorDistribution MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_matrix select_orders",

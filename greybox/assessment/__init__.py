@@ -19,12 +19,7 @@ Begin with `fit`.
 | `identifiability` | how well each parameter is determined; combinations that are, or are not |
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
-| `misfit` | whether the model explains the data, and what it may lack |
-| `misfit_assessment` | the test for that |
-| `misfit_regression` | the regressors of that test, for a record or a response |
-| `misfit_candidates` | the same test for a given fit, with terms of your own |
-| `missing_terms` | the terms that it tries |
-| `repeated_inputs` | what repeats in the residuals with the inputs |
+| `misfit/` | whether the model explains the data, and what it may lack |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
 | `profile` | likelihood profiles, by minima with a quantity held, and where they end |
 | `held_minima` | minima with a quantity held, the points of a profile |

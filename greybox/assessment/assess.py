@@ -8,7 +8,7 @@ from greybox.assessment.checks.evidence import Evidence
 from greybox.assessment.checks.failure import failure
 from greybox.assessment.checks.finding import Finding, once
 from greybox.assessment.checks.included import CHECKS, Check
-from greybox.assessment.misfit_assessment import assessed_misfit
+from greybox.assessment.misfit.assessment import assessed_misfit
 from greybox.assessment.profile import with_profiles_where_misleading
 from greybox.assessment.result import Fit
 from greybox.assessment.wrapped_outputs import wrapped
@@ -53,7 +53,6 @@ def _with_misfit(evidence: Evidence) -> Fit:
         accuracy.trajectories,
         accuracy.at_bound,
         {},
-        evidence.search.solver,
     )
     return replace(evidence.fit, misfit=misfit)
 

@@ -8,7 +8,7 @@ another; a disturbance adds power along its own.
 import casadi as ca
 import numpy as np
 
-from greybox.assessment.missing_terms import dynamic_equations
+from greybox.assessment.misfit.equations import dynamic_equations
 from greybox.data.files.arrays import Array, ComplexArray
 from greybox.engine.compiled.part import Trajectory
 from greybox.engine.compiled.record_part import RecordPart
@@ -55,7 +55,7 @@ def reached_states(part: RecordPart) -> list[int]:
         follows = any(by_states.has_nz(place, other) for other in states if other != place)
         return not follows and not any(of_outputs.has_nz(k, place) for k in outputs)
 
-    dynamic = list(dynamic_equations(part))
+    dynamic = [equation.index for equation in dynamic_equations(part)]
     return [place for place in dynamic if not is_actuator(place)] or dynamic
 
 

@@ -22,7 +22,7 @@ from greybox.data.files.spelling import alternatives
 from greybox.data.files.text_table import text_table
 from greybox.data.files.wording import counted, some
 from greybox.data.pandas_frames import Frame, frame_of
-from greybox.engine.solve.gauss_newton.driver import GaussNewton
+from greybox.engine.solve.objective import objective_near
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.formulation.starts import sobol_shares
 from greybox.modeling.parameter import lower_and_upper
@@ -211,13 +211,12 @@ def _by_likelihood(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> A
     predicted = np.sum(coordinates**2, axis=1) / 2
 
     has_records = len(fit.responses) < len(fit.parts)
-    simulated = GaussNewton(problem)
+    estimate = drawn(np.zeros((1, steps.shape[1])))[0, :p]
+    objective = objective_near(problem, estimate)
 
     def costs(steps: Array) -> Array:
-        x = drawn(steps)[:, :p]
-        if has_records:
-            return np.array([*map(simulated.cost, problem.all_values(x))])
-        return problem.costs(x)
+        values = objective.value(drawn(steps)[:, :p])
+        return np.where(np.isfinite(values), values, math.nan)
 
     lowest = costs(np.zeros((1, steps.shape[1])))
 

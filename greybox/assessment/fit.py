@@ -36,9 +36,15 @@ from greybox.engine.solve.interruption import (
     take_interrupt,
 )
 from greybox.engine.solve.local_solver import LocalSolver
-from greybox.engine.solve.multistart import BATCHED, SEARCHES, ProgressReport, solver_for
+from greybox.engine.solve.multistart import ProgressReport
 from greybox.engine.solve.run_storage import RunStorage
 from greybox.engine.solve.search import search_minima
+from greybox.engine.solve.search_method import (
+    BATCHED,
+    AnySearch,
+    as_search_method,
+    solver_for,
+)
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.formulation.starts import AnyStarts
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time
@@ -51,7 +57,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     seed: int | None = None,
     *,
     method: Transcription | None = None,
-    search: str = BATCHED,
+    search: AnySearch = BATCHED,
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     executor: Executor | None = None,
     seconds: float | None = None,
@@ -86,8 +92,9 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         include the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
-    search : "batched" or "multistart"
-        See above.
+    search : "batched", "multistart", or a Solver
+        See above. An instance of your own `greybox.Solver` makes the runs: starts, ranking, errors
+        and checks stay as they are, and only ends that are minima count.
     solver_options : mapping
         ``{"max_iter": 100, "tol": 1e-9}``, and all other options of IPOPT where IPOPT solves. For
         records, `tol` limits the decrease of the cost and half the squared length of a step in
@@ -169,7 +176,7 @@ class SolverChoice:
     """
 
     method: Transcription | None = None
-    search: str = BATCHED
+    search: AnySearch = BATCHED
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -179,10 +186,7 @@ class SolverChoice:
         cure = "an instance such as MultipleShooting()"
         require_kind("method", self.method, Transcription | None, cure)
 
-        if self.search not in SEARCHES:
-            raise ValueError(
-                f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}."
-            )
+        as_search_method(self.search)
 
     def solver(self, problem: AnyProblem) -> LocalSolver:
         """Return the solver of a problem, which is compiled for it.

@@ -8,6 +8,7 @@ from greybox.assessment.result import Fit
 from greybox.engine.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.engine.compiled.transcription.method import Transcription
 from greybox.engine.solve.robust_fit import with_pseudo_values
+from greybox.modeling.formulation.error_covariance import ESTIMATED
 from greybox.modeling.formulation.included_criteria import (
     CRITERIA,
     SPECTRUM_CRITERIA,
@@ -47,7 +48,14 @@ def compiled_again(
 
 def has_included_criterion(part: FittedPart) -> bool:
     """Return whether the criterion of a part, and the errors that it assumes, are of greybox."""
-    return part.criterion_class in KINDS and part.errors in ERRORS
+    return part.criterion_class in KINDS and has_included_errors(part)
+
+
+def has_included_errors(part: FittedPart) -> bool:
+    """Return whether the distribution of the errors and their covariance are of greybox."""
+    noise = part.settings.get("noise", {})
+    is_included = isinstance(noise, Mapping) or noise in ESTIMATED
+    return part.errors in ERRORS and is_included
 
 
 def problem_of(fit: Fit) -> AnyProblem:
@@ -80,7 +88,7 @@ def problem_of(fit: Fit) -> AnyProblem:
             "constraints": part.constraints,
             f"{', '.join(uncertain)} from an earlier fit": uncertain,
             f"the criterion {part.criterion}": part.criterion_class not in KINDS,
-            "errors of your own": part.errors not in ERRORS,
+            "errors of your own": not has_included_errors(part),
             "a function for an initial state": any(isinstance(v, str) for v in initial.values()),
         }
         for what, present in obstacles.items():

@@ -14,9 +14,9 @@ from greybox.engine.solve.batched_newton import BatchedNewton
 from greybox.engine.solve.gauss_newton.driver import GaussNewton
 from greybox.engine.solve.gauss_newton.settings import USUAL
 from greybox.engine.solve.ipopt import WARM
-from greybox.engine.solve.multistart import solver_for
 from greybox.engine.solve.response_solver import TOLERANCE, ResponseSolver
 from greybox.engine.solve.runs import Outcome
+from greybox.engine.solve.search_method import solver_for
 from greybox.modeling.cached_property import cached_property
 from greybox.modeling.one_thread import one_thread_at_a_time
 

@@ -198,7 +198,7 @@ def error_statement(fit: Any) -> str:
             f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, {freedom} freedom)"
         )
 
-    is_wrong = fit.misfit and not fit.misfit.explains_here
+    is_wrong = fit.misfit and not fit.misfit.explains
     valid = ", valid only if the model explains the data" if is_wrong else ""
     return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from greybox.assessment.at_estimate import at_estimate, part_index
 from greybox.assessment.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.assessment.identifiability import Identifiability, identifiability
-from greybox.assessment.misfit import Misfit
+from greybox.assessment.misfit.answer import Misfit
 from greybox.assessment.printed import details, summary, text
 from greybox.assessment.profile_result import Profiles
 from greybox.assessment.response_band import (

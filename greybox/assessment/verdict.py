@@ -56,7 +56,7 @@ def verdict(fit: Any) -> Verdict:
     misfit = fit.misfit
     if misfit:
         # What the print says is to be added is a reason for doubt.
-        holds = misfit.explains_here and not misfit.is_drifting and not misfit.likely
+        holds = misfit.explains and not misfit.is_drifting and not misfit.likely
         sentences.insert(0, (holds, f"The model {misfit.verdict}."))
     if fit.left_out:
         count = counted(len(fit.left_out), "check")

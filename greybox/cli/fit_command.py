@@ -26,8 +26,8 @@ from greybox.engine.solve.interruption import (
     responding,
     take_interrupt,
 )
-from greybox.engine.solve.multistart import BATCHED, SEARCHES
 from greybox.engine.solve.run_storage import RunStorageError
+from greybox.engine.solve.search_method import BATCHED, SEARCHES
 from greybox.workflows.study.database import is_study
 from greybox.workflows.study.stored_runs import StoredRuns, folder_beside, runs_beside
 

@@ -47,7 +47,8 @@ SHARED = """
     setpoint in which to look for tests, e.g. ATT.DesPitch
 --columns NAME=COLUMN[:UNIT]...
     the columns of a table with other names, time=t:ms theta=pitch:deg; or their numbers if the
-    table has no header line: time=1 u=2 theta=3:deg
+    table has no header line: time=1 u=2 theta=3:deg; for files of unlike headers, the names that a
+    column has in them: theta=pitch:deg,Theta:rad
 --rate HZ
     sampling rate of a table without a time
 --gaps {bridge,cut}

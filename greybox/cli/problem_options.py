@@ -29,7 +29,8 @@ problem [PROBLEM]
 --columns NAME=COLUMN[:UNIT]...
     with --data: the columns of a table with other names. For a response frequency=f:Hz
     magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and the
-    signals of the model, theta=pitch:deg
+    signals of the model, theta=pitch:deg; for files of unlike headers, the names that a column has
+    in them: theta=pitch:deg,Theta:rad
 --rate
 --gaps
 --band FREQUENCY...

@@ -10,13 +10,16 @@ Begin with `record` and `frequency_response`.
 | `excited_segment` | one excited segment of a record, and the table of several |
 | `clock` | the steps of a record: uniform, in coarse stamps, a schedule; and where rows are lost |
 | `intersample` | signals between their samples: held or continuous |
+| `signal_faults`, `saturation` | what a logger did to samples; samples at a limit |
 | `wrapped_angles` | angles that jump by a full turn |
 | `units` | conversion of units to SI |
-| `time_column` | time columns of tables, and the clocks that wrote them |
+| `headings` | the grammar of headers: names, units, indices, holds |
+| `time_column` | the grammar of clocks: which columns are the time, and their unit |
+| `row_order` | rows of a table in the order of their times |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
 | `frequency_band` | pairs of numbers, such as the ends of a band |
 | `checksum` | checksums of arrays, by which equal data are recognized |
-| `dates` | dates as seconds |
+| `dates` | dates and times of day as seconds |
 | `response_file` | frequency responses in CSV |
 | `response_columns` | the columns of a table of a frequency response, also in dB and degrees |
 | `pandas_frames` | pandas data frames from and to records and responses |

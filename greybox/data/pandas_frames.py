@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.checked_array import checked_array
-from greybox.data.dates import seconds_from_first
+from greybox.data.dates import OF_DAY, SINCE_1970, seconds_from_first, seconds_in_texts
 from greybox.data.files.arrays import AnyArray, Array
-from greybox.data.files.column_headings import heading
 from greybox.data.files.named_values import non_empty
 from greybox.data.files.optional_package import required
-from greybox.data.time_column import seconds, times_in_seconds
+from greybox.data.headings import Heading, heading, headings
+from greybox.data.time_column import TableClock, seconds, table_clock
 
 Frame = Any
 """A `pandas.DataFrame`; pandas is imported when it is first needed."""
@@ -32,76 +31,90 @@ def frame_of(
 
 
 def require_frame(frame: Frame) -> None:
-    """Raise TypeError for anything but a data frame, ValueError for equal column names."""
+    """Raise TypeError for anything but a data frame."""
     # By its attributes, so that pandas need not be imported.
     if not hasattr(frame, "columns") or not hasattr(frame, "attrs"):
         raise TypeError(f"frame is {frame!r:.60}: give a pandas.DataFrame.")
-    names = list(map(str, frame.columns))
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise ValueError(f"the data frame has two columns {twice[0]!r}: rename or drop one.")
 
 
-def columns_of(frame: Frame, without: str = "") -> Mapping[str, Array]:
-    """Return the columns of a data frame as numbers, by name, without the time column.
+def table_of(
+    frame: Frame, time: str | None, *, has_time: bool
+) -> tuple[TableClock | None, dict[str, Array], dict[str, str]]:
+    """Return the clock of a data frame, its other columns as numbers, and units, by name.
+
+    The time is the index if it has dates or the name of a time, else that of a table, see
+    `greybox.data.time_column`, else an index of floating-point numbers. The rows of the columns are
+    those of the clock.
 
     Raises
     ------
     ValueError
-        If a column does not contain numbers.
+        If neither a column nor the index is a time, or if a column does not contain numbers.
     """
-    result = {}
+    labels = list(map(str, frame.columns))
+    if time is not None and time not in labels:
+        raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(labels)}.")
+    # The names of a record that `to_pandas` wrote are whole.
+    own = frame.attrs.get("units", {})
+    named = [
+        Heading(label, own[label]) if label in own else in_header
+        for label, in_header in zip(labels, headings(labels), strict=True)
+    ]
+    columns = {}
+    units = {}
     # By position: a name may be a number, and was made a text.
-    for position, name in enumerate(map(str, frame.columns)):
-        if name == without:
-            continue
-        column = frame.iloc[:, position]
-        if column.dtype.kind not in "biuf":
+    for place, (name, unit) in enumerate(named):
+        values, from_text = _as_numbers(frame.iloc[:, place])
+        if values is not None:
+            columns[name], units[name] = values, from_text or unit
+
+    clock = None
+    if has_time:
+        stated = "" if time is None else named[labels.index(time)].name
+        clock = _clock(frame.index, columns, units, stated)
+    used = clock.names if clock else ()
+    for label, (name, _) in zip(labels, named, strict=True):
+        is_number = name in columns and units[name] not in (SINCE_1970, OF_DAY)
+        if name not in used and not is_number:
             raise ValueError(
-                f"the column {name!r} of the data frame does not contain numbers: drop or convert "
+                f"the column {label!r} of the data frame does not contain numbers: drop or convert "
                 "it."
             )
-        result[name] = column.to_numpy(dtype=float, na_value=np.nan)
+    rows = clock.rows if clock else slice(None)
+    return clock, {n: x[rows] for n, x in columns.items() if n not in used}, units
 
-    return result
 
-
-def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...]]:
-    """Return the times of a data frame in s, the column that they come from, and findings.
-
-    The index is the time if it has dates, the name of a time column, or floating-point numbers.
-
-    Raises
-    ------
-    ValueError
-        If neither a column nor the index is a time.
-    """
-    names = list(map(str, frame.columns))
-    if time is not None and time not in names:
-        raise ValueError(f"the data frame has no column {time!r}; it has {', '.join(names)}.")
+def _clock(index: Any, columns: dict[str, Array], units: dict[str, str], stated: str) -> TableClock:
+    """Return the clock of a data frame with this index and these columns."""
+    heading_of_index = heading("" if index.name is None else str(index.name))
+    values, from_text = _as_numbers(index)
+    is_clock = from_text or seconds(*heading_of_index)
+    of_columns = None if is_clock and not stated else table_clock(columns, units, stated)
+    if of_columns:
+        return of_columns
     # Whole numbers count the rows, as after a selection; they are not times.
-    index = frame.index
-    is_time = index.dtype.kind in "mMf" or seconds(*heading(str(index.name)))
-    column = time or next((name for name in names if seconds(*heading(name))), "")
-    if time is None and is_time:
-        values = index
-        name = str(index.name)
-        column = ""
-    elif column:
-        values = frame.iloc[:, names.index(column)]
-        name = column
-        # The array of a column knows its time zone, the column itself does not.
-        values = values.array if values.dtype.kind == "M" else values
-    else:
+    if values is None or not (is_clock or index.dtype.kind == "f"):
         raise ValueError(
             "the data frame has no time: name it, time='COLUMN', or its index, in s or as dates; "
             "or state that its rows have none, has_time=False."
         )
+    name = heading_of_index.name or "the index"
+    index_alone = {name: values, **{n: x for n, x in columns.items() if n != name}}
+    clock = table_clock(index_alone, {name: from_text or heading_of_index.unit}, name)
+    assert clock is not None
+    return clock._replace(names=())
+
+
+def _as_numbers(values: Any) -> tuple[Array | None, str]:
+    """Return a column or an index as numbers, and `SINCE_1970` or `OF_DAY` for times, not else.
+
+    Both are empty if it has neither numbers nor times.
+    """
+    if values.dtype.kind in "biuf":
+        return values.to_numpy(dtype=float, na_value=np.nan), ""
     if values.dtype.kind in "mM":
-        return seconds_from_first(values), column, ()
-
-    times = checked_array(f"the time {name!r} of the data frame", values.to_numpy())
-    label, unit = heading(name)
-    times, findings = times_in_seconds(label, unit, times)
-
-    return times, column, findings
+        # The array of a column knows its time zone, the column itself does not.
+        return seconds_from_first(getattr(values, "array", values)), SINCE_1970
+    if values.dtype.kind == "O" and all(isinstance(value, str) for value in values):
+        return seconds_in_texts(list(values)) or (None, "")
+    return None, ""

@@ -1,6 +1,7 @@
 """Measured time histories: one experiment on one time base, and all records of a log file."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, fields, replace
 from functools import cached_property
 from itertools import chain
@@ -28,8 +29,10 @@ from greybox.data.files.normalization import normalize
 from greybox.data.files.printed import Printed, one_line
 from greybox.data.files.spelling import alternatives, nearest
 from greybox.data.files.wording import counted, some
+from greybox.data.headings import BETWEEN, units_and_holds
 from greybox.data.intersample import checked_hold
-from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
+from greybox.data.pandas_frames import Frame, frame_of, require_frame, table_of
+from greybox.data.units import AmbiguousUnitError, to_si
 
 NOT_STORED = {"stored": False}  # in the file of a fit
 
@@ -285,6 +288,67 @@ class Record(Printed):
             checksum="",
         )
 
+    def stated(
+        self,
+        units: Mapping[str, str] | None = None,
+        hold: Mapping[str, float | str] | None = None,
+        gaps: Gaps | None = None,
+    ) -> "Record":
+        """Return the record with what its file does not say of these signals; no number changes.
+
+        Parameters
+        ----------
+        units : mapping of name to str, optional
+        hold : mapping of name to float or str, optional
+            Seconds, or "held" and "sampled" as in the header of a table.
+        gaps : "auto", "bridge" or "cut", optional
+
+        Examples
+        --------
+        >>> record = gb.Record([0.0, 0.1, 0.2], {"u": [0, 1, 1], "x": [0, 2, 5]})
+        >>> record = record.stated({"x": "mm"}, hold={"u": "held"})
+        >>> record.in_si()["x"]
+        array([0.   , 0.002, 0.005])
+        """
+        holds = {name: BETWEEN.get(str(h), h) for name, h in (hold or {}).items()}
+        return replace(
+            self,
+            units={**self.units, **(units or {})},
+            hold={**self.hold, **holds},
+            gaps=gaps or self.gaps,
+        )
+
+    def in_si(self, names: Iterable[str] | None = None) -> "Record":
+        """Return the record with these signals in SI units, all by default.
+
+        Units that are not known become findings.
+
+        Raises
+        ------
+        ValueError
+            If a unit has two readings, such as nm.
+        """
+        signals = dict(self.signals)
+        units = dict(self.units)
+        findings = [*self.findings]
+        for name in self.signals if names is None else names:
+            unit = self.units.get(name, "")
+            try:
+                conversion = to_si(unit)
+            except AmbiguousUnitError as error:
+                raise ValueError(
+                    f"{self.source or 'the record'}: the unit of {name}, {error}, "
+                    f"columns={name}=COLUMN:UNIT, or record.stated({{{name!r}: UNIT}})."
+                ) from None
+            except ValueError as error:
+                findings.append(f"{name} was taken as it is, in {unit!r}: {error}.")
+                continue
+            signals[name] = conversion.apply(self[name])
+            units[name] = conversion.si
+            findings += [f"{name}: {conversion.remark}."] if conversion.remark else []
+
+        return replace(self, signals=signals, units=units, findings=tuple(findings))
+
     @classmethod
     def from_pandas(
         cls,
@@ -299,8 +363,9 @@ class Record(Printed):
         Parameters
         ----------
         frame : pandas.DataFrame
-            Missing values are NaN. The time is its index, if this has dates or a name such as
-            ``time``, else the column ``time``, ``t``, ``timestamp`` or ``Time (ms)``.
+            Missing values are NaN. Columns are named as in `greybox.data.headings`. The time is the
+            index, if this has dates or a name such as ``time``, else the column ``time``, ``t``,
+            ``timestamp`` or ``Time (ms)``, else an index of numbers with fractions.
         time : str, optional
             Name of another time column. Dates and time differences count from the first.
         units : mapping of name to str, optional
@@ -314,21 +379,18 @@ class Record(Printed):
             For anything but a data frame of numbers that makes a record.
         """
         require_frame(frame)
-        moments = None
-        column = ""
-        findings = ()
-        if others.pop("has_time", True):
-            moments, column, findings = times_of(frame, time)
-        columns = columns_of(frame, without=column)
+        clock, columns, statements = table_of(frame, time, has_time=others.pop("has_time", True))
         described = selected(frame.attrs, ("units", "hold", "name", "source", "gaps"))
-        described["findings"] = findings
+        for what, in_header in zip(("units", "hold"), units_and_holds(statements), strict=True):
+            described[what] = {**in_header, **described.get(what, {})}
+        described["findings"] = clock.findings if clock else ()
         # Those of columns that were dropped later stay in `attrs`.
         for what in {"units", "hold"} & described.keys():
             described[what] = selected(described[what], columns)
         # What the caller states overrides the attributes of the frame.
         options = described | others | ({} if units is None else {"units": units})
 
-        return cls(moments, columns, **options)  # type: ignore[arg-type]
+        return cls(clock.time if clock else None, columns, **options)  # type: ignore[arg-type]
 
     def to_pandas(self) -> Frame:
         """Return the signals as columns of a pandas data frame with the time in s as index.
@@ -431,12 +493,15 @@ class Recording(Mapping[str, Record]):
         KeyError
             If no message or several messages have it. The message names the alternatives.
         """
-        message, dot, name = signal.rpartition(".")
-        if dot:
-            record = self[message]
-            record[name]  # KeyError for an unknown field
-            return record, name
+        # Names of messages and of signals may have dots, too.
+        for place in [match.start() for match in re.finditer(r"\.", signal)]:
+            message, name = signal[:place], signal[place + 1 :]
+            if message in self and name in self[message].signals:
+                return self[message], name
         holders = [key for key, record in self.records.items() if signal in record.signals]
+        message, dot, name = signal.rpartition(".")
+        if dot and not holders:
+            self[message][name]  # KeyError for an unknown message or field
         if not holders:
             fields = unique(name for record in self.values() for name in record.signals)
             similar = nearest(signal, fields) or some(fields, 12)
@@ -468,8 +533,8 @@ def require_time(record: Record, what: str) -> None:
     if not record.has_time:
         raise ValueError(
             f"{what} needs samples in time, and {record.name or 'the record'} has rows without a "
-            "time: give their times, Record(time, ...), or for a table a column named 'time [s]' "
-            "or a rate."
+            "time: give their times, Record(time, ...), or for a table its column of times, "
+            "columns=time=COLUMN:s, or a rate."
         )
 
 

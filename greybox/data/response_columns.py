@@ -6,16 +6,16 @@ Magnitudes and phases in the units of instruments and other programs become comp
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from greybox.data.checked_array import require
 from greybox.data.files.arrays import AnyArray, Array, ComplexArray, complex_array
-from greybox.data.files.column_headings import heading
 from greybox.data.files.named_values import selected
 from greybox.data.files.spelling import alternatives
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.headings import Column, find_column, headings
 from greybox.data.units import known_unit
 
 OMEGA = "omega_rad_s"
@@ -27,13 +27,6 @@ ROLES = ("frequency", *RECTANGULAR, *POLAR, *EXTRAS)
 UNITS = {"frequency": "rad/s or Hz", "magnitude": "absolute or dB", "phase": "deg or rad"}
 # In lower case, of a table with names of its own.
 BODE = {"frequency": ("hz", "khz", "rad/s"), "magnitude": ("db",), "phase": ("deg", "°", "rad")}
-
-
-class Column(NamedTuple):
-    """The place of a column, from 0, and its unit."""
-
-    place: int
-    unit: str
 
 
 def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
@@ -64,7 +57,7 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
 
     result = {}
     for role, text in columns.items():
-        column = find_column(text, header)
+        column = find_column(text, headings(header))
         if role in UNITS and not column.unit:
             unit = UNITS[role].split()[-1]
             raise ValueError(
@@ -87,11 +80,12 @@ def written_columns(header: Sequence[str], prefix: str) -> Mapping[str, str]:
     ValueError
         If a column is missing, or the prefix of one of several responses.
     """
-    names = [heading(cell).name for cell in header]
+    columns = headings(header)
+    names = [column.name for column in columns]
     roles = {name.lower(): name for name in names if name.lower() in ROLES}
     if OMEGA not in names:
         by_unit = {
-            role: [cell for cell in header if heading(cell).unit.lower() in units]
+            role: [str(column) for column in columns if column.unit.lower() in units]
             for role, units in BODE.items()
         }
         if all(len(cells) == 1 for cells in by_unit.values()):
@@ -107,6 +101,9 @@ def written_columns(header: Sequence[str], prefix: str) -> Mapping[str, str]:
             "output."
         )
 
+    for name in missing:
+        if sum(column.base == name for column in columns) > 1:
+            find_column(name, columns)  # names them all
     if missing:
         raise ValueError(
             f"has no column {missing[0]!r}; it has {', '.join(names)}: call the columns "
@@ -127,11 +124,18 @@ def assembled(
 ) -> FrequencyResponse:
     """Return the response of these columns (n,) by role; `others` are names and the like.
 
+    A first point at 0 Hz is left out, as `about` then says.
+
     Raises
     ------
     ValueError
         For units that are not known, and whatever a `FrequencyResponse` refuses.
     """
+    # Spectra of other programs begin with the mean, at 0 Hz, which is no response to a test.
+    is_mean = values["frequency"] == 0
+    if np.count_nonzero(is_mean) == 1 and is_mean[0] and is_mean.size > 1:
+        values = {role: x[1:] for role, x in values.items()}
+        others["about"] = {**others.get("about", {}), "left out": "the point at 0 Hz"}
     omega = angular_frequency(values["frequency"], columns["frequency"].unit)
     if "alpha" in values:
         response = complex_array(values["alpha"], values["beta"])
@@ -166,28 +170,6 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
         errors.append(complex_array(values[alpha], values[beta]))
 
     return optional | ({"common_errors": np.array(errors)} if errors else {})
-
-
-def find_column(text: str, header: Sequence[str]) -> Column:
-    """Return the column that ``name`` or ``name:unit`` means; a header may have units in brackets.
-
-    Raises
-    ------
-    ValueError
-        If there is no such column, or two. The caller puts the name of the file before the message.
-    """
-    name, _, unit = text.rpartition(":")
-    # The whole text is tried first: a name may have a colon or brackets of its own.
-    headings = [heading(cell) for cell in header]
-    for wanted, stated in ((text, ""), (name, unit)):
-        # Units in brackets of either kind are one heading; without a unit, the name decides.
-        whole = [k for k, h in enumerate(headings) if h == heading(wanted)]
-        places = whole or [k for k, h in enumerate(headings) if h.name == wanted]
-        if len(places) > 1:
-            raise ValueError(f"has two columns {wanted!r}: rename or remove one.")
-        if places:
-            return Column(places[0], stated or headings[places[0]].unit)
-    raise ValueError(f"has no column {name or text!r}; it has {alternatives(name or text, header)}")
 
 
 def angular_frequency(frequency: Array, unit: str) -> Array:

@@ -5,20 +5,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from greybox.data.files.column_headings import heading
-from greybox.data.files.delimited_text import (
-    DelimitedText,
-    numbered,
-    read_delimited,
-    write_delimited,
-)
+from greybox.data.files.delimited_text import DelimitedText, read_delimited, write_delimited
 from greybox.data.files.escapes import in_sentences
 from greybox.data.files.grouping import unique
 from greybox.data.files.named_values import without
 from greybox.data.files.safe_files import require_file
 from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.data.headings import headings, with_units_in_header
 from greybox.data.response_columns import OMEGA, assembled, columns_by_role, written_columns
-from greybox.data.units import with_units_in_header
 
 UNIT = "unit of "  # begins the key of a unit
 STRETCH = "stretch "  # begins the key of a stretch
@@ -70,7 +64,6 @@ def read_response(
     """
     path = require_file(path)
     table, names = _table(path)
-    table = numbered(table) if columns else table
     # The names of input and output choose a response of a matrix, and rename a single one.
     if f"{output}_{input}_alpha" in names and "alpha" not in names:
         prefix = prefix or f"{output}_{input}_"
@@ -136,7 +129,7 @@ def read_responses(
 def _table(path: Path) -> tuple[DelimitedText, list[str]]:
     """Return the table in a file, and the names of its columns without their units."""
     table = with_units_in_header(read_delimited(path, path.read_bytes()))
-    return table, [heading(cell).name for cell in table.header]
+    return table, [column.name for column in headings(table.header)]
 
 
 def write_response(response: FrequencyResponse, path: str | Path) -> None:

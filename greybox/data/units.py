@@ -1,10 +1,12 @@
 """Units of logs and tables, converted to SI.
 
-A unit is a product of powers of the names below, as in ``deg/s/s``, ``slug*ft^2``, ``m s⁻²`` and
-``N·m``. Libraries of units read g as gram, kt as kilotonne and C as coulomb; in flight tests these
-are the acceleration of gravity, knots and degrees Celsius. Hence this table. Its factors are exact
-to the last digit, or come from appendix B of the Guide for the Use of the International System of
-Units (Taylor and Thompson, NIST Special Publication 811, 2008).
+A unit is a product of powers of the names below, as in ``deg/s/s``, ``slug*ft^2``, ``m s⁻²``,
+``N·m`` and ``degrees per second``. A unit that has two readings is refused with both, or converted
+with a remark where one of them is usual in flight tests. Libraries of units read g as gram, kt as
+kilotonne and C as coulomb; in flight tests these are the acceleration of gravity, knots and degrees
+Celsius. Hence this table. Its factors are exact to the last digit, or come from appendix B of the
+Guide for the Use of the International System of Units (Taylor and Thompson, NIST Special
+Publication 811, 2008).
 """
 
 import re
@@ -13,9 +15,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from greybox.data.files.arrays import Array
-from greybox.data.files.delimited_text import DelimitedText
-from greybox.data.files.numbers_in_text import is_number
 from greybox.data.files.spelling import nearest
+
+
+class AmbiguousUnitError(ValueError):
+    """A unit that has two readings."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,15 @@ PREFIXES = {
     "µ": 1e-6,
     "μ": 1e-6,
 }
+# Before words, as in milliseconds.
+LONG_PREFIXES = {
+    "mega": 1e6,
+    "kilo": 1e3,
+    "centi": 1e-2,
+    "milli": 1e-3,
+    "micro": 1e-6,
+    "nano": 1e-9,
+}
 
 NAMED = (
     PREFIXED
@@ -93,14 +106,16 @@ NAMED = (
     | _units("degF °F ºF = 0.5555555555555556 K", FAHRENHEIT)
     | _units("""
 kg = 1 kg
-ns = 1e-9 s
+ns nsec = 1e-9 s
+nT = 1e-9 T
 min minute minutes = 60 s
 h hr hrs hour hours = 3600 s
+day days = 86400 s
 ft foot feet = 0.3048 m
 in inch inches = 0.0254 m
 yd = 0.9144 m
 mi mile miles = 1609.344 m
-NM nm nmi = 1852 m
+nmi = 1852 m
 fps = 0.3048 m/s
 fpm = 0.00508 m/s
 mph = 0.44704 m/s
@@ -154,14 +169,21 @@ IN_BASE_UNITS = {
     "T": "kg s-2 A-1",
 }
 
-# Names with a second meaning; in products they are refused.
+# Names with a second meaning, and how they are taken; in products they are refused.
 DOUBTFUL = {
-    "g": "gram",
-    "G": "gauss",
-    "mG": "milligauss",
-    "C": "coulomb",
+    "g": "9.80665 m/s², not for gram",
+    "G": "9.80665 m/s², not for gauss",
+    "mG": "0.00980665 m/s², not for milligauss",
+    "C": "degrees Celsius, not for coulomb",
 }
-POUNDS = ("lb", "lbs", "pound", "pounds")
+
+# Names of which neither meaning is usual, with what to write instead.
+POUND = "may be a pound of mass or of force: write lbm or lbf"
+TORQUE = "may be a torque or a length: write N*m, nmi or 1e-9 m"
+AMBIGUOUS = dict.fromkeys(("lb", "lbs", "pound", "pounds"), POUND) | {"nm": TORQUE}
+
+# What people count, or scale in their own way, in lower case; decibels are those of responses.
+OWN = frozenset("# abs absolute count counts cts db hz khz lsb px pixel pwm".split())
 
 SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"
 PLAIN = "0123456789-"
@@ -170,6 +192,8 @@ TOKEN = re.compile(
     r"(?:(?:\^|\*\*)?(?P<power>[+-]?\d+)|(?:\^|\*\*)\((?P<inner>[+-]?\d+)\))?"
     r"|(?P<mark>[/·*.×()]|-(?=[^\W\d])))\s*"
 )
+PER = re.compile(r"\s+per\s+")
+SQUARED = re.compile(r"\s+squared\b")
 LEADING = re.compile(r"([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s+(?=\D)")  # as in "1e-07 deg"
 
 
@@ -180,26 +204,24 @@ def to_si(unit: str) -> Conversion:
     Raises
     ------
     ValueError
-        If the unit is unknown or ambiguous. The caller adds the name of the signal and a full stop.
+        If the unit is unknown. The caller adds the name of the signal and a full stop.
+    AmbiguousUnitError
+        If it has two readings.
     """
-    text = unit.strip()
+    text = SQUARED.sub("^2", PER.sub("/", unit.strip()))
     if not text:
         return Conversion(1.0, 0.0, "")
     # A whole unit before a product: temperatures have a zero of their own, which a product loses.
     named = _named(text)
     if named is not None:
-        if text not in DOUBTFUL:
-            return named
-        scale = f"{named.factor:g} {named.si}" if not named.zero else "degrees Celsius"
-        return replace(named, remark=f"{text} was taken for {scale}, not for {DOUBTFUL[text]}")
+        remark = f"{text} was taken for {DOUBTFUL[text]}" if text in DOUBTFUL else ""
+        return replace(named, remark=remark)
 
     # pymavlink writes multipliers before a unit, as in ``1e-07 deg``.
     leading = LEADING.match(text)
     factor = float(leading[1]) if leading else 1.0
     powers = Counter[str]()
     for name, power in _powers(text[leading.end() :] if leading else text).items():
-        if name.lower() in POUNDS:
-            raise ValueError(f"{name} may be a pound of mass or of force: write lbm or lbf")
         # A remark can state the assumption about one unit, not about a part of a product.
         named = None if name in DOUBTFUL else _named(name)
         if named is None:
@@ -237,25 +259,14 @@ def known_unit(unit: str) -> Conversion | None:
         return None
 
 
-def with_units_in_header(text: DelimitedText) -> DelimitedText:
-    """Return a table in whose header are the units that the line below it has, as in flight tests.
-
-    Such a line has a known unit, and no number.
-    """
-    _, row = next(text.rows(), (0, []))
-    units = [cell.strip("[]() ") for cell in row]
-    has_numbers = any(map(is_number, units))
-    if has_numbers or not any(map(known_unit, units)) or len(units) < len(text.header):
-        return text
-    return replace(
-        text,
-        header=tuple(
-            f"{name} [{unit}]" if unit else name
-            for name, unit in zip(text.header, units, strict=True)
-        ),
-        lines=text.lines[1:],
-        line_numbers=text.line_numbers[1:],
-    )
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit: a known one, one with two readings, or one of counts."""
+    try:
+        return bool(to_si(text).si)
+    except AmbiguousUnitError:
+        return True
+    except ValueError:
+        return text.strip().lower() in OWN
 
 
 def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
@@ -271,13 +282,24 @@ def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
 
 
 def _named(name: str) -> Conversion | None:
-    """Return a unit that has a name, or a name and a prefix."""
+    """Return a unit that has a name, or a name and a prefix; an ambiguous one is refused."""
+    if name.lower() in AMBIGUOUS and name not in NAMED:
+        raise AmbiguousUnitError(f"{name} {AMBIGUOUS[name.lower()]}")
     if name in NAMED:
         return NAMED[name]
+    for prefix, factor in LONG_PREFIXES.items():
+        word = name.lower().removeprefix(prefix)
+        if word != name.lower() and len(word) > 2 and word in PREFIXED:
+            return replace(PREFIXED[word], factor=factor * PREFIXED[word].factor)
     base = PREFIXED.get(name[1:])
-    if base is not None and name[0] in PREFIXES:
-        return replace(base, factor=PREFIXES[name[0]] * base.factor)
-    return CAPITALS.get(name.lower())
+    if base is None or name[0] not in PREFIXES:
+        return CAPITALS.get(name.lower())
+    # In a header of capitals, MV are millivolts.
+    if name[0] == "M" and name.isupper():
+        raise AmbiguousUnitError(
+            f"{name} may be mega or milli: write 1e6 {name[1:]} or m{name[1:]}"
+        )
+    return replace(base, factor=PREFIXES[name[0]] * base.factor)
 
 
 def _powers(text: str) -> dict[str, int]:
@@ -296,6 +318,7 @@ def _powers(text: str) -> dict[str, int]:
         at = token.end()
         if token["name"]:
             power = int(token["power"] or token["inner"] or 1)
+            _require_one_reading(token["name"], power)
             powers[token["name"]] += (group or 1) * side * power
             side = 1
         elif token["mark"] == "/":
@@ -308,6 +331,17 @@ def _powers(text: str) -> dict[str, int]:
             return {}
 
     return powers if side > 0 and not group else {}
+
+
+def _require_one_reading(name: str, power: int) -> None:
+    """Raise AmbiguousUnitError for ms^-1, which is m/s or 1/ms, and for its like."""
+    first, last = name[:-1], name[-1]
+    if power > 0 or last not in ("s", "m") or first == last or not first:
+        return
+    if _named(first) and _named(name):
+        exponent = f"^{-power}" if power < -1 else ""
+        readings = f"{first}/{last}{exponent} or 1/{name}{exponent}"
+        raise AmbiguousUnitError(f"{name}^{power} may be {readings}: write one of them")
 
 
 def _written(powers: dict[str, int]) -> str:

@@ -23,6 +23,23 @@ SIZES = np.vstack([RATIOS ** np.isin(TWELFTHS, range(*band)) for band in BANDS])
 
 
 @frozen
+class Block:
+    """Rows that have columns of their own.
+
+    Attributes
+    ----------
+    residuals, fitted : (N, 1) and (N, p) arrays
+        As in `score_tests`.
+    lengths : sequence of int
+        Numbers of rows in which neighbors are correlated.
+    """
+
+    residuals: Array
+    fitted: Array
+    lengths: Sequence[int]
+
+
+@frozen
 class Remainder:
     """What fits leave of residuals, without a term and with each of c, for m kinds of errors.
 
@@ -39,9 +56,7 @@ class Remainder:
     numbers: Array
 
 
-def correlated_fits(
-    blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array
-) -> Remainder:
+def correlated_fits(blocks: Sequence[Block], *terms: Array) -> Remainder:
     """Return what fits leave of residuals, without a term and with each, for m kinds of errors.
 
     Correlated errors look like a missing smooth term, large ones like a missing local term, and
@@ -50,9 +65,7 @@ def correlated_fits(
 
     Parameters
     ----------
-    blocks : sequence of (residuals, fitted, lengths)
-        Rows that have columns of their own: arrays (N, 1) and (N, p) as in `score_tests`, and the
-        numbers of rows in which neighbors are correlated.
+    blocks : sequence of Block
     *terms : (N, c) array
         What unit terms would add to a single block.
     """
@@ -60,8 +73,9 @@ def correlated_fits(
 
     most = 0
     squares = scores = np.zeros((1, 1))
-    for residuals, fitted, lengths in blocks:
-        basis = column_basis(fitted)
+    for block in blocks:
+        residuals, lengths = block.residuals, block.lengths
+        basis = column_basis(block.fitted)
         values = np.hstack([basis, 0 * residuals, *terms, residuals])
         pieces = np.split(values, np.cumsum(lengths[:-1]))
         waves = np.vstack([np.asarray(dct(piece, axis=0, norm="ortho")) for piece in pieces])

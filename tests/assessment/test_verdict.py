@@ -202,7 +202,7 @@ def test_grades_differ_by_what_is_wrong():
     assert told(identifiability=insensitive).grade == "good"
     for explains, is_large, grade in ((0, 1, "poor"), (0, 0, "doubt"), (1, 0, "good")):
         misfit = SimpleNamespace(
-            explains_here=explains, is_large=is_large, is_drifting=False, likely=(), verdict=""
+            explains=explains, is_large=is_large, is_drifting=False, likely=(), verdict=""
         )
         assert told(misfit=misfit).grade == grade
     assert told(agreeing=0).grade == "poor"

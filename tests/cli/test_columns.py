@@ -89,7 +89,7 @@ def test_bounds_and_starts(capsys, own):
         ),
         (
             ["--columns", *POLAR[:2], "phase=Phse:deg"],
-            "has no column 'Phse'; it has Freq (Hz), Mag, Phase",
+            "has no column 'Phse'; it has Freq [Hz], Mag, Phase",
         ),
         (
             ["--columns", "omega=Freq", *POLAR[1:]],

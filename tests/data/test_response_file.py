@@ -101,7 +101,7 @@ def test_a_byte_order_mark_and_the_order_of_columns_do_not_matter(tmp_path):
         ("omega_rad_s,alpha,beta\n1,2\n", r"line 2, has 2 cells where the header has 3"),
         ("omega_rad_s,alpha,beta\n1,2,3\n1,2,3\n", r"data\.csv: omega = 1 rad/s is repeated"),
         ("omega_rad_s,alpha,beta\n1,nan,3\n", r"line 2: alpha is 'nan', which is not a number"),
-        ("omega_rad_s,alpha,beta,alpha\n1,2,3,4\n", r"data\.csv has two columns 'alpha'"),
+        ("omega_rad_s,alpha,beta,alpha\n1,2,3,4\n", r"data\.csv has several columns 'alpha'"),
     ],
 )
 def test_bad_files_are_refused_in_a_sentence(tmp_path, text, sentence):
@@ -211,4 +211,15 @@ def test_numbers_beyond_arithmetic_are_refused_without_a_warning(tmp_path, cell)
         gb.read_response(path)
     path.write_text(path.read_text().replace(f",{cell},.5,1", f",1,.5,{cell}"))
     with pytest.raises(ValueError, match=r"common|variance"):
+        gb.read_response(path)
+
+
+def test_a_point_at_0_hertz_is_left_out_and_said(tmp_path):
+    path = tmp_path / "bode.csv"
+    path.write_text("f [Hz],Gain [dB],ph [deg]\n0,-200,0\n1,0,-45\n2,-6,-90\n")
+    response = gb.read_response(path)
+    np.testing.assert_allclose(response.omega, [2 * np.pi, 4 * np.pi])
+    assert response.about["left out"] == "the point at 0 Hz"
+    path.write_text("f [Hz],Gain [dB],ph [deg]\n1,0,-45\n0,-200,0\n2,-6,-90\n")
+    with pytest.raises(ValueError, match="omega is 0 at index 1"):
         gb.read_response(path)

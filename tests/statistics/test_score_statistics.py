@@ -6,7 +6,12 @@ from scipy.linalg import block_diag
 from scipy.stats import f
 
 from greybox.statistics.beta_share import chance
-from greybox.statistics.restricted_likelihoods import Remainder, correlated_fits, p_values_of_fits
+from greybox.statistics.restricted_likelihoods import (
+    Block,
+    Remainder,
+    correlated_fits,
+    p_values_of_fits,
+)
 from greybox.statistics.score_statistics import score_tests
 
 
@@ -15,7 +20,7 @@ def blocks():
     random = np.random.default_rng(0)
     for rows, columns in ((20, 3), (30, 5), (16, 2)):
         residuals = np.cumsum(random.normal(size=(2 * rows, 1)), axis=0)
-        yield residuals, random.normal(size=(2 * rows, columns)), (rows, rows)
+        yield Block(residuals, random.normal(size=(2 * rows, columns)), (rows, rows))
 
 
 def test_a_term_beside_what_a_fit_absorbs_is_judged_as_by_least_squares_in_any_unit():
@@ -40,10 +45,10 @@ def test_a_term_beside_what_a_fit_absorbs_is_judged_as_by_least_squares_in_any_u
 
 def test_parts_with_columns_of_their_own_are_one_block_diagonal_matrix():
     parts = [*blocks()]
-    whole = (
-        np.vstack([residuals for residuals, *_ in parts]),
-        block_diag(*(columns for _, columns, _ in parts)),
-        sum((lengths for *_, lengths in parts), ()),
+    whole = Block(
+        np.vstack([part.residuals for part in parts]),
+        block_diag(*[part.fitted for part in parts]),
+        sum([part.lengths for part in parts], ()),
     )
     # Errors that are larger in a band are so in each run of neighbors, in both forms.
     fits = correlated_fits(parts)
@@ -53,9 +58,10 @@ def test_parts_with_columns_of_their_own_are_one_block_diagonal_matrix():
 
 
 def test_white_errors_and_larger_ones_at_the_end_are_weighted_least_squares():
-    residuals, columns, lengths = next(blocks())
+    block = next(blocks())
+    residuals, columns = block.residuals, block.fitted
     term = np.random.default_rng(1).normal(size=(40, 1))
-    fits = correlated_fits([(residuals, columns, lengths)], term)
+    fits = correlated_fits([block], term)
     logs = []
     for kind, size in ((0, np.ones(40)), (-1, np.where(np.arange(40) % 20 < 18, 1.0, 50**0.5))):
         basis = np.linalg.qr(columns)[0]
@@ -90,7 +96,7 @@ def test_a_term_explains_what_errors_that_walk_do_not(walks, size, is_likely):
     for _ in range(20):
         errors = random.normal(size=(2, 24))
         errors = (np.cumsum(errors, axis=1) if walks else errors).reshape(-1, 1)
-        fits = correlated_fits([(errors + 2 * size * term, ones, (24, 24))], term)
+        fits = correlated_fits([Block(errors + 2 * size * term, ones, (24, 24))], term)
         likely += p_values_of_fits(fits, fits)[1] > 0.01
     assert likely >= 18 if is_likely else likely <= 2
 

@@ -154,6 +154,48 @@ class SoftErrors(gb.formulation.ErrorDistribution):
         return (1 + (errors / self.bound) ** 2) ** -1.5
 
 
+@dataclass(frozen=True)
+class OneBoard(gb.formulation.ErrorCovariance):
+    """Sensors on one board: noise of each, and a disturbance that all of them have in common."""
+
+    own: float = 0.02
+    common: float = 0.05
+    description: ClassVar[str] = "covariance of the board"
+    is_correlated: ClassVar[bool] = True
+
+    def known(self, outputs):
+        count = len(outputs)
+        return self.own**2 * np.eye(count) + self.common**2 * np.ones((count, count))
+
+
+@dataclass(frozen=True)
+class Slsqp(gb.Solver):
+    """Sequential quadratic programs, by SciPy: values, gradients, bounds and constraints."""
+
+    takes_constraints: ClassVar[bool] = True
+    tolerance: float = 1e-9
+    most: int = 300
+
+    def solve(self, objective, start):
+        from scipy.optimize import minimize
+
+        limits = {
+            "type": "ineq",
+            "fun": objective.constraints,
+            "jac": objective.constraint_jacobian,
+        }
+        end = minimize(
+            objective.value_and_gradient,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=[*zip(objective.lower, objective.upper, strict=True)],
+            constraints=[limits] if objective.limits else [],
+            options={"ftol": self.tolerance, "maxiter": self.most},
+        )
+        return gb.Solution(end.x, end.message, end.nit)
+
+
 class Hold(gb.Controller):
     """Holds the position of the mass."""
 

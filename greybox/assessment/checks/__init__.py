@@ -11,6 +11,7 @@ own joins them by ``gb.fit(problem, checks=[*gb.CHECKS, mine])``.
 | `not_finite` | Whether most runs failed because the model had no finite value |
 | `wrapped_outputs` | Whether outputs jump by a full turn where the fitted ones do not |
 | `data_findings` | What the reader of a log found: restarts, lost lines, misspelled units |
+| `faulty_samples` | What a logger did to the samples: repeated, interpolated, clipped ones |
 | `repeated_data` | Whether data are fitted twice, such as a file that was given twice |
 | `coarse_integration` | Whether the integration is accurate enough for the noise |
 | `unexplained` | Whether the model explains the data |

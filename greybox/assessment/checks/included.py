@@ -18,6 +18,7 @@ from greybox.assessment.checks.delays_within_a_sample import delays_within_a_sam
 from greybox.assessment.checks.determined_together import determined_together
 from greybox.assessment.checks.discontinuous_cost import discontinuous_cost
 from greybox.assessment.checks.evidence import Evidence
+from greybox.assessment.checks.faulty_samples import faulty_samples
 from greybox.assessment.checks.feedback import feedback
 from greybox.assessment.checks.few_agreeing_starts import few_agreeing_starts
 from greybox.assessment.checks.finding import Findings
@@ -55,6 +56,7 @@ CHECKS: tuple[Check, ...] = (
     not_finite,
     wrapped_outputs,
     data_findings,
+    faulty_samples,
     repeated_data,
     coarse_integration,
     unexplained,

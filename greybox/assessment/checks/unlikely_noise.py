@@ -3,6 +3,8 @@
 from collections import Counter
 from collections.abc import Mapping
 
+import numpy as np
+
 from greybox.assessment.checks.evidence import Evidence
 from greybox.assessment.checks.finding import Finding, Findings
 from greybox.data.files.wording import counted
@@ -95,7 +97,11 @@ def _of_record(
             yield Finding(text, "few", name)
         return
     columns = zip(
-        part.outputs, covariance.known, trajectory.products, covariance.counts, strict=True
+        part.outputs,
+        np.sqrt(np.diag(covariance.known)),
+        trajectory.products,
+        covariance.counts,
+        strict=True,
     )
     for k, (output, deviation, squares, count) in enumerate(columns):
         dof = max(count * remaining, 1.0)

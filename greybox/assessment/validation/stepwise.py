@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from greybox.assessment.fit import fit as fit_problem
-from greybox.assessment.misfit import Misfit
+from greybox.assessment.misfit.answer import Misfit
 from greybox.assessment.result import Fit
 from greybox.assessment.validation.comparison import EQUAL_AIC, SIGNIFICANT
 from greybox.assessment.validation.nested_models import (

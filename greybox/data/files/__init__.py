@@ -20,7 +20,6 @@ Begin with `arrays` and `argument_checks`, which nearly all other files use.
 | `escapes` | texts of strangers in terminals, tables, LaTeX, pages and messages |
 | `delimited_text` | tables of numbers in files: separator, header, comments, facts |
 | `decimal_marks` | numbers in cells, with decimal points or commas |
-| `column_headings` | headings of columns: names and units |
 | `json_numbers` | values in JSON, without NaN and infinity |
 | `bounded_json` | values of JSON, bounded when they are read |
 | `packed` | compressed bytes |

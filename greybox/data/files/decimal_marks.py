@@ -14,13 +14,21 @@ from greybox.data.files.numbers_in_text import is_number
 WITH_COMMA = re.compile(r"[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?")
 WITH_POINT = re.compile(r"[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")  # 1,000 is a thousand or one
-# 1,234.5 and 1.234,5 and 1,234,567 certainly have thousands separators.
-GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,})")
+# 1,234.5 and 1.234,5 and 1,234,567 and 1 234 and 1'234 certainly have thousands separators.
+GROUPED = re.compile(
+    r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,}|(\.\d{3}){2,}"
+    r"|([ '’\u00a0\u2009\u202f]\d{3})+([.,]\d+)?)"
+)
 
 
 def are_numbers(cells: Iterable[str]) -> bool:
     """Return whether all cells are numbers, with a decimal point or comma."""
     return all(is_number(cell.strip().replace(",", ".")) for cell in cells)
+
+
+def is_like_number(cell: str) -> bool:
+    """Return whether a cell is a number, perhaps with separators of thousands."""
+    return are_numbers([cell]) or GROUPED.fullmatch(cell) is not None
 
 
 def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> bool:

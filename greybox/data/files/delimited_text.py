@@ -2,8 +2,9 @@
 
 A spreadsheet follows the conventions of its country, often semicolons or tabs between cells and
 commas in numbers.
-The header line decides the separator, or the last line where blanks separate its numbers. All
-numbers together decide the decimal mark. A table that can be read in two ways is refused, and the
+The header line decides the separator, or the last line where blanks separate its numbers. A header
+has text above numbers; it is a line of its own or the comment above the numbers. All numbers
+together decide the decimal mark. A table that can be read in two ways is refused, and the
 message names the line: a wrong number would be worse than no number.
 """
 
@@ -11,8 +12,8 @@ import csv
 import io
 import math
 import re
+import statistics
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from greybox.data.files.safe_files import write_text
 from greybox.data.files.wording import counted
 
 COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separator
+COMMENT_MARKS = "#% \t"
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
 WIDER = ", or, if its numbers have decimal commas, separate cells by semicolons"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # first bytes of a text in UTF-16, as of Excel and PowerShell
@@ -43,13 +45,14 @@ class DelimitedText:
         For messages.
     separator : str
     header : tuple of str
-        The names in the first line, stripped.
+        The names in the first line, stripped; without a header the numbers of the columns, from 1.
     lines : sequence of str
         The lines of the body.
     line_numbers : sequence of int
         Their numbers in the file, from 1.
     facts : mapping of str to str
         The comments ``# key: value`` before the header.
+    has_header : bool
     """
 
     path: Path
@@ -58,6 +61,7 @@ class DelimitedText:
     lines: Sequence[str]
     line_numbers: Sequence[int]
     facts: Mapping[str, str]
+    has_header: bool = True
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield the number of each line and its stripped cells; a line may have too few of them.
@@ -75,6 +79,8 @@ class DelimitedText:
                 number = self.line_numbers[reader.line_num - 1]
                 while len(row) > width and not row[-1].strip():
                     row.pop()  # separators at the end of a line
+                if len(row) > width and not any(map(is_number, row)):
+                    raise self.second_header(number)
                 if len(row) > width:
                     commas = WIDER if self.separator == "," else ""
                     raise ValueError(
@@ -87,6 +93,13 @@ class DelimitedText:
             raise ValueError(
                 f"{self.path} is not a table of numbers ({problem}): save it as plain CSV."
             ) from None
+
+    def second_header(self, number: int) -> ValueError:
+        """Return the error of a line that has other names than the header."""
+        return ValueError(
+            f"{self.path}, line {number}, is the header of a second table: save each table in a "
+            "file of its own."
+        )
 
     def numbers(self, places: Mapping[str, int], texts: Mapping[str, str]) -> Mapping[str, Array]:
         """Return columns of numbers, (n,) arrays, by name from their places, from 0.
@@ -130,83 +143,57 @@ class DelimitedText:
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:
     """Return the table in a file with the contents `raw`.
 
-    The header is the first line that is neither blank nor a comment and has as many cells as the
-    rows, or the last comment before the numbers, as `numpy.savetxt` writes it. Comments start with
-    ``#`` or ``%``.
+    The header is the first line that is neither blank nor a comment, has as many cells as the rows,
+    and has text above numbers. Without such a line it is the last comment above the numbers, as
+    `numpy.savetxt` and ROS write it. Comments start with ``#`` or ``%``.
 
     Raises
     ------
     ValueError
         If the contents are not text, or there is nothing but comments.
     """
+    # A logger that lost power leaves zeros at the end of its file.
+    raw = raw if raw.startswith(UTF_16) else raw.rstrip(b"\0")
     if b"\0" in raw and not raw.startswith(UTF_16):
         raise ValueError(
             f"{path} is not a CSV text file, since it contains zero bytes: save it as UTF-8."
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    body = [
-        k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(COMMENTS)
-    ]
+    body = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     if not body:
         raise ValueError(
             f"{path} is empty: write a header line with names, then one line of numbers per sample."
         )
 
+    comments = map(FACT.fullmatch, lines[: body[0]])
+    facts = {match["key"]: match["value"] for match in comments if match}
+    if _are_separated_by_blanks(lines[body[-1]]):
+        lines = list(map(_with_tabs, lines))
     header = _header(lines, body)
-    body = body[body.index(header) :]
-    matches = map(FACT.fullmatch, lines[:header])
-    _, separator = _split(lines[header])
-    cells = lines[body[-1]].split()
-    if separator not in lines[header] and len(cells) > 1 and are_numbers(cells):
-        # A unit belongs to its name: ``pitch [deg]``.
-        lines[header] = re.sub(r"\s+([\[(])", r"\1", lines[header])
-        lines = ["\t".join(line.split()) for line in lines]
-    names, separator = _split(lines[header])
-    # `numpy.savetxt` writes the names as a comment.
-    if are_numbers(names):
-        comment = next((line for line in reversed(lines[:header]) if line.strip()), "")
-        titles, mark = _split(comment.strip("#% \t"))
-        if len(titles) == len(names) and mark == separator and not are_numbers(titles):
-            names = titles
-            body = [header, *body]
+    above: list[int] = []
+    if header is not None:
+        body = body[body.index(header) :]
+    else:
+        above = _header_in_comments(lines, body[0])
+        for k in above:
+            lines[k] = lines[k].strip(COMMENT_MARKS)
+        body = [*above, *body]
+    has_header = header is not None or bool(above)
+    names, separator = _split(lines[body[0]])
+    if has_header:
+        body = body[1:]
+    else:
+        names = [str(k) for k, _ in enumerate(_cells(lines[body[0]], separator), start=1)]
 
     return DelimitedText(
         path,
         separator,
         tuple(names),
-        [lines[k] for k in body[1:]],
-        [k + 1 for k in body[1:]],
-        {match["key"]: match["value"] for match in matches if match},
+        [lines[k] for k in body],
+        [k + 1 for k in body],
+        facts,
+        has_header,
     )
-
-
-def _header(lines: list[str], body: Sequence[int]) -> int:
-    """Return the place of the header: below a title and settings, above the numbers."""
-    # The last line may be cut, so the middle one shows the width.
-    row = lines[body[len(body) // 2]]
-    texts = []
-    for k in body[:200]:
-        names, mark = _split(lines[k])
-        if len(names) < len(row.split(mark)):
-            continue
-        if are_numbers(names):
-            break
-        if not any(map(is_number, names)):
-            texts.append(k)
-    # A line of settings may have as many cells.
-    return next((k for k in texts if "time" in lines[k].lower()), (*texts, body[0])[0])
-
-
-def numbered(text: DelimitedText) -> DelimitedText:
-    """Return a table without a header line with the numbers of its columns as names."""
-    if not are_numbers(text.header):
-        return text
-    # What was taken for the header is the first row.
-    lines = [text.separator.join(text.header), *text.lines]
-    names = tuple(str(k) for k in range(1, len(text.header) + 1))
-    numbers = [text.line_numbers[0] - 1 if text.line_numbers else 1, *text.line_numbers]
-
-    return replace(text, header=names, lines=lines, line_numbers=numbers)
 
 
 def write_delimited(
@@ -233,21 +220,112 @@ def _decoded(raw: bytes) -> str:
     return raw.decode("latin-1")
 
 
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(COMMENTS)
+
+
+def _are_separated_by_blanks(line: str) -> bool:
+    """Return whether blanks separate the numbers in a line."""
+    cells = line.split()
+    is_marked = "\t" in line or ";" in line or any(cell.endswith(",") for cell in cells)
+    return len(cells) > 1 and not is_marked and are_numbers(cells)
+
+
+def _with_tabs(line: str) -> str:
+    """Return a line with tabs between its cells; a unit belongs to its name: ``pitch [deg]``."""
+    line = line.strip()
+    if not line.startswith(("[", "(", "{")) and not line[:1].isdigit():
+        line = re.sub(r"\s+([\[({])", r"\1", line)
+    return "\t".join(line.split())
+
+
+def _header(lines: list[str], body: Sequence[int]) -> int | None:
+    """Return the place of the header: below a title and settings, above the numbers."""
+    # The last line may be cut, and one in the middle may be a second header.
+    some = [lines[k] for k in body[len(body) // 3 :: max(len(body) // 9, 1)]]
+    candidates = []
+    for k in body[:200]:
+        names, mark = _split(lines[k])
+        rows = [_filled(_cells(row, mark)) for row in some]
+        width = statistics.mode(map(len, rows))
+        if len(names) < width:
+            continue
+        columns = zip(*(row for row in rows if len(row) == width), strict=True)
+        are_numeric = [_is_numeric(column) for column in columns]
+        above_numbers = [name for name, is_so in zip(names, are_numeric, strict=False) if is_so]
+        has_text = any(name and not _is_datum(name) for name in above_numbers)
+        if not any(are_numeric) or (has_text and not _is_row(names)):
+            candidates.append(k)
+        elif any(map(_is_datum, names)):
+            break
+    # A line of settings may have as many cells.
+    timed = [k for k in candidates if "time" in lines[k].lower()]
+    return next(iter([*timed, *candidates]), None)
+
+
+def _is_numeric(column: Sequence[str]) -> bool:
+    """Return whether most of the cells that are not empty are numbers."""
+    present = [cell for cell in column if cell.lower() not in MISSING]
+    return sum(map(_is_datum, present)) > len(present) / 2
+
+
+def _is_row(names: Sequence[str]) -> bool:
+    """Return whether cells are a row with a damaged cell, and not names such as ``time, 0, 1``."""
+    numbers = [name for name in names if _is_datum(name)]
+    return not all(number.isdigit() and int(number) < len(names) for number in numbers)
+
+
+def _header_in_comments(lines: list[str], first: int) -> list[int]:
+    """Return the place of the comment that names the columns of the `first` row, and of its units.
+
+    It is empty without such a comment.
+    """
+    cells, mark = _split(lines[first])
+    # The first row may end in empty cells.
+    widths = len(cells), len(_cells(lines[first], mark))
+    alike = []
+    for k in range(first):
+        titles, separator = _split(lines[k].strip(COMMENT_MARKS))
+        if len(titles) in widths and separator == mark and not any(map(_is_datum, titles)):
+            alike.append(k)
+    # The last comment may hold the units of the one above it.
+    has_two = len(alike) > 1 and alike[-2:] == [first - 2, first - 1]
+    return alike[-2:] if has_two else alike[-1:]
+
+
+def _is_datum(cell: str) -> bool:
+    """Return whether a cell has digits of a number; nan may be a name."""
+    return are_numbers([cell]) and any(map(str.isdigit, cell))
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    """Return the stripped cells of a line."""
+    try:
+        row = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+    except csv.Error:
+        return [line]
+    return [cell.strip() for cell in row]
+
+
 def _split(line: str) -> tuple[list[str], str]:
-    """Return the cells of a header and their separator, the one with most cells."""
-    best: list[str] = []
+    """Return the cells of a line without empty ones at its end, and their separator.
+
+    The separator is the one that makes most cells.
+    """
+    best = [line.strip().strip('"')]
     separator = ","
     # Commas come last: between semicolons they are decimal marks.
     for mark in ";\t,":
-        try:
-            cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
-        except csv.Error:
-            continue
-        if len(cells) > max(len(best), 1):
+        cells = _cells(line, mark)
+        if len(cells) > len(best):
             best = cells
             separator = mark
-    names = [cell.strip() for cell in (best or [line.strip().strip('"')])]
-    while len(names) > 1 and not names[-1]:
-        names.pop()  # separators at the end of the line
+    return _filled(best), separator
 
-    return names, separator
+
+def _filled(cells: list[str]) -> list[str]:
+    """Return cells without empty ones at the end, where separators ended the line."""
+    filled = cells[:]
+    while len(filled) > 1 and not filled[-1]:
+        filled.pop()
+    return filled

@@ -1,16 +1,12 @@
-"""Columns of a table under the user's names, and signals in SI."""
+"""Columns of a table under the user's names."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 
+from greybox.data.dates import OF_DAY, SINCE_1970
 from greybox.data.files.arrays import Array
-from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.data.record import Record
-from greybox.data.response_columns import find_column
-from greybox.data.time_column import unit_in_name
-from greybox.data.units import to_si
-
-BETWEEN = {"held": HELD, "sampled": CONTINUOUS}  # ends a unit, see `table_columns.table`
+from greybox.data.headings import Heading, find_column, unit_and_hold, unit_in_name
+from greybox.data.time_column import unit_of_clock
+from greybox.data.units import AmbiguousUnitError, is_unit, known_unit, misspelled, to_si
 
 
 def renamed(
@@ -23,8 +19,7 @@ def renamed(
     ValueError
         If a column does not exist, its unit is not known, or the table has it in another unit.
     """
-    # The header as in the file: messages quote it, and users may write names with their brackets.
-    header = [f"{name} [{unit}]" if (unit := units.get(name)) else name for name in columns]
+    header = [Heading(name, units.get(name, "")) for name in columns]
     own = [*columns]
     own_names: dict[str, str] = {}
     labels: dict[str, str] = {}
@@ -37,10 +32,13 @@ def renamed(
             # dCL/deg is a derivative, dE/deg may be an elevator.
             if not unit and own[place].startswith("d") and own[place].endswith("/deg"):
                 raise ValueError("is in degrees or per degree: add :deg or :1/deg")
-            unit = f"{unit or unit_in_name(own[place])} {hold}".strip()
+            in_name = unit_in_name(own[place]) or unit_of_clock(own[place])
+            unit = f"{unit or in_name} {hold}".strip()
             labels[name] = _agreed(unit, units.get(own[place], ""))
         except ValueError as error:
             sentence = str(error)
+            if sentence.startswith("has no column") and not sentence.endswith("?"):
+                sentence += f" If other files have it, name both: {name}={text},COLUMN."
             joint = " " if sentence.startswith("has ") else f": {text}: "
             stop = "" if sentence.endswith((".", "?")) else "."
             raise ValueError(f"{source}{joint}{sentence}{stop}") from None
@@ -57,36 +55,20 @@ def renamed(
 
 def _agreed(stated: str, written: str) -> str:
     """Return the unit of a column with its hold; ValueError if the table has another unit."""
+    if written in (SINCE_1970, OF_DAY):
+        return written
     unit, hold = unit_and_hold(written)
     wanted, wanted_hold = unit_and_hold(stated)
-    # Two names of one unit agree, such as deg and °.
-    if unit and wanted and to_si(wanted) != to_si(unit):
+    # Two names of one unit agree, such as deg and °. What is stated decides between two readings.
+    in_table = known_unit(unit)
+    if in_table and wanted and known_unit(wanted) != in_table:
         raise ValueError(f"its unit is {unit} in the table, not {wanted}: leave the unit out")
-    to_si(wanted or unit)
+    try:
+        to_si(wanted or unit)
+    except AmbiguousUnitError as error:
+        raise ValueError(f"its unit {error}, behind a colon") from None
+    except ValueError:
+        # A table may have any unit; what a user states is misspelled, if it does not count.
+        if misspelled(wanted or unit) or not (is_unit(wanted) or wanted in ("", unit)):
+            raise
     return f"{wanted or unit} {wanted_hold or hold}".strip()
-
-
-def unit_and_hold(text: str) -> tuple[str, str]:
-    """Split ``deg sampled``, a unit and a word on the hold; either may be empty."""
-    unit, _, hold = text.strip().rpartition(" ")
-    hold = hold.lower()
-    return (unit, hold) if hold in BETWEEN else (text, "")
-
-
-def in_si(record: Record, names: Iterable[str]) -> Record:
-    """Return a record with these signals in SI; units that are not known become findings."""
-    signals = dict(record.signals)
-    units = dict(record.units)
-    findings = [*record.findings]
-    for name in names:
-        unit = record.units.get(name, "")
-        try:
-            conversion = to_si(unit)
-        except ValueError as error:
-            findings.append(f"{name} was taken as it is, in {unit!r}: {error}.")
-            continue
-        signals[name] = conversion.apply(record[name])
-        units[name] = conversion.si
-        findings += [f"{name}: {conversion.remark}."] if conversion.remark else []
-
-    return replace(record, signals=signals, units=units, findings=tuple(findings))

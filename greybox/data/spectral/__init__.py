@@ -13,7 +13,7 @@ Sweeps, noise and multisines
 Manoeuvres (doublet, 2-1-1, step, manual inputs)
     `transients` has their Fourier integrals, which are data of a `Problem`.
 Before the fit
-    `experiment_quality` judges whether a test is worth one; `saturation` finds samples at a limit.
+    `experiment_quality` judges whether a test is worth one.
 """
 
 from greybox.data.spectral.experiment_quality import Quality as Quality, check as check

@@ -9,11 +9,14 @@ import numpy as np
 
 from greybox.data.excited_segment import Segments
 from greybox.data.files.arrays import Array
+from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.printed import Printed
 from greybox.data.files.wording import counted, some
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
-from greybox.data.spectral.saturation import at_limit
+from greybox.data.saturation import at_limit
+from greybox.data.signal_faults import record_faults
+from greybox.data.spectral.uniform_stretches import FILLED, longest_stretch
 
 Severity = Literal["note", "warning", "refusal"]
 
@@ -136,6 +139,8 @@ def check(
         *_filters(record, (input, output)),
         *_gaps(record, usable),
         *jitter(record),
+        *_faults(record, output, input),
+        *_unstated_hold(record, input),
         *_saturation(record, usable, input),
         *_amplitude(record, input, output),
         *_segments(segments),
@@ -173,6 +178,17 @@ def _gaps(record: Record, segments: Segments) -> Findings:
     within = np.any([(time[1:] > start) & (time[:-1] < end) for start, end in spans], axis=0)
     holes = record.clock.holes
     wide = np.diff(time)[holes[within[holes]]]
+    missing = np.rint(wide / record.step) - 1
+    is_short = (missing <= FILLED) & (record.gaps != "cut")
+    if is_short.any():
+        count = int(missing[is_short].sum())
+        share = count / (count + np.count_nonzero(within))
+        text = (
+            f"{counted(count, 'lost row')} in {counted(int(is_short.sum()), 'short gap')} "
+            f"({percent(share)} %): interpolated, at most {FILLED} in a row."
+        )
+        yield Finding("gaps", "note", share, text)
+    wide = wide[~is_short]
     if wide.size:
         share = wide.sum() / np.diff(time)[within].sum()
         # Nothing is interpolated across gaps: a larger share costs data but not accuracy, so the
@@ -184,6 +200,24 @@ def _gaps(record: Record, segments: Segments) -> Findings:
             "interpolated across."
         )
         yield Finding("gaps", severity, float(share), text)
+
+
+def _faults(record: Record, output: str, input: str) -> Findings:
+    for fault in record_faults(record, (output,), (input,)):
+        yield Finding("samples", "warning", math.nan, fault.text)
+
+
+def _unstated_hold(record: Record, input: str) -> Findings:
+    """Say how much the response changes if the input is held, where nothing states it."""
+    if input in record.hold:
+        return
+    half = 500 * record.step
+    text = (
+        f"nothing states how {input} runs between its samples: if each is held until the next, as "
+        f"commands of a controller are, {number(half, 3)} ms of the delay belong to the hold. "
+        f"State it: {input} [held] in the header of the table, or hold={{{input!r}: np.inf}}."
+    )
+    yield Finding("hold", "note", half, text)
 
 
 def jitter(record: Record) -> Findings:
@@ -268,8 +302,8 @@ def _length(record: Record, lowest: float, segments: Segments) -> Findings:
         periods = fewest.periods
         lowest = fewest.band[0]
     else:
-        # Nothing is estimated across a gap.
-        periods = max(piece.duration for piece in record.pieces) * lowest / math.tau
+        # Nothing is estimated across a long gap.
+        periods = longest_stretch(record) * lowest / math.tau
     yield from graded(
         "length",
         periods,

@@ -14,6 +14,7 @@ from greybox.data.files.grouping import unique
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, require_time
+from greybox.data.saturation import at_limit
 from greybox.data.spectral.demodulation import (
     UnusableSegmentError,
     least_squares,
@@ -29,7 +30,6 @@ from greybox.data.spectral.frequency_points import (
 )
 from greybox.data.spectral.harmonic_distortion import Harmonics, harmonics_of, unexplained
 from greybox.data.spectral.pooled_noise import pooled_levels
-from greybox.data.spectral.saturation import at_limit
 
 # Share of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the
 # time: if the levels of a control are farther apart, rounding looks like saturation.

@@ -1,20 +1,27 @@
 """Records cut into uniformly sampled stretches without gaps, for transforms."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from greybox.data.clock import JITTER as JITTER_OF_CLOCK, Gaps
 from greybox.data.files.argument_checks import checked_items
-from greybox.data.files.arrays import Array
+from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.named_values import array_of
 from greybox.data.frequency_response import Stretch
-from greybox.data.record import Record, require_time, runs_between_gaps, unrounded
+from greybox.data.record import Record, require_time, unrounded
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
 # 2π · 0.4 · 0.05 = 0.13 rad, and a window averages it.
 JITTER = 0.05
+
+
+# Missing samples in a row that are interpolated, and the largest share of a stretch: a signal in
+# every second row has a rate of its own. `benchmarks/results/damaged_records.txt` has the errors.
+FILLED = 3
+MOST_FILLED = 0.25
 
 
 class UniformStretch(NamedTuple):
@@ -29,13 +36,13 @@ class UniformStretch(NamedTuple):
 def uniform_stretches(
     records: Record | Sequence[Record], signals: Sequence[str]
 ) -> list[UniformStretch]:
-    """Cut records at gaps and missing samples.
+    """Cut records at gaps; up to `FILLED` missing samples in a row are interpolated.
 
     Parameters
     ----------
     records : Record or sequence of Record
     signals : sequence of str
-        Rows of the values; only samples at which all are present are used.
+        Rows of the values; a sample counts as missing if one of them is.
 
     Raises
     ------
@@ -48,16 +55,7 @@ def uniform_stretches(
     stretches = []
     for record in checked_items("records", records, Record, "a Record or several of them"):
         require_time(record, "a frequency response")
-        for piece in unrounded(record).pieces:
-            values = array_of(piece, signals)
-            present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
-            for run in runs_between_gaps(present, 1):
-                if run.size > 1:
-                    rows = present[run]
-                    time = piece.time[rows]
-                    check_uniform(time, record)
-                    origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
-                    stretches.append(UniformStretch(values[:, rows], piece.step, origin, record))
+        stretches += _stretches_of(record, signals)
 
     if not stretches:
         raise ValueError(
@@ -85,3 +83,63 @@ def check_uniform(time: Array, record: Record) -> None:
             f"ms off at {time[deviation.argmax()]:.2f} s): prepare it with rate=..., which "
             "resamples it."
         )
+
+
+def _stretches_of(record: Record, signals: Sequence[str]) -> Iterator[UniformStretch]:
+    """Yield the stretches of one record."""
+    timed = unrounded(record)
+    values = array_of(timed, signals)
+    present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
+    if present.size < 2:
+        return
+    time, values, step = timed.time[present], values[:, present], timed.clock.step
+
+    jumps = np.diff(time) / step
+    places = np.append(0, np.cumsum(np.maximum(np.rint(jumps), 1))).astype(int)
+    for run in _runs(jumps, record.gaps):
+        if run.size < 2:
+            continue
+        at = places[run] - places[run[0]]
+        whole = np.arange(at[-1] + 1)
+        stretch_time = np.interp(whole, at, time[run])
+        check_uniform(stretch_time, record)
+        filled = np.array(
+            [
+                _filled(row[run], at, whole, is_held=record.hold.get(name, 0.0) > 0)
+                for name, row in zip(signals, values, strict=True)
+            ]
+        )
+        origin = Stretch(record.checksum, float(stretch_time[0]), float(stretch_time[-1]))
+        yield UniformStretch(filled, step, origin, record)
+
+
+def longest_stretch(record: Record) -> float:
+    """Return the duration of the longest stretch without a gap that is not interpolated, s."""
+    runs = _runs(np.diff(record.time) / record.step, record.gaps)
+    return float(max(np.ptp(record.time[run]) for run in runs))
+
+
+def _runs(jumps: Array, gaps: Gaps) -> list[IntArray]:
+    """Return the samples of every stretch; `jumps` (n - 1,) are the steps in usual steps."""
+    samples = np.arange(jumps.size + 1)
+    missing = np.rint(jumps) - 1
+    is_next = missing < 1
+    # Off the grid, the clock has started again.
+    is_short = (missing <= FILLED) & (np.abs(jumps - np.rint(jumps)) < JITTER_OF_CLOCK)
+    runs = np.split(samples, np.flatnonzero(~(is_next | is_short)) + 1)
+    lost = sum(missing[run[:-1]].sum() for run in runs)
+    if gaps == "cut" or lost > MOST_FILLED * (lost + samples.size):
+        return np.split(samples, np.flatnonzero(~is_next) + 1)
+    return runs
+
+
+def _filled(values: Array, at: IntArray, whole: IntArray, *, is_held: bool) -> Array:
+    """Return values (n,), which are at these places, at all `whole` places."""
+    if at.size == whole.size:
+        return values
+    # One that is held, but new in every row, is a smooth command: its values lie on a curve.
+    if is_held and np.mean(np.diff(values) == 0) > 0.5:
+        return values[np.searchsorted(at, whole, side="right") - 1]
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (slow to import)
+
+    return CubicSpline(at, values)(whole)

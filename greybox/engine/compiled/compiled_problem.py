@@ -53,6 +53,10 @@ class Scaling:
         """Return dz/dx (p,)."""
         return 1 / np.where(self.logarithmic, x, self.factor)
 
+    def bend(self, x: Array) -> Array:
+        """Return d²z/dx² (p,)."""
+        return np.where(self.logarithmic, -1 / np.where(self.logarithmic, x, 1.0) ** 2, 0.0)
+
     def expressions(self, z: Any) -> list[Any]:
         """Return x for a CasADi vector z."""
         return [
@@ -222,11 +226,26 @@ class CompiledProblem(Portable):
         """Return the unknowns (..., p) at the solver's variables z (..., p), within the bounds."""
         return np.clip(self.scaling.to_parameters(z), self.lower, self.upper)
 
-    # --- frequency responses alone, many points at once
+    def with_constants(self, values: Array) -> "CompiledProblem":
+        """Return the problem with other values (c,) of its fixed parameters.
 
-    def cost(self, values: Array) -> float:
-        """Return the cost without smoothing of the frequency responses at all values (k,)."""
-        return self._judged(values[:, None])[0].item()
+        Raises
+        ------
+        ValueError
+            Where data are records: the values are compiled in.
+        """
+        changed = np.flatnonzero(values != self.constant_values)
+        if self.has_states and changed.size:
+            k = changed[0]
+            name = self.constants[k]
+            raise ValueError(
+                f"{name} is fixed at {self.constant_values[k]:g} here: give {values[k]:g} to the "
+                f"problem, fixed={{{name!r}: ...}}."
+            )
+        data = np.concatenate([values, self.data[len(values) :]]) if self.data.size else self.data
+        return replace(self, constant_values=values, data=data)
+
+    # --- frequency responses alone, many points at once
 
     def costs(self, x: Array) -> Array:
         """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""

@@ -48,12 +48,11 @@ class RecordGroup(SegmentedPart):
             own=len({part.model.expressions for part in self.parts}) > 1,
         )
         covariances = [part.covariance for part in self.parts]
-        has_known = covariances[0].known is not None
         covariance = ResidualCovariance(
             np.array([c.counts for c in covariances]),
             np.array([c.spread for c in covariances]),
-            np.array([c.known for c in covariances]) if has_known else None,
-            covariances[0].full,
+            covariances[0].known,  # records of one kind have one criterion
+            covariances[0].correlated,
         )
         super().__init__(first.model, data, segments, covariance)
 

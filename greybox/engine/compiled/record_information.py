@@ -113,15 +113,22 @@ def _of_given_noise(
 ) -> tuple[Array, Array]:
     """Return a root of the score's variance, and the information beside the residuals.
 
-    The residuals show whether the `known` noise (k,) is right, unless there are so few that the
-    parameters may fit them exactly.
+    The residuals show whether the `known` covariance (k, k) is right, unless there are so few that
+    the parameters may fit them exactly.
     """
-    counts = part.covariance.counts
-    variances = np.diag(trajectory.products) / np.maximum(counts, 1)
-    given = np.maximum(1 - (counts / 8) ** 2, 0.0)
-    variance = variances + given * (np.square(known) - variances)
-    excess = np.maximum(variance - variances, 0.0)
-    by_output = [triangle_of(J.T) for J in slopes.weighted]
-    score = [math.sqrt(v) * J for v, J in zip(variance, by_output, strict=True)]
-    rows = [math.sqrt(v) * J for v, J in zip(excess, by_output, strict=True)]
-    return np.vstack(score), np.vstack([slopes.by_covariance, *rows])
+    counts = np.maximum(part.covariance.counts, 1)
+    shown = trajectory.products / np.sqrt(np.multiply.outer(counts, counts))
+    if not part.covariance.correlated:
+        shown = np.diag(np.diag(shown))
+    given = np.sqrt(np.maximum(1 - (part.covariance.counts / 8) ** 2, 0.0))
+    beyond = np.multiply.outer(given, given) * (known - shown)
+    sizes, directions = np.linalg.eigh(beyond)
+    excess = directions * np.sqrt(np.maximum(sizes, 0.0))
+    sizes, directions = np.linalg.eigh(shown + beyond)
+    root = directions * np.sqrt(np.maximum(sizes, 0.0))
+
+    def scores(root: Array) -> list[Array]:
+        """Return roots of the scores of errors with the covariance `root` `root`ᵀ."""
+        return [triangle_of(J.T) for J in np.tensordot(root.T, slopes.weighted, 1)]
+
+    return np.vstack(scores(root)), np.vstack([slopes.by_covariance, *scores(excess)])

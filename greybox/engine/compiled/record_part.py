@@ -260,7 +260,7 @@ def compile_records(
             model.system.inputs,
             model.outputs,
             lead=longest_delay(model.problem, model.system),
-            complete=model.criterion.noise == "full" or bool(model.driven),
+            complete=model.criterion.error_covariance.is_correlated or bool(model.driven),
             held=[between.held for between in model.between],
             static=model.problem.model.is_static,
             states=len((model.system.undelayed or model.system).states),

@@ -1,7 +1,6 @@
 """The covariance of the residuals in time: given, or estimated by maximum likelihood."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -52,14 +51,15 @@ class ResidualCovariance:
 
     Leading axes are records, whose costs add. The cost is the negative logarithm of the likelihood
     of normal errors. With an estimated covariance it is that of the concentrated likelihood, n/2
-    log det R + constant, R the covariance of the residuals. One that is `predicted` (k, k), by a
-    filter, is that of a single record.
+    log det R + constant, R the covariance of the residuals. It is `known` (k, k), or None. One that
+    is `predicted` (k, k), by a filter, is that of a single record. Where errors of several outputs
+    are `correlated`, all outputs have the same samples.
     """
 
     counts: IntArray
     spread: Array
     known: Array | None
-    full: bool
+    correlated: bool
     predicted: Array | None = None
 
     def few(self, lost: float = 0.0) -> IntArray:
@@ -67,7 +67,7 @@ class ResidualCovariance:
 
         Other unknowns use up `lost` of them.
         """
-        is_estimated = self.known is None and not self.full
+        is_estimated = self.known is None and not self.correlated
         return np.where(is_estimated & (self.counts - lost < FEWEST), self.counts, 0)
 
     @property
@@ -77,19 +77,19 @@ class ResidualCovariance:
             return 0
         # A covariance matrix is symmetric: half of its entries, with the diagonal.
         k = self.spread.shape[-1]
-        return k * (k + 1) // 2 if self.full else k
+        return k * (k + 1) // 2 if self.correlated else k
 
     def covariance(self, products: Array) -> Array:
         """Return the covariance (k, k): given, predicted, or estimated from these products."""
         if self.predicted is not None:
             return self.predicted
         if self.known is not None:
-            return diagonal(self.known**2)
+            return np.broadcast_to(self.known, products.shape)
         # A perfect fit has no residuals, and without a floor of rounding its cost would be minus
         # infinity.
         floor = (1e-9 * self.spread) ** 2
         count = np.maximum(self.counts, 1)
-        if not self.full:
+        if not self.correlated:
             return diagonal(np.maximum(np.linalg.diagonal(products) / count, floor))
 
         return products / count.max(axis=-1)[..., None, None] + diagonal(floor)
@@ -99,11 +99,11 @@ class ResidualCovariance:
         if not all_finite(products):
             return math.inf
         covariance = self.covariance(products)
-        if self.predicted is not None or self.full:
+        if self.predicted is not None or self.correlated:
             logarithms = np.linalg.slogdet(math.tau * covariance)[1] * self.counts.max(axis=-1)
             squares = self.counts.sum()
-            if self.predicted is not None:
-                squares = np.trace(np.linalg.solve(covariance, products))
+            if self.predicted is not None or self.known is not None:
+                squares = np.linalg.solve(covariance, products).trace(axis1=-2, axis2=-1).sum()
             return float(np.sum(logarithms) + squares) / 2
 
         variance = np.linalg.diagonal(covariance)
@@ -132,13 +132,11 @@ def residual_covariance_of(
     criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
 ) -> ResidualCovariance:
     """Return the residual covariance that the criterion asks for; measured outputs (k, samples)."""
-    known = None
-    is_full = criterion.noise == "full"
-    if isinstance(criterion.noise, Mapping):
-        known = np.array([float(criterion.noise[name]) for name in outputs])
-    if is_full:
+    errors = criterion.error_covariance
+    known = errors.covariance_of(outputs)
+    if errors.is_correlated and known is None:
         require_independent(outputs, measured)
-    return ResidualCovariance(*_counts_and_spread(measured), known, is_full)
+    return ResidualCovariance(*_counts_and_spread(measured), known, errors.is_correlated)
 
 
 def _counts_and_spread(measured: Array) -> tuple[IntArray, Array]:

@@ -32,7 +32,7 @@ from greybox.engine.compiled.shared_response import (
     response_symbols,
     shared_systems,
 )
-from greybox.engine.compiled.vectorized import CHUNK, Columns, second_order
+from greybox.engine.compiled.vectorized import CHUNK, Columns, first_order, second_order
 from greybox.modeling.cached_property import cached_property
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.fingerprint import function_key, value_fingerprint
@@ -42,7 +42,7 @@ from greybox.modeling.formulation.sum import Sum
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.one_thread import Stored
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.symbolic_reading import entries_by_name, traced
+from greybox.modeling.symbolic_reading import entries_by_name, input_symbols, traced
 from greybox.modeling.traced_once import unchanged_in
 from greybox.modeling.trim import Trimmed
 
@@ -61,7 +61,7 @@ class CostProgram(Rebuilt):
     Attributes
     ----------
     function : casadi.Function
-        (z, smoothing, data) -> the cost with `solver_weights`, and what must be >= 0.
+        (z, smoothing, data) -> the cost over its `unit`, and what must be >= 0.
     explicit : casadi.Function or None
         The same as an SX function (z, smoothing, data), or (z, smoothing, data, w) with the `roots`
         given; None where responses exist as MX functions only.
@@ -70,12 +70,15 @@ class CostProgram(Rebuilt):
     shared : SharedResponses or None
         The cost in numpy, where all models are state spaces and the program is too large for a
         batch.
+    unit : float
+        What the cost of the problem is divided by, see `solver_unit`.
     """
 
     function: ca.Function
     explicit: ca.Function | None = None
     roots: ca.Function | None = None
     shared: SharedResponses | None = None
+    unit: float = 1.0
 
     @cached_property
     def solvers(self) -> dict[Any, Any]:
@@ -88,8 +91,35 @@ class CostProgram(Rebuilt):
         if self.shared is not None:
             return self.shared
         assert self.explicit is not None
-        inputs = self.explicit.sx_in()
-        return second_order(inputs, self.explicit(*inputs)[0])
+        return second_order(*_inputs_and_cost(self.explicit))
+
+    @cached_property
+    def first_order(self) -> Callable[..., Sequence[Array]]:
+        """Return the cost with its gradient, for many columns as `second_order`."""
+        if self.shared is not None:
+            shared = self.shared
+            return lambda *inputs: shared(*inputs)[:2]
+        program = self.function if self.explicit is None else self.explicit
+        return first_order(*_inputs_and_cost(program))
+
+    @cached_property
+    def whole_second_order(self) -> Callable[..., Sequence[Array]]:
+        """Return the cost with its gradient and whole Hessian, as `second_order`.
+
+        They are those of `function` where responses exist as MX functions only.
+        """
+        if self.shared is not None:
+            return self.shared.with_curvature
+        if self.explicit is not None:
+            return self.second_order
+        return second_order(*_inputs_and_cost(self.function))
+
+
+def _inputs_and_cost(program: ca.Function) -> tuple[list[Any], Any]:
+    """Return symbols for the inputs of a program, and its cost."""
+    inputs = input_symbols(program)
+    outputs: Any = program(*inputs)
+    return inputs, outputs[0]
 
 
 def fits_a_batch(program: ca.Function | None) -> bool:
@@ -130,7 +160,8 @@ class ResponseCompiler:
         self.values_at = values_at
         self.constraint = constraint
         self.parts: list[Problem] = problem.parts_with(FrequencyResponse)
-        self.weights = solver_weights(self.parts)
+        self.unit = solver_unit(self.parts)
+        self.weights = [part.weight / self.unit for part in self.parts]
         self.source = DataInput(constants, self.parts)
 
     def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
@@ -287,7 +318,7 @@ class ResponseCompiler:
         function = ca.Function("program", [self.z, self.smoothing, self.data], outputs)
         explicit = function if self.kind is ca.SX else None
         large = None if fits_a_batch(explicit) else self.shared(choose)
-        return CostProgram(function, explicit, shared=large)
+        return CostProgram(function, explicit, shared=large, unit=self.unit)
 
     def program_at_roots(self, formulas: Sequence[Trimmed], choose: ChooseCriterion) -> CostProgram:
         """Return the program of responses at operating points that Newton's method finds."""
@@ -320,7 +351,7 @@ class ResponseCompiler:
         at_roots: Any = ca.Function("roots", [z, data], [ca.vertcat(*roots)])
         outputs = explicit(z, smoothing, data, ca.stop_diff(at_roots(z, data), 1))
         function = ca.Function("program", [z, smoothing, data], outputs)
-        return CostProgram(function, explicit, at_roots)
+        return CostProgram(function, explicit, at_roots, unit=self.unit)
 
     def at_point(self) -> tuple[ca.SX, Mapping[str, Any], list[FrequencyResponse]]:
         """Return SX symbols of the data, and with them the values by name and the data."""
@@ -406,8 +437,8 @@ def _locator(part: Problem) -> Criterion:
     return _own_criterion(part).locator or _own_criterion(part)
 
 
-def solver_weights(parts: Sequence[Problem]) -> list[float]:
-    """Return the weights of responses, so small that the solver's tolerance can be reached.
+def solver_unit(parts: Sequence[Problem]) -> float:
+    """Return what the weights of responses are divided by, so that the solver's tolerance is met.
 
     The rounding errors of a model are relative to its magnitude M. Where errors have a known size
     σ, the gradient of the cost is rounded to some ε Σ (M/σ)², which for errors below a thousandth
@@ -425,5 +456,4 @@ def solver_weights(parts: Sequence[Problem]) -> list[float]:
     # with errors of 1e-4 does not reach it, with a hundred all runs do.
     unit = max(1.0, 100 * float(np.finfo(float).eps) / 1e-8 * precision)
     # Rounded up to a power of two, so that other data of the same kind rarely need other programs.
-    unit = 2.0 ** math.ceil(math.log2(unit))
-    return [part.weight / unit for part in parts]
+    return 2.0 ** math.ceil(math.log2(unit))

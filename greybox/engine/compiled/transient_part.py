@@ -56,7 +56,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import as_column, dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
-from greybox.statistics.column_space import column_basis, outside
+from greybox.statistics.column_space import column_basis, outside, pseudo_inverse
 from greybox.statistics.disturbed_errors import disturbed_errors, in_time, louder_times
 from greybox.statistics.uneven_errors import uneven_errors
 
@@ -381,6 +381,22 @@ class TransientPart(Part):
         rows = np.vstack([mean, variance])
 
         return by_errors - 2 * np.einsum("laaz->z", change).real, rows.T @ rows
+
+    def rows(self, trajectory: Trajectory) -> tuple[Array, Array]:
+        """Return the residuals (m,) in standard deviations, with their derivatives (m, p) by z.
+
+        The end term is fitted too. By equation error, the residuals are moved as little as makes
+        their product with the derivatives the gradient of the cost, which has logarithms, too.
+        """
+        at: Along = trajectory.detail
+        mean, _, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
+        mean, variance, _ = self.fisher_root(at, mean, change)
+        rows = np.vstack([mean, variance])
+        errors = np.append((at.weight @ at.errors).ravel(), np.zeros(len(variance)))
+
+        gradient, hessian = self.linearize(trajectory, at.weight)
+        lacking = gradient - rows.T @ errors
+        return errors + rows @ pseudo_inverse(hessian, 1e-14) @ lacking, rows
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return the modeled outputs over the root mean square of the measured ones."""

@@ -113,6 +113,14 @@ def _layout(
 
 
 @one_thread_at_a_time
+def first_order(inputs: Sequence[ca.SX], cost: ca.SX) -> Columns:
+    """Return a cost (1, m) of m columns with its gradient (p, m) by the first of the inputs."""
+    outputs = [ca.densify(value) for value in (cost, ca.gradient(cost, inputs[0]))]
+    derivatives = ca.Function("gradient", [*inputs], outputs)
+    return Columns(derivatives, fewest=FEWEST_IN_A_FEW_CALLS)
+
+
+@one_thread_at_a_time
 def second_order(inputs: Sequence[ca.SX], cost: ca.SX) -> Columns:
     """Return a cost (1, m) of m columns, with its gradient (p, m) and Hessian (p * p, m).
 

@@ -5,7 +5,9 @@ Begin with `search`.
 | file | contents |
 | --- | --- |
 | `search` | the first step of a fit: runs from all starts, finer steps, polished minima |
-| `multistart` | the solver of a problem, the order of its starts, and its runs from them |
+| `multistart` | the order of the starts, the runs from them, and their minima |
+| `search_method` | the solver of a problem, by a word or an object |
+| `own_solver` | a user's own solver, and its runs |
 | `promising` | which of many starts are run first, and when the others are not needed |
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
@@ -29,6 +31,9 @@ Begin with `search`.
 | `lost_workers`, `blas_threads` | errors of lost workers; one thread for matrix products |
 | `interruption` | Ctrl-C, and how long a search may take |
 | `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
+| `objective` | the cost with its derivatives, for any solver or sampler |
+| `point_costs`, `response_costs`, `record_costs` | what it asks of a compiled problem at a point |
+| `response_residuals` | residuals of a frequency response |
 | `cost` | the cost at given parameters |
 """
 

@@ -1,4 +1,4 @@
-"""Many runs of one compiled problem: their solver, the order of their starts, and their minima."""
+"""Many runs of one compiled problem: the order of their starts, and their minima."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -10,16 +10,12 @@ import numpy as np
 
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
-from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.solve.executors import run_all
-from greybox.engine.solve.gauss_newton.driver import GaussNewton
-from greybox.engine.solve.gauss_newton.settings import settings
 from greybox.engine.solve.interruption import raise_interrupt, stop_requested
 from greybox.engine.solve.local_solver import LocalSolver, Screened
 from greybox.engine.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.engine.solve.other_minima import points_beside
 from greybox.engine.solve.promising import Promising
-from greybox.engine.solve.response_solver import NO_OPTIONS, ResponseSolver
 from greybox.engine.solve.run_storage import Memory, RunStorage, continuation
 from greybox.engine.solve.runs import (
     CUT_SHORT,
@@ -31,42 +27,10 @@ from greybox.engine.solve.runs import (
     has_no_end,
     has_raised,
 )
-from greybox.engine.solve.shared_solver import SharedSolver
-from greybox.engine.solve.transcribed_program import TranscribedProgram
 from greybox.modeling.cached_property import cached_property
-from greybox.modeling.one_thread import one_thread_at_a_time
 
 ProgressReport = Callable[[int, int], Any]
 """Called with the number of finished and of all runs."""
-
-BATCHED = "batched"
-SEARCHES = (BATCHED, "multistart")
-
-
-@one_thread_at_a_time
-def solver_for(
-    nlp: CompiledProblem, options: Mapping[str, Any] = NO_OPTIONS, search: str = BATCHED
-) -> LocalSolver:
-    """Return the solver of a problem.
-
-    Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps, or as one sparse
-    program by IPOPT if the method or the search asks for it; others by `ResponseSolver` or
-    `SharedSolver`, which compare the starts and improve many at once if the search is
-    ``"batched"``.
-
-    Raises
-    ------
-    ValueError
-        For options that the solver does not take.
-    """
-    options = dict(options)  # for a worker: a view of a mapping does not travel
-    if not nlp.has_states:
-        batched = search == BATCHED
-        kind = SharedSolver if batched and SharedSolver.serves(nlp) else ResponseSolver
-        return kind(nlp, options, batched=batched)
-    if nlp.method.by_ipopt or search != BATCHED:
-        return TranscribedProgram(nlp, options)
-    return GaussNewton(nlp, settings=settings(options))
 
 
 def multistart(

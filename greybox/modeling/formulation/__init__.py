@@ -15,6 +15,7 @@ Begin with `problem`.
 | `sum` | `Sum`: problems solved at once, whose costs add; each record has its own biases |
 | `criterion` | what all criteria share |
 | `frequency_criteria` | the criteria for frequency responses |
+| `error_covariance` | how accurate outputs are: estimated, or known |
 | `time_criteria`, `spectrum_criteria` | the criteria for records and for spectra of manoeuvres |
 | `included_criteria` | the list of them |
 | `signal_bias` | the constant error of a measured signal, as a parameter |
@@ -25,6 +26,7 @@ Begin with `problem`.
 | `starts` | where the runs of a search begin |
 """
 
+from greybox.modeling.formulation.error_covariance import ErrorCovariance as ErrorCovariance
 from greybox.modeling.formulation.frequency_criteria import (
     Criterion as Criterion,
     MagnitudePhase as MagnitudePhase,

@@ -11,7 +11,7 @@ from greybox.data.units import are_of_one_kind, known_unit, misspelled, to_si
 from greybox.modeling.model import Model, pick_signals, require_known
 
 CONVERT = (
-    "declare SI units in the model, since files are read in SI, or convert the record, record = "
+    "use SI units in both, record = record.in_si(), or convert the record, record = "
     "record.with_signals(units={{{name!r}: {unit!r}}}, {name}={factor:.10g} * record[{name!r}]"
     "{zero})"
 )

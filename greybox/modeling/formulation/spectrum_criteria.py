@@ -1,7 +1,5 @@
 """Criteria for the Fourier integrals of a manoeuvre: `EquationError` and `OutputError`."""
 
-from collections.abc import Mapping
-
 from greybox.data.files.frozen_values import frozen
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
@@ -45,7 +43,7 @@ class EquationError(TimeCriterion):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if isinstance(self.noise, Mapping):
+        if not isinstance(self.noise, str):
             raise ValueError(
                 "EquationError estimates the size of the errors of the equation: leave out noise."
             )

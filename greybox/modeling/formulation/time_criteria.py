@@ -19,12 +19,17 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, attributes
 from greybox.data.files.normalization import normalize
 from greybox.data.files.numbers_in_text import number
-from greybox.data.files.wording import counted
 from greybox.data.intersample import CONTINUOUS, HELD, Intersample, intersample
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.formulation.criterion import AnyCriterion
+from greybox.modeling.formulation.error_covariance import (
+    ErrorCovariance,
+    EstimatedVariances,
+    error_covariance,
+    stated_noise,
+)
 from greybox.modeling.formulation.signal_bias import bias_name, bias_parameter
 from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.parameter import Parameter
@@ -101,10 +106,11 @@ class TimeCriterion(AnyCriterion):
 
     Parameters
     ----------
-    noise : "diagonal", "full", or mapping of output to standard deviation
+    noise : "diagonal", "full", mapping of output to standard deviation, or ErrorCovariance
         Variances or a full covariance estimated with the parameters (maximum likelihood: the cost
         is the logarithm of the determinant of the residual covariance), or known standard
-        deviations in the units of the outputs. Every record has variances of its own; those with
+        deviations in the units of the outputs, see `gb.formulation.ErrorCovariance` for a known
+        covariance of your own. Every record has variances of its own; those with
         fewer than 12 samples of an output share one if they have the same model and outputs.
     inputs : "record", "linear" or "held"
         How inputs vary between their samples: as the record says (`Record.hold`; an unknown input
@@ -127,7 +133,7 @@ class TimeCriterion(AnyCriterion):
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 6.
     """
 
-    noise: Literal["diagonal", "full"] | Values = "diagonal"
+    noise: Literal["diagonal", "full"] | Values | ErrorCovariance = "diagonal"
     inputs: Inputs = "record"
     biases: Sequence[str] = ()
     initial: Mapping[str, float | ParameterFormula] = field(default_factory=dict)
@@ -138,27 +144,7 @@ class TimeCriterion(AnyCriterion):
 
     def __post_init__(self) -> None:
         """Check the options."""
-        if isinstance(self.noise, Mapping):
-            for name, sigma in self.noise.items():
-                if np.ndim(sigma) > 0:
-                    raise ValueError(
-                        f"noise gives {name!r} {counted(np.size(sigma), 'number')}, and an output "
-                        "has one standard deviation: for samples of different accuracy, declare an "
-                        f"input with their standard deviations, divide the formula of {name!r} and "
-                        f"its samples by it, and give noise={{{name!r}: 1.0}}."
-                    )
-                if not is_finite_number(sigma) or sigma <= 0:
-                    raise ValueError(
-                        f"noise gives {name!r} the value {sigma!r}: give a standard deviation "
-                        "above 0."
-                    )
-        # An array has no truth value, with which a word could be compared.
-        elif not (isinstance(self.noise, str) and self.noise in ("diagonal", "full")):
-            raise ValueError(
-                f"noise {self.noise!r:.60} is not known: use 'diagonal', 'full' or {{output: "
-                "standard deviation}."
-            )
-
+        normalize(self, noise=stated_noise(error_covariance(self.noise)))
         require_inputs(self.inputs)
         normalize(self, biases=as_names(self.biases))
         if not isinstance(self.initial, Mapping):
@@ -175,6 +161,11 @@ class TimeCriterion(AnyCriterion):
                 )
 
     @property
+    def error_covariance(self) -> ErrorCovariance:
+        """How accurate the outputs are."""
+        return error_covariance(self.noise)
+
+    @property
     def error_distribution(self) -> ErrorDistribution:
         """How the errors of the outputs are distributed."""
         return ERRORS["normal"]
@@ -182,10 +173,7 @@ class TimeCriterion(AnyCriterion):
     @property
     def description(self) -> str:
         """The rule in words."""
-        if isinstance(self.noise, Mapping):
-            return f"{self.rule}, given variances"
-        estimated = "variances" if self.noise == "diagonal" else "covariance"
-        return f"{self.rule}, estimated {estimated}"
+        return f"{self.rule}, {self.error_covariance.description}"
 
     @property
     def bias_names(self) -> tuple[str, ...]:
@@ -226,15 +214,9 @@ class TimeCriterion(AnyCriterion):
 
     def check_noise(self, model: Model, outputs: Sequence[str]) -> None:
         """Raise ValueError if a compared output has no known standard deviation."""
-        if not isinstance(self.noise, Mapping):
-            return
-        require_known(self.noise, model.output_names, "output", model.label)
-        for name in outputs:
-            if name not in self.noise:
-                raise ValueError(
-                    f"noise gives no standard deviation for {name!r}: add it, or use "
-                    "noise='diagonal'."
-                )
+        if isinstance(self.noise, Mapping):
+            require_known(self.noise, model.output_names, "output", model.label)
+        self.error_covariance.covariance_of(outputs)
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
@@ -389,7 +371,7 @@ class PredictionError(TimeCriterion):
             raise ValueError(
                 "process_noise and disturbance say which states are corrected: leave out corrected."
             )
-        if self.driven() and self.noise != "diagonal":
+        if self.driven() and self.error_covariance != EstimatedVariances():
             raise ValueError(
                 "with process_noise or disturbance, sensors have the parameters v_<output>: leave "
                 f"out noise={self.noise!r}, and give deviations that are known as "

@@ -12,7 +12,7 @@ from greybox.data.files.text_table import text_table
 from greybox.engine.compiled.compiled_problem import compile_problem
 from greybox.engine.covariance.accuracy import propagate
 from greybox.engine.covariance.covariance import accuracy_at
-from greybox.engine.solve.multistart import solver_for
+from greybox.engine.solve.search_method import solver_for
 from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.formulation.sum import Sum
 from greybox.modeling.model import require_known

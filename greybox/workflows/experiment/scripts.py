@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.data.files.delimited_text import write_delimited
+from greybox.data.headings import BETWEEN
 from greybox.data.logs.ardupilot.signals import SYSTEMID_AXES
-from greybox.data.logs.named_columns import BETWEEN
 from greybox.data.record import Record
 from greybox.modeling.model import require_known
 from greybox.workflows.experiment.excitation import Excitation

@@ -42,10 +42,10 @@ from greybox.engine.solve.interruption import (
 )
 from greybox.engine.solve.local_solver import LocalSolver, Runner
 from greybox.engine.solve.lost_workers import ExecutorLostError
-from greybox.engine.solve.multistart import BATCHED
 from greybox.engine.solve.response_solver import ResponseSolver
 from greybox.engine.solve.run_storage import RunStorageError
 from greybox.engine.solve.runs import Outcome
+from greybox.engine.solve.search_method import BATCHED, AnySearch
 from greybox.engine.solve.worker_payload import pickled_or_empty, unpickled
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.formulation.starts import AnyStarts, as_starts
@@ -82,7 +82,7 @@ class Member:
     method: Transcription | None = None
     solver_options: Mapping[str, Any] = field(default_factory=dict)
     name: str = ""
-    search: str = BATCHED
+    search: AnySearch = BATCHED
     held: Sequence[Any] = ()
 
     def __post_init__(self) -> None:

@@ -44,9 +44,10 @@ from greybox.engine.solve.interruption import (
     take_interrupt,
 )
 from greybox.engine.solve.minima import same_cost
-from greybox.engine.solve.multistart import ProgressReport, multistart, solver_for
+from greybox.engine.solve.multistart import ProgressReport, multistart
 from greybox.engine.solve.run_storage import Memory
 from greybox.engine.solve.runs import Outcomes
+from greybox.engine.solve.search_method import solver_for
 from greybox.modeling.cached_property import cached_property
 from greybox.workflows.study.record_replicates import RecordReplicates, record_draws
 from greybox.workflows.study.replicates import Replicates

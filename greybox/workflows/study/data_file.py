@@ -6,19 +6,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 from greybox.data.clock import Gaps
-from greybox.data.files.column_headings import heading
 from greybox.data.files.delimited_text import read_delimited
 from greybox.data.files.escapes import in_sentences
 from greybox.data.files.grouping import unique
 from greybox.data.files.safe_files import require_file
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.logs.named_columns import in_si
+from greybox.data.headings import headings
 from greybox.data.logs.prepare import prepare as prepared
 from greybox.data.logs.readers import read
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
+from greybox.data.wrapped_angles import unwrapped
 from greybox.modeling.formulation.signal_units import as_the_only_pair
 from greybox.modeling.model import Model, require_known
 
@@ -100,13 +100,12 @@ def _is_response(names: tuple[str, ...] | None, columns: Mapping[str, str]) -> b
         return False
     if OMEGA in names:
         return True
-    has_time = any(seconds(*heading(name)) for name in names)
+    named = headings(names)
     # Alpha and beta are also the angles of attack and sideslip of a flight, which has a time.
-    return not has_time and any(
-        name.endswith((OMEGA, *RECTANGULAR))
-        or {"magnitude", "dB"} & {heading(name).name.lower(), heading(name).unit}
-        for name in names
-    )
+    if any(seconds(*column) for column in named):
+        return False
+    are_roles = any(name.endswith((OMEGA, *RECTANGULAR)) for name in names)
+    return are_roles or any(c.name.lower() == "magnitude" or c.unit == "dB" for c in named)
 
 
 def _record_of(log: Recording, path: Path, model: Model) -> Record:
@@ -145,7 +144,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
 
     (record,) = records
     # Models are written in SI units, tables in any.
-    record = in_si(record, [name for name in names if name in record.signals])
+    record = unwrapped(record.in_si(name for name in names if name in record.signals))
     return replace(record, findings=unique([*record.findings, *log.findings]))
 
 

@@ -15,7 +15,7 @@ def record(duration=60.0, rate=50.0, u=None, y=None, time=None):
     time = np.arange(int(duration * rate)) / rate if time is None else time
     u = np.sin(3 * time) if u is None else u(time)
     y = np.sin(3 * time - 0.4) if y is None else y(time)
-    return Record(time, {"u": u, "theta": y}, {"theta": "rad"})
+    return Record(time, {"u": u, "theta": y}, {"theta": "rad"}, hold={"u": 0.0})
 
 
 def sine(omega, start=0.0, end=60.0, **more):
@@ -320,7 +320,8 @@ def test_findings_hold_their_numbers_and_print_the_most_serious_first():
         input="u",
         output="theta",
     )
-    quality = check(Record(time[kept], {"u": u[kept], "theta": np.sin(time[kept])}), noisy)
+    signals = {"u": u[kept], "theta": np.sin(time[kept])}
+    quality = check(Record(time[kept], signals, hold={"u": 0.0}), noisy)
     told = {f.about: (f.severity, f.value, f.text) for f in quality.findings}
     share = 4.0 / 47.99
     assert told["gaps"][0] == "warning"

@@ -12,8 +12,8 @@ from scipy import signal, stats
 
 from greybox.data.excited_segment import Segment
 from greybox.data.record import Record
+from greybox.data.saturation import at_limit
 from greybox.data.spectral import single_sine
-from greybox.data.spectral.saturation import at_limit
 from greybox.data.spectral.single_sine import finite_frequency, frequency_error, saturation
 
 STEP = 1 / 400  # s

@@ -71,7 +71,7 @@ def test_limits_come_along():
     z = nlp.scaling.to_solver(np.array([4.0, 0.5, 0.1, 0.05]))
     cost, limits = nlp.programs[-1].function(z, 0.0, nlp.data_of(np.zeros(0), [points(1).response]))
     assert_allclose(limits.full().ravel(), [0.3])
-    assert float(cost) == pytest.approx(nlp.cost(np.array([4.0, 0.5, 0.1, 0.05])))
+    assert float(cost) == pytest.approx(nlp.costs(np.array([[4.0, 0.5, 0.1, 0.05]])).item())
 
 
 class Weighted(gb.SquaredRelativeError):
@@ -104,4 +104,4 @@ def test_a_criterion_that_needs_numbers_has_them(weights, is_open):
     x = np.array([4.0, 0.5, 0.1, 0.05])
     exact = gb.frequency_response(LagLagDelay(), dict(zip(nlp.free, x, strict=True)), OMEGA)
     errors = np.abs(exact.response / data.response - 1) ** 2 * weights(data.coherence)
-    assert nlp.cost(x) == pytest.approx(errors.sum(), rel=1e-12)
+    assert nlp.costs(x[None]).item() == pytest.approx(errors.sum(), rel=1e-12)

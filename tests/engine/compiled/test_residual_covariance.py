@@ -203,11 +203,10 @@ def test_a_predicted_covariance_is_that_of_the_density():
 def test_costs_of_records_add_and_each_has_a_covariance_of_its_own(choice):
     records = [RESIDUALS[:, :150], 3 * RESIDUALS[:, 150:], RESIDUALS[:, 5:25]]
     each = [made(choice, values) for values in records]
-    known = None if each[0][0].known is None else np.array([noise.known for noise, _ in each])
     together = ResidualCovariance(
         np.array([noise.counts for noise, _ in each]),
         np.array([n.spread for n, _ in each]),
-        known,
+        each[0][0].known,
         choice == "full",
     )
     products = np.array([product for _, product in each])

@@ -99,7 +99,7 @@ def test_the_information_is_that_of_errors_whose_end_term_follows(made):
     weight = trajectory.detail.covariance.weight(trajectory.products)
     J = numeric_jacobian(lambda v: weighted_errors(part, v, weight), z)
     # A full covariance follows the end term too.
-    rtol = 0.02 if trajectory.detail.covariance.full else 0.01
+    rtol = 0.02 if trajectory.detail.covariance.correlated else 0.01
     assert_allclose(information, J.T @ J, rtol=rtol, atol=0.002 * np.abs(J.T @ J).max())
 
 
@@ -109,7 +109,7 @@ def numbers_of(part, at):
     """
     n = at.errors.shape[1]
     covariance = at.errors @ at.errors.T / n
-    if not at.covariance.full:
+    if not at.covariance.correlated:
         covariance = np.diag(np.diag(covariance))
     return (
         n / 2 * (np.linalg.slogdet(2 * np.pi * covariance)[1] + len(covariance)) - 2 * at.logarithms

@@ -1,7 +1,7 @@
 """Everything that ships gives the same bits in this process, in other processes, and on Dask.
 
 The lists are those of greybox: included problems, criteria, methods, integrators, searches, solvers
-and other runners. What is added to one of them is tried here. Criteria, methods, searches and kinds
+and other runners. A user's solver has its own cases. What is added to one of them is tried here. Criteria, methods, searches and kinds
 of data are combined by pairs: any two entries of different lists meet in a case.
 """
 
@@ -20,14 +20,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from recipes import OneBoard, Slsqp
 from sampled_lag import SampledLag, lag_problem, lag_record
 
 import greybox as gb
 from greybox.engine.compiled.compiled_problem import compile_problem
 from greybox.engine.compiled.transcription.method import Transcription
 from greybox.engine.solve.local_solver import LocalSolver, Runner
-from greybox.engine.solve.multistart import SEARCHES, solver_for
 from greybox.engine.solve.response_solver import ResponseSolver
+from greybox.engine.solve.search_method import SEARCHES, solver_for
 from greybox.engine.solve.worker_task import run_starts
 from greybox.modeling.formulation.included_criteria import (
     CRITERIA,
@@ -275,7 +276,8 @@ def test_criteria_of_responses(executors, criterion, search, data):
 
 
 @pytest.mark.parametrize(
-    ("criterion", "method", "data"), by_pairs(TIME_CRITERIA, [*methods()], [*RECORDS])
+    ("criterion", "method", "data"),
+    by_pairs([*TIME_CRITERIA, gb.OutputError(noise=OneBoard())], [*methods()], [*RECORDS]),
 )
 def test_criteria_and_methods_of_records(executors, criterion, method, data):
     # IPOPT takes long to build the derivatives of these problems, and a run need not end.
@@ -286,6 +288,16 @@ def test_criteria_and_methods_of_records(executors, criterion, method, data):
 @pytest.mark.parametrize("criterion", SPECTRUM_CRITERIA)
 def test_criteria_of_manoeuvres(executors, criterion):
     require_alike(executors, compile_problem(spectrum(criterion)))
+
+
+@pytest.mark.parametrize("data", ["response", "record", "manoeuvre"])
+def test_a_solver_of_the_users(executors, data):
+    problems = {
+        "response": response(),
+        "record": lag_problem(samples=16),
+        "manoeuvre": spectrum(gb.OutputError()),
+    }
+    require_alike(executors, compile_problem(problems[data]), search=Slsqp())
 
 
 def test_every_solver_had_a_case():

@@ -24,7 +24,7 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox.engine.compiled.compiled_problem import compile_problem
-from greybox.engine.solve.multistart import solver_for
+from greybox.engine.solve.search_method import solver_for
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")
 

@@ -9,7 +9,7 @@ import pytest
 from driven_lag import Lag
 
 import greybox as gb
-from greybox.engine.solve.multistart import SEARCHES
+from greybox.engine.solve.search_method import SEARCHES
 from greybox.modeling.formulation.included_criteria import (
     CRITERIA,
     SPECTRUM_CRITERIA,

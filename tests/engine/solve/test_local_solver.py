@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 
 import greybox as gb
 from greybox.engine.compiled.compiled_problem import compile_problem
-from greybox.engine.solve.multistart import solver_for
+from greybox.engine.solve.search_method import solver_for
 
 TIME = np.arange(200) * 0.02
 INPUT = np.sign(np.sin(2 * TIME))

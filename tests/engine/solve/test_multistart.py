@@ -12,10 +12,11 @@ import greybox as gb
 from greybox.engine.compiled.compiled_problem import compile_problem
 from greybox.engine.solve.local_solver import Screened
 from greybox.engine.solve.minima import find_minima
-from greybox.engine.solve.multistart import FiniteStarts, multistart, solver_for
+from greybox.engine.solve.multistart import FiniteStarts, multistart
 from greybox.engine.solve.promising import Promising
 from greybox.engine.solve.response_solver import ResponseSolver
 from greybox.engine.solve.runs import Outcome, Run
+from greybox.engine.solve.search_method import solver_for
 from greybox.models.tilt import Tilt
 
 pytestmark = pytest.mark.usefixtures("unjudged_file")

@@ -16,7 +16,8 @@ from greybox.engine.compiled.compiled_problem import compile_problem
 from greybox.engine.covariance.covariance import accuracy_at
 from greybox.engine.solve.discretization_error import discretization_error, refine_discretization
 from greybox.engine.solve.gauss_newton.driver import GaussNewton
-from greybox.engine.solve.multistart import multistart, solver_for
+from greybox.engine.solve.multistart import multistart
+from greybox.engine.solve.search_method import solver_for
 from greybox.models.tilt import PAPER_G
 
 

@@ -41,11 +41,11 @@ def record(factor=1.0, **units):
     [
         (
             {"q": "deg/s"},
-            "q is in deg/s in the record 'flight' and in rad/s in Rate: declare SI units in the model",
+            "q is in deg/s in the record 'flight' and in rad/s in Rate: use SI units in both, record = record.in_si()",
         ),
         (
             {"delta": "deg"},
-            "delta is in deg in the record 'flight' and in rad in Rate: declare SI units in the model",
+            "delta is in deg in the record 'flight' and in rad in Rate: use SI units in both, record = record.in_si()",
         ),
         ({"q": "mrad/s"}, "q=0.001 * record['q']"),
         ({"T": "degC"}, "T=1 * record['T'] + 273.15"),

@@ -336,7 +336,7 @@ def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
         ),
         (
             lambda: gb.OutputError(noise="ful"),
-            "noise 'ful' is not known: use 'diagonal', 'full' or {output: standard",
+            "noise 'ful' is not known: use 'diagonal', 'full', {output: standard",
         ),
         (
             lambda: gb.OutputError(initial={"x": np.nan}),

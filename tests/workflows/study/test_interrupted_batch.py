@@ -16,7 +16,7 @@ from sampled_lag import SampledLag, lag_problem
 
 import greybox as gb
 from greybox.engine.compiled.compiled_problem import compile_problem
-from greybox.engine.solve.multistart import solver_for
+from greybox.engine.solve.search_method import solver_for
 from greybox.engine.solve.shared_solver import SharedSolver
 from greybox.workflows.study.stored_runs import StoredRuns
 

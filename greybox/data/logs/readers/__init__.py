@@ -34,7 +34,6 @@ from greybox.data.clock import Gaps, require_gaps
 from greybox.data.files.argument_checks import is_finite_number
 from greybox.data.files.escapes import in_sentences
 from greybox.data.files.safe_files import require_file
-from greybox.data.logs.named_columns import in_si
 from greybox.data.record import Recording
 
 HEAD = 4096  # bytes by which a format is recognized
@@ -116,8 +115,9 @@ def read(
     columns : mapping of str to str, optional
         Columns of a table whose own names do not say what is in it: by new name, the column and,
         after a colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. These signals are in SI
-        then; the others stay as they are. The columns of a file without a header line go by their
-        numbers: ``{"time": "1", "u": "2", "theta": "3:deg"}``.
+        then; the others stay as they are, see `Record.in_si`. A column that has another name in
+        another file has both, ``"pitch:deg,Theta:rad"``. The columns of a file without a header
+        line go by their numbers: ``{"time": "1", "u": "2", "theta": "3:deg"}``.
     rate : float, Hz, optional
         The sampling rate of a table without a time.
     gaps : "auto", "bridge" or "cut", optional
@@ -164,7 +164,7 @@ def read(
     # The readers of tables refuse more than one when columns are named.
     ((name, record),) = log.items()
     signals = [key for key in columns if key in record.signals]
-    return replace(log, records={name: in_si(record, signals)})
+    return replace(log, records={name: record.in_si(signals)})
 
 
 def _format(path: Path) -> Format:

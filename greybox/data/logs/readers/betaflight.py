@@ -15,9 +15,9 @@ import numpy as np
 
 from greybox.data.clock import median_step
 from greybox.data.files.arrays import Array
-from greybox.data.files.column_headings import Heading
 from greybox.data.files.decimal_marks import are_numbers
 from greybox.data.files.named_values import Values
+from greybox.data.headings import Heading
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 

@@ -1,28 +1,27 @@
 """Tables of measured signals as text: a header line, a time column, and numeric columns."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from greybox.data.dates import seconds_in_texts
 from greybox.data.files.arrays import Array
-from greybox.data.files.column_headings import Heading, heading
 from greybox.data.files.control_characters import printable
-from greybox.data.files.decimal_marks import are_numbers, has_decimal_comma, number_in
-from greybox.data.files.delimited_text import MISSING, DelimitedText, numbered, read_delimited
+from greybox.data.files.decimal_marks import has_decimal_comma, is_like_number, number_in
+from greybox.data.files.delimited_text import MISSING, DelimitedText, read_delimited
 from greybox.data.files.progress import bar
 from greybox.data.files.wording import counted, some
+from greybox.data.headings import Heading, find_column, headings, with_units_in_header
 from greybox.data.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.data.logs.readers.messages import MessageNames
 from greybox.data.logs.readers.named_arrays import recording
-from greybox.data.logs.readers.table_columns import time_column
 from greybox.data.record import Recording
-from greybox.data.response_columns import find_column
-from greybox.data.time_column import TIMES, seconds
-from greybox.data.units import with_units_in_header
+from greybox.data.time_column import clock_names, is_clock_name, seconds
+
+Rows = Sequence[tuple[int, Sequence[str]]]  # numbers of lines and their cells
 
 
 def read(
@@ -34,17 +33,14 @@ def read(
     """Read a table with a header line into one record named after the file.
 
     The cells are separated by semicolons, tabs, commas or blanks; the numbers may have decimal
-    commas, see `greybox.data.files.delimited_text`. Units are in the header, ``pitch [deg]`` or
-    ``pitch (deg)``, or in a line of their own below it. So is how a signal varies between its
-    samples, if it is known: ``u [1 held]`` for the output of a controller, which holds it, and
-    ``pitch [deg sampled]`` for samples of a continuous signal. Lines that start with ``#`` or ``%``
-    are comments; empty cells, and words such as ``nan``, are missing samples.
+    commas, see `greybox.data.files.delimited_text`. Units, and how signals vary between their
+    samples, are in the header, see `greybox.data.headings`, or in a line of their own below it.
+    Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as ``nan``, are
+    missing samples. A header that is repeated is skipped.
 
-    The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
-    in ``time_s``, ``time_ms``), or TimeUS, TimeMS as the tools of ArduPilot write it; for times
-    without a unit see `greybox.data.time_column`. It may have dates such as
-    ``2026-05-01T10:00:00.25``. Otherwise it is the first column, if this increases and has a unit
-    of time. The rows of a table without a time column have no order in time, see `Record`.
+    The time column is that of `greybox.data.time_column`; it may have dates such as
+    ``2026-05-01T10:00:00.25`` or times of day. The rows of a table without a time column have no
+    order in time, see `Record`.
 
     Parameters
     ----------
@@ -80,22 +76,28 @@ def read(
             "sample."
         )
 
-    text = numbered(text) if stated else text
-    headings = with_units(_headings(text))
-    columns, findings = _columns(headings, text)
-    _require_numbers(path, stated or {}, [h.name for h in headings if h.name not in columns])
-    units = {h.name: h.unit for h in headings}
-    is_timed = time_column(columns, units) or "time" in (stated or ())
-    if is_timed and rate:
+    if not (text.has_header or stated):
+        line = text.lines[0][:60]
+        raise ValueError(
+            f"{path} has no header line: its first line, {line!r}, must name the columns. Or give "
+            "numbers for names, columns=... with time=1 u=2 theta=3:deg."
+        )
+
+    named = with_units(headings(text.header))
+    used = _used(named, stated or {})
+    columns, units_of_texts, findings = _columns(named, text, used)
+    for name in used - columns.keys() if stated else ():
+        raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
+    units = {h.name: h.unit for h in named} | units_of_texts
+    clock = ("time",) if "time" in (stated or ()) else clock_names(columns, units)
+    if clock and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
     # As rows without a time, the samples would count as independent.
-    unread = next((h for h in headings if h.name.lower() in TIMES or seconds(*h)), None)
-    if unread and not (is_timed or rate):
-        unit = f" [{unread.unit}]" if unread.unit else ""
+    unread = [h for h in named if is_clock_name(h.base) and not (clock and h.name in columns)]
+    if unread and not (rate or any(map(is_clock_name, clock))):
         raise ValueError(
-            f"{path} has the column '{unread.name}{unit}', which is not a time in numbers with a "
-            "known unit: give it in seconds as 'time [s]', or give it another name if it is not a "
-            "time."
+            f"{path} has the column '{unread[0]}', which is not a time in numbers with a known "
+            "unit: give it in seconds as 'time [s]', or give it another name if it is not a time."
         )
 
     groups = {path.stem: (columns, units)}
@@ -107,88 +109,56 @@ def read(
     return replace(log, records={name: record}, metadata=about, findings=record.findings)
 
 
-def _headings(text: DelimitedText) -> list[Heading]:
-    headings = [heading(cell) for cell in text.header]
-    names = [h.name for h in headings if h.name]
-    by_number = names == [str(k) for k in range(1, len(names) + 1)]
-    # A first line of numbers is data, unless these are the numbers of the columns.
-    if not names or (are_numbers(" ".join(names).split()) and not by_number):
-        line = text.separator.join(text.header)[:60]
-        raise ValueError(
-            f"{text.path} has no header line: its first line, {line!r}, must name the columns. Or "
-            "give numbers for names, columns=... with time=1 u=2 theta=3:deg."
-        )
-    twice = next((name for name, count in Counter(names).items() if count > 1), None)
-    if twice:
-        raise ValueError(
-            f"{text.path} has two columns named {twice!r}: give each column a name of its own."
-        )
-
-    return headings
-
-
-def _require_numbers(path: Path, stated: Mapping[str, str], without: Sequence[str]) -> None:
-    """Raise ValueError if a stated column is one of those without numbers."""
+def _used(named: Sequence[Heading], stated: Mapping[str, str]) -> set[str]:
+    """Return the names of the columns that the user names, of all columns without a statement."""
+    used = set() if stated else {h.name for h in named}
     for column in stated.values():
+        # A column that does not exist is refused where columns are renamed.
         with suppress(ValueError):
-            name = without[find_column(column, without).place]
-            break
-    else:
-        return
-    raise ValueError(f"{path} has no numbers in the column {name!r}: name another one.")
+            used.add(named[find_column(column, named).place].name)
+    return used
 
 
 def _columns(
-    headings: Sequence[Heading], text: DelimitedText
-) -> tuple[dict[str, Array], list[str]]:
-    """Return the numeric columns by name, and findings."""
+    named: Sequence[Heading], text: DelimitedText, used: Collection[str]
+) -> tuple[dict[str, Array], dict[str, str], list[str]]:
+    """Return the columns of numbers and times, the units of times that are texts, and findings.
+
+    Those that are used, and clocks, decide the decimal mark.
+    """
     try:
         lines = bar(text.lines, desc=f"reading {printable(text.path.name)}", unit="line")
         # The usual table has plain numbers, which numpy reads ten times as fast as cell by cell.
         clean = np.loadtxt(lines, delimiter=text.separator, comments=None, ndmin=2)
     except ValueError:
         clean = np.empty((0, 0))
-    if clean.shape[1] == len(headings) and not np.isinf(clean).any():
-        return {h.name: clean[:, i] for i, h in enumerate(headings) if h.name}, []
+    if clean.shape[1] == len(named) and not np.isinf(clean).any():
+        return {h.name: clean[:, i] for i, h in enumerate(named) if h.name}, {}, []
 
-    rows = list(text.rows())
-    short = [number for number, row in rows if len(row) < len(headings)]
-    complete = [(number, row) for number, row in rows if len(row) == len(headings)]
+    rows, findings = _complete_rows(text, named)
+    places = {h.name: k for k, h in enumerate(named) if h.name}
+    # Texts decide nothing about numbers.
+    numeric = {name: k for name, k in places.items() if _is_of_numbers(rows, k)}
+    _require_one_header(text, rows, [*numeric.values()])
     # One decision for the whole table: a column of integers shows no decimal mark.
-    comma = has_decimal_comma(text.path, complete)
+    decisive = [k for name, k in numeric.items() if name in used or seconds(name)]
+    cells = ((number, [row[k] for k in decisive]) for number, row in rows)
+    comma = has_decimal_comma(text.path, cells)
 
     columns = {}
+    units = {}
+    odd_cells = []
     not_numeric = []
-    odd_cells: list[str] = []
-    for k, name in [(k, h.name) for k, h in enumerate(headings) if h.name]:
-        cells = [row[k] for _, row in complete]
-        if not any(cells):
-            not_numeric.append(name)
+    for name, k in places.items():
+        if name in numeric:
+            columns[name], odd = _numbers(rows, k, comma)
+            odd_cells += [f"{name} ({odd})"] if odd else []
             continue
-        values = np.array([number_in(cell, comma) for cell in cells])
-        values[np.isinf(values)] = np.nan
-        missing = np.flatnonzero(np.isnan(values)).tolist()
-        odd = [j for j in missing if cells[j].lower() not in MISSING]
-        # Some damaged cells do not make a column one of text.
-        if len(odd) > sum(map(bool, cells)) / 2:
-            # Dates of ISO 8601, UTC, in ns since 1970.
-            dates = [cell.removesuffix("Z") for cell in cells]
-            with suppress(ValueError):
-                columns[name] = np.array(dates, "datetime64[ns]").astype(float)
-                continue
+        dates = seconds_in_texts([row[k] for _, row in rows])
+        if dates:
+            columns[name], units[name] = dates
+        else:
             not_numeric.append(name)
-            continue
-        columns[name] = values
-        if odd:
-            first = f"the first {cells[odd[0]][:30]!r} in line {complete[odd[0]][0]}"
-            odd_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
-
-    findings = []
-    if short:
-        findings.append(
-            f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped; "
-            f"the first is line {short[0]}."
-        )
     if odd_cells:
         findings.append(
             f"cells that are not finite numbers, which count as missing: {some(odd_cells, 12)}."
@@ -196,4 +166,63 @@ def _columns(
     if not_numeric:
         findings.append(f"columns without numbers were left out: {some(not_numeric, 12)}.")
 
-    return columns, findings
+    return columns, units, findings
+
+
+def _numbers(rows: Rows, place: int, comma: bool) -> tuple[Array, str]:
+    """Return the values (n,) of a column, and its damaged cells in words."""
+    cells = [row[place] for _, row in rows]
+    values = np.array([number_in(cell, comma) for cell in cells])
+    values[np.isinf(values)] = np.nan
+    missing = np.flatnonzero(np.isnan(values)).tolist()
+    odd = [j for j in missing if cells[j].lower() not in MISSING]
+    if not odd:
+        return values, ""
+    first = f"the first {cells[odd[0]][:30]!r} in line {rows[odd[0]][0]}"
+    return values, f"{counted(len(odd), 'cell')}, {first}"
+
+
+def _complete_rows(text: DelimitedText, named: Sequence[Heading]) -> tuple[Rows, list[str]]:
+    """Return the numbered rows that have all cells and are no headers, and findings."""
+    header = {*text.header, *(h.name for h in named), *(h.unit for h in named)}
+    complete = []
+    short = []
+    repeated = []
+    for number, row in text.rows():
+        names = [cell.strip("[](){} ") for cell in row if cell.lower() not in MISSING]
+        if len(row) < len(named):
+            short.append(number)
+        elif len(names) > 1 and header.issuperset(names):
+            repeated.append(number)
+        else:
+            complete.append((number, row))
+
+    findings = []
+    if repeated:
+        findings.append(
+            f"the header is repeated in {counted(len(repeated), 'line')}, the first is line "
+            f"{repeated[0]}: all rows were read as one table."
+        )
+    if short:
+        findings.append(
+            f"{len(short)} of {len(short) + len(complete)} lines have fewer cells than the header "
+            f"and were skipped; the first is line {short[0]}."
+        )
+    return complete, findings
+
+
+def _require_one_header(text: DelimitedText, rows: Rows, numeric: Sequence[int]) -> None:
+    """Raise ValueError if a row has other names than the header above its numbers."""
+    for number, row in rows if len(numeric) > 1 else ():
+        if is_like_number(row[numeric[0]]):
+            continue
+        names = {row[k] for k in numeric}
+        if len(names) == len(numeric) and not any(map(is_like_number, names)):
+            raise text.second_header(number)
+
+
+def _is_of_numbers(rows: Rows, place: int) -> bool:
+    """Return whether a column has numbers, or words for missing ones, up to some damaged cells."""
+    cells = [row[place] for _, row in rows if row[place]]
+    present = [cell for cell in cells if cell.lower() not in MISSING]
+    return bool(cells) and 2 * sum(map(is_like_number, present)) >= len(present)

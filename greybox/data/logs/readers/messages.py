@@ -169,8 +169,8 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         wrong = np.count_nonzero(~np.isfinite(time))
         reasons = [f"{wrong} with implausible times"] if wrong else []
         reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
-        is_unsorted = 2 * dropped > time.size + wrong
-        cure = "; sort the lines of the file by time" if is_unsorted else ""
+        has_several = 2 * dropped > time.size + wrong
+        cure = "; save each run, or each device, in a file of its own" if has_several else ""
         findings = (
             f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}{cure}.",
         )

@@ -10,6 +10,7 @@ from typing import Any
 from greybox.data.files.arrays import Array
 from greybox.data.files.named_values import Values
 from greybox.data.files.subprocess_reader import read_in_subprocess
+from greybox.data.headings import split_names
 from greybox.data.logs.named_columns import renamed
 from greybox.data.logs.readers.controller_outputs import with_holds
 from greybox.data.logs.readers.messages import MessageNames, checksum_of, on_one_clock, records
@@ -73,6 +74,7 @@ def read(
     turned = is_hdf5 and head.startswith(b"MATLAB")
     for columns, _ in groups.values():
         columns.update({name: _rows(values, turned) for name, values in columns.items()})
+    groups = {name: split_names(*group) for name, group in groups.items()}
 
     return recording(path, groups, report["findings"], messages, None, stated, rate)
 
@@ -142,7 +144,8 @@ def recording(
     # Every group has a clock of its own.
     for name, group in groups.items():
         columns, units = renamed(*group, stated, path.name) if stated else group
-        part, assumed = table(name, columns, units, rate)
+        timer = "time" if "time" in (stated or {}) else ""
+        part, assumed = table(name, columns, units, rate, timer)
         if part.time is None and part.columns and rows_allowed:
             about = (name, path.name, checksum)
             by_name[name] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]

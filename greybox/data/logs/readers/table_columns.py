@@ -6,16 +6,20 @@ import numpy as np
 
 from greybox.data.files.arrays import AnyArray, Array
 from greybox.data.files.wording import some
-from greybox.data.logs.named_columns import BETWEEN, unit_and_hold
+from greybox.data.headings import units_and_holds
 from greybox.data.logs.readers.messages import Messages
-from greybox.data.time_column import seconds, tick, times_in_seconds
+from greybox.data.time_column import table_clock
 
 # Columns of the widest matrix whose columns become signals: a convention that excludes images.
 WIDEST = 64
 
 
 def table(
-    name: str, columns: Mapping[str, Array], units: Mapping[str, str], rate: float | None = None
+    name: str,
+    columns: Mapping[str, Array],
+    units: Mapping[str, str],
+    rate: float | None = None,
+    stated_time: str = "",
 ) -> tuple[Messages, tuple[str, ...]]:
     """Make messages of columns that share a time, and findings on those that were left out.
 
@@ -32,51 +36,38 @@ def table(
     units : mapping of str to str
         A word after the unit may state how the signal varies between its samples, ``1 held`` or
         ``rad sampled``.
+    rate : float, Hz, optional
+    stated_time : str
+        The column that the user calls the time.
     """
-    timer = time_column(columns, units)
-    signals = {key: values for key, values in columns.items() if key != timer}
+    clock = table_clock(columns, units, stated_time)
+    signals = {key: x for key, x in columns.items() if not clock or key not in clock.names}
     # MATLAB's iddata and many scripts store one interval instead of a vector of times.
     interval = columns.get("Ts", np.empty(0))
-    size = len(columns[timer]) if timer else max(map(len, signals.values()), default=0)
+    size = max(map(len, signals.values()), default=0)
     time = None
-    assumed = ()
-    if timer:
-        time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
+    findings = ()
+    if clock:
+        size = len(columns[clock.names[0]])
+        time, findings = clock.time, clock.findings
     elif rate or interval.size == 1:
         signals.pop("Ts", None)
         time = np.arange(size) * (1 / rate if rate else float(interval[0]))
 
     split = {}
-    labels = {}
-    hold = {}
+    statements = {}
     for key, values in signals.items():
-        unit, word = unit_and_hold(units.get(key, ""))
         parts = _split(key, values, size)
-        split |= parts
-        labels |= dict.fromkeys(parts, unit)
-        if word:
-            hold |= dict.fromkeys(parts, BETWEEN[word])
+        split |= {part: x[clock.rows] if clock else x for part, x in parts.items()}
+        statements |= dict.fromkeys(parts, units.get(key, ""))
+    labels, hold = units_and_holds(statements)
     odd = [key for key, values in signals.items() if len(values) != size]
-    left_out = (
-        (f"{name}: left out, because their length is not that of the time: {some(odd, 12)}.",)
-        if odd and time is not None
-        else ()
-    )
+    if odd and time is not None:
+        sentence = f"{name}: left out, because their length is not that of the time: "
+        findings = (*findings, f"{sentence}{some(odd, 12)}.")
 
-    return Messages(name, np.arange(size), time, split, {}, labels, hold=hold), (
-        *assumed,
-        *left_out,
-    )
-
-
-def time_column(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> str:
-    """Return the name of the time: a vector of this name, or a first one that is a clock."""
-    vectors = [key for key, values in columns.items() if values.ndim == 1 and values.size]
-    timer = next((key for key in vectors if seconds(key, units.get(key, ""))), "")
-    # Without such a name, a first column that increases and has a unit of time.
-    first = next(iter(columns), "")
-    is_clock = first in vectors and tick(units.get(first, ""))
-    return timer or (first if is_clock and np.all(np.diff(columns[first]) > 0) else "")
+    order = np.arange(size if time is None else time.size)
+    return Messages(name, order, time, split, {}, labels, hold=hold), findings
 
 
 def _split(name: str, values: AnyArray, size: int) -> Mapping[str, Array]:

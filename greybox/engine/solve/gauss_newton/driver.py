@@ -292,14 +292,21 @@ class GaussNewton(Descent):
     def profile(self, x: Array, nodes: Nodes | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
         if nodes is not None:
-            iterate = self._at(x, nodes)
-            converged = True
-        else:
-            first = self._begun(self._parts.at(self.nlp.scaling.to_solver(x)))
-            end = descend(self._parts, *first, self.settings.max_iter, states_only=True)
-            iterate = end.iterate
-            converged = end.status.startswith(CONVERGED)
+            return self._profile(self._at(x, nodes), converged=True)
+        first = self._begun(self._parts.at(self.nlp.scaling.to_solver(x)))
+        return self._best_states(*first)
 
+    @DIVERGING
+    def profile_near(self, x: Array, nodes: Nodes) -> Profile:
+        """Return the best nodes at the parameters x (p,), sought from these nodes alone."""
+        return self._best_states(self._at(x, nodes), EXACT)
+
+    def _best_states(self, iterate: Iterate, progress: Progress) -> Profile:
+        most = self.settings.max_iter
+        end = descend(self._parts, iterate, progress, most, states_only=True)
+        return self._profile(end.iterate, converged=end.status.startswith(CONVERGED))
+
+    def _profile(self, iterate: Iterate, *, converged: bool) -> Profile:
         # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)
         cost = self._parts.cost(iterate, 0.0)
@@ -317,27 +324,6 @@ class GaussNewton(Descent):
             return status_at_kink(self._parts, iterate, states_only=False).startswith(CONVERGED)
         except np.linalg.LinAlgError:
             return False
-
-    def cost(self, values: Array) -> float:
-        """Return the smallest cost at all values (k,), continuity exact; NaN if there is none.
-
-        Raises
-        ------
-        ValueError
-            For another value of a fixed parameter: it is compiled in.
-        """
-        nlp = self.nlp
-        count = len(nlp.free)
-        for name, value, compiled in zip(
-            nlp.constants, values[count:], nlp.constant_values, strict=True
-        ):
-            if value != compiled:
-                raise ValueError(
-                    f"{name} is fixed at {compiled:g} here: give {value:g} to the problem, "
-                    f"fixed={{{name!r}: ...}}."
-                )
-        profile = self.profile(values[:count])
-        return profile.cost if profile.converged else math.nan
 
     @DIVERGING
     def smoothed(self, z: Array) -> tuple[Trajectory, ...] | None:

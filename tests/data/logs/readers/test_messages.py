@@ -70,7 +70,9 @@ def test_dropped_samples_are_counted_with_the_reason():
 def test_samples_out_of_order_are_to_be_sorted():
     time = np.random.default_rng(0).permutation(40) / 10
     _, (finding, *_) = records([messages(order=range(40), time=time)], "a.csv", "abc")
-    assert finding.endswith("whose time does not increase; sort the lines of the file by time.")
+    assert finding.endswith(
+        "whose time does not increase; save each run, or each device, in a file of its own."
+    )
 
 
 def test_records_of_instances_keep_units_holds_and_texts_apart():

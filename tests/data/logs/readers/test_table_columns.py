@@ -1,27 +1,12 @@
-"""Headings with units, time columns by name and unit, and what becomes of matrices."""
+"""Time columns by name and unit, and what becomes of matrices."""
 
 import numpy as np
 import pytest
 
-from greybox.data.files.column_headings import Heading, heading
-from greybox.data.logs.readers.table_columns import WIDEST, seconds, table
+from greybox.data.logs.readers.table_columns import WIDEST, table
+from greybox.data.time_column import seconds
 
 TIME = np.arange(5) * 20.0  # ms
-
-
-@pytest.mark.parametrize(
-    ("cell", "expected"),
-    [
-        ("pitch [deg]", Heading("pitch", "deg")),
-        (" pitch (deg/s) ", Heading("pitch", "deg/s")),
-        ("pitch", Heading("pitch", "")),
-        ("q[0]", Heading("q[0]", "")),
-        ("a []", Heading("a", "")),
-        ("[deg]", Heading("[deg]", "")),
-    ],
-)
-def test_units_in_headings(cell, expected):
-    assert heading(cell) == expected
 
 
 @pytest.mark.parametrize(
@@ -61,9 +46,9 @@ def test_without_a_time_the_messages_have_none():
 
 def test_a_first_column_that_increases_in_a_unit_of_time_is_the_time():
     for elapsed, is_time in ((TIME, True), (-TIME, False), (0 * TIME, False)):
-        messages, _ = table("a", {"elapsed": elapsed, "x": TIME**2}, {"elapsed": "ms", "x": "s"})
+        messages, _ = table("a", {"Zeit": elapsed, "x": TIME**2}, {"Zeit": "ms", "x": "s"})
         assert (messages.time is not None) == is_time
-        assert ("elapsed" in messages.columns) != is_time
+        assert ("Zeit" in messages.columns) != is_time
 
 
 def test_a_matrix_of_64_columns_is_signals_and_one_of_65_an_image():
@@ -89,8 +74,8 @@ def test_a_unit_may_say_how_a_signal_runs():
 
 
 def test_of_two_times_the_first_vector_is_the_time():
-    columns = {"time": np.zeros((5, 2)), "t": TIME, "timestamp": TIME + 7}
-    messages, _ = table("a", columns, {"t": "min"})
+    columns = {"time": np.zeros((5, 2)), "seconds": TIME, "timestamp": TIME + 7}
+    messages, _ = table("a", columns, {"seconds": "min"})
     np.testing.assert_array_equal(messages.time, 60 * TIME)
     assert [*messages.columns] == ["time[0]", "time[1]", "timestamp"]
 

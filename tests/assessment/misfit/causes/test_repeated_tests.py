@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import greybox as gb
-from greybox.assessment.repeated_inputs import repeated_residuals
+from greybox.assessment.misfit.causes.repeated_tests import repeated_tests
+from greybox.assessment.misfit.tested_record import TestedRecord
 from greybox.engine.compiled.compiled_problem import compile_problem
 from greybox.engine.compiled.disturbances import DisturbedRecord
 from greybox.statistics.autoregressive_likelihood import ORDER
@@ -32,7 +33,7 @@ def test_residuals_of_the_previous_period_are_held_against_those_of_the_next(per
     (part,) = nlp.parts
     trajectory = part.trajectory(nlp.scaling.to_solver(np.array([0.5])))
     flight = DisturbedRecord(part, trajectory)
-    [([term], _)] = repeated_residuals([flight])
+    [term] = repeated_tests(TestedRecord(flight))
     (values,) = part.data.unpadded(term.values[None])
     (residuals,) = part.data.unpadded(flight.residuals)
     assert_array_equal(values[0, :period], 0)

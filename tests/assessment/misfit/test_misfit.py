@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.signal import lfilter, lsim
+from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.assessment.misfit import Cause, Misfit
+from greybox.assessment.misfit.answer import Cause, Misfit
 from greybox.assessment.verdict import verdict
 from greybox.models.controller import AttitudeController
 from greybox.models.rate import DampedAngle
@@ -276,7 +276,7 @@ def test_a_position_once_a_second_neither_widens_errors_nor_looks_like_a_misfit(
     record = flown.with_signals(**signals)
     criterion = gb.OutputError(initial=rest)
     fit = gb.fit(gb.Problem(Drone(), record, criterion), starts=1, progress=False)
-    assert fit.misfit.explains_here
+    assert fit.misfit.explains
     assert not fit.misfit.is_drifting
     others = {name: record[name] for name in ("command", "a", "rate")}
     without = gb.Record(time, others, hold=record.hold)
@@ -1220,23 +1220,6 @@ def test_a_parameter_that_is_fixed_at_a_wrong_value_is_named():
     assert first.value == pytest.approx(4.0, rel=0.1)
 
 
-@pytest.mark.parametrize("smooth", [True, False])
-def test_an_input_that_is_no_line_between_its_samples_is_named(smooth):
-    random, time = np.random.default_rng(3), STEP * np.arange(SAMPLES)
-    rates = 1j * np.arange(1.0, 14, 0.5)  # up to a twelfth of the sampling rate
-    tones = np.exp(rates[:, None] * time + 1j * random.uniform(0, 6, (len(rates), 1)))
-    u = tones.real.sum(axis=0)
-    x = (25 / (rates**2 + 2 * rates + 25) @ tones).real
-    if not smooth:
-        _, x, _ = lsim(([25], [1, 2, 25]), u, time, interp=True)
-    record = gb.Record(time, {"u": u, "x": x + 0.003 * random.normal(size=SAMPLES)})
-    misfit = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False).misfit
-    assert misfit.explains != smooth
-    if smooth:
-        assert misfit.likely[0].text.startswith("u runs in curves between its samples")
-        assert misfit.likely[0].value == pytest.approx(1, abs=0.3)
-
-
 class OneLag(gb.TransferFunction):
     K = gb.Parameter(1.0, bounds=(0.1, 10))
     T = gb.Parameter(0.5, bounds=(0.05, 5))
@@ -1389,7 +1372,7 @@ def test_slow_gusts_beneath_the_noise_of_a_sensor_are_no_missing_term(seed):
 
 
 @pytest.mark.parametrize("largest", [np.inf, 0.35])
-def test_values_that_gusts_bias_through_a_controller_are_named_beside_better_ones(largest):
+def test_values_that_gusts_bias_through_a_controller_are_not_said_to_explain(largest):
     """The controller acts on x and v; the actuator saturates in the second flight."""
     random = np.random.default_rng(7)
     command = np.tile(np.repeat([0.6, -0.6, 0.0], [30, 30, 60]), 7)[:800]
@@ -1408,13 +1391,9 @@ def test_values_that_gusts_bias_through_a_controller_are_named_beside_better_one
     record = gb.Record(h * np.arange(800), {"u": control, "x": position}, hold={"u": np.inf})
     fit = gb.fit(gb.Problem(Position(), record), starts=1, progress=False, profiles=False)
     assert fit.estimate["b"] < 4.0
-    assert not fit.misfit.explains_here
-    assert fit.misfit.explains == np.isinf(largest)
-    if fit.misfit.explains:
-        assert dict(fit.misfit.elsewhere)["b"] == pytest.approx(5.0, rel=0.05)
-        assert fit.misfit.likely == ()
-        assert "but perhaps with others (d = " in verdict(fit).sentences[0]
-        assert "valid only if the model explains the data" in str(fit)
+    assert not fit.misfit.explains
+    assert "gusts may look like this" in verdict(fit).sentences[0]
+    assert "valid only if the model explains the data" in str(fit)
 
 
 class Both(Spring):
@@ -1482,32 +1461,6 @@ def test_a_manoeuvre_whose_only_parameter_is_held_by_its_bound_is_tested():
     misfit = gb.fit(of, starts=1, progress=False).misfit
     assert not misfit.explains
     assert misfit.likely[0].text.startswith("a value of k that is larger by 3.8")  # to first order
-
-
-class FirstOrder(gb.StateSpace):
-    """v' = a v + b u."""
-
-    states, inputs, outputs = ("v",), ("u",), ("v",)
-    a, b = gb.Parameter(-1.0, bounds=(-20, 0)), gb.Parameter(2.0, bounds=(0, 20))
-
-    def derivative(self, x, u, p):
-        return (p.a * x.v + p.b * u.u,)
-
-    def output(self, x, u, p):
-        return (x.v,)
-
-
-def test_values_at_a_bound_are_no_better_ones():
-    random = np.random.default_rng(0)
-    time = 0.02 * np.arange(2000)
-    u = np.repeat(random.choice([-1.0, 0.0, 1.0], 40), 50)
-    flown = gb.Record(time, {"u": u}, hold={"u": np.inf})
-    v = np.array(gb.simulate(FirstOrder(), {"a": -2.0, "b": 3.0}, flown)["v"])
-    record = flown.with_signals(v=v + 0.05 * random.normal(size=2000))
-    of = gb.Problem(FirstOrder(), record, bounds={"b": (0.0, 2.5)})
-    misfit = gb.fit(of, starts=1, progress=False).misfit
-    assert not misfit.explains
-    assert not misfit.elsewhere
 
 
 class Drive(gb.StateSpace):

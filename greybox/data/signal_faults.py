@@ -1,0 +1,248 @@
+"""What a logger does to a signal: repeats, interpolates, clips, freezes or mixes its samples.
+
+Begin with `signal_faults`. A fault changes what every estimate makes of the signal, and leaves no
+trace in a coherence: a signal that is held or interpolated between fewer samples is smooth, and
+late. So each of them is looked for in the samples, once, and every use of a record says it.
+
+Right signals have a similar look: steps, 3-2-1-1 and binary sequences rest and jump, an encoder
+counts, an actuator is at its limit, a vehicle stands. `benchmarks/damaged_records.py` counts
+how often one of them is accused.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.data.files.arrays import Array, IntArray
+from greybox.data.files.numbers_in_text import number, percent
+from greybox.data.files.wording import counted
+from greybox.data.record import Record
+from greybox.data.saturation import at_limit
+
+# Fewer samples show no pattern.
+FEWEST = 100
+# Different values of a signal that is not made of steps.
+LEVELS = 20
+# Samples between those of the slower clock, at most.
+LONGEST = 25
+# Share of the changes that keep to one slower clock.
+REGULAR = 0.9
+# Share of the time at a limit below which a clipped signal is hardly wrong.
+SHORT_CLIP = 0.005
+# Single samples: how far they lie from the line through their neighbors, in deviations of all such
+# distances and in deviations of the signal, and their share of the samples, at most.
+FAR, FAR_IN_SIGNAL, RARE = 20.0, 0.5, 0.01
+
+
+@dataclass(frozen=True)
+class SignalFault:
+    """One fault of one signal.
+
+    Attributes
+    ----------
+    signal : str
+    kind : str
+        "held", "interpolated", "clipped", "frozen", "far off" or "alternating".
+    text : str
+        What is seen, and what to do, as a sentence.
+    """
+
+    signal: str
+    kind: str
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def signal_faults(
+    name: str, values: Array, others: Array, *, is_command: bool = False
+) -> tuple[SignalFault, ...]:
+    """Return the faults of a signal, at most one of them: others would only be its look.
+
+    Parameters
+    ----------
+    name : str
+    values : (n,) array
+        The signal; NaN where it was not measured.
+    others : (m, n) array
+        The other signals of the same rows.
+    is_command : bool
+        Whether the signal is an input, which may be held, at its limit, or at rest.
+    """
+    measured = np.isfinite(values)
+    values, others = values[measured], others[:, measured]
+    if values.size < FEWEST or not np.ptp(values) > 0:
+        return ()
+
+    looks = [_interpolated, _far_off, _alternating]
+    looks = looks if is_command else [_held, _clipped, _frozen, *looks]
+    for look in looks:
+        for kind, text in look(name, values, others):
+            return (SignalFault(name, kind, text),)
+    return ()
+
+
+def record_faults(
+    record: Record, outputs: Sequence[str], commands: Sequence[str] = ()
+) -> tuple[SignalFault, ...]:
+    """Return the faults of some signals of a record: outputs, and commands as inputs are."""
+    if not record.has_time:
+        return ()
+    faults: list[SignalFault] = []
+    for name in (*outputs, *commands):
+        others = [record[other] for other in record.signals if other != name]
+        rows = np.array(others).reshape(-1, len(record))
+        faults += signal_faults(name, record[name], rows, is_command=name not in outputs)
+    return tuple(faults)
+
+
+Faults = Iterator[tuple[str, str]]
+
+
+def _is_made_of_steps(values: Array) -> bool:
+    """Return whether a signal has few levels, as a 3-2-1-1 or a binary sequence."""
+    return np.unique(values).size < LEVELS
+
+
+def _slower_clock(places: IntArray) -> int:
+    """Return the number of rows between places that keep to one slower clock; zero if none do."""
+    if places.size < LEVELS:
+        return 0
+    steps = np.diff(places)
+    period = int(np.median(steps))
+    if not 2 <= period <= LONGEST:
+        return 0
+    # A clock that is no multiple of the rows jumps by a row now and then; a missed change is a
+    # multiple.
+    multiples = np.maximum(np.rint(steps / period), 1)
+    is_regular = np.abs(steps - multiples * period) <= np.where(multiples > 1, 1, period > 2)
+    return period if np.mean(is_regular) > REGULAR else 0
+
+
+def _held(name: str, values: Array, others: Array) -> Faults:
+    """Look for samples of a slower logger that are repeated until the next one."""
+    changes = np.flatnonzero(np.diff(values))
+    period = _slower_clock(changes)
+    if not period or _is_made_of_steps(values):
+        return
+    # A count of an encoder repeats, too, and changes by one or two counts.
+    steps = np.abs(np.diff(values)[changes])
+    if np.unique(np.rint(steps / steps.min())).size < 5:
+        return
+    yield (
+        "held",
+        f"{name} changes only in every {_ordinal(period)} row: a slower log was repeated, which "
+        "delays it by half its interval on average. Give NaN in the rows between.",
+    )
+
+
+def _interpolated(name: str, values: Array, others: Array) -> Faults:
+    """Look for straight lines between the samples of a slower logger."""
+    bends = np.abs(np.diff(values, 2))
+    # Lines of numbers with few digits bend by their rounding.
+    rounding = max(1e-9 * float(np.ptp(values)), 2.01 * _resolution(values))
+    straight = bends <= rounding
+    # Where corners are hardly larger, a rounded curve looks like lines.
+    if straight.all() or np.median(bends[~straight]) < 10 * rounding:
+        return
+    corners = np.flatnonzero(~straight)
+    period = _slower_clock(corners)
+    is_lines = np.mean(straight) > 0.8 * (1 - 1 / max(period, 1))
+    moves = np.mean(np.diff(values) != 0) > 0.5
+    if period and is_lines and moves and not _is_made_of_steps(np.diff(values)[corners]):
+        yield (
+            "interpolated",
+            f"{name} runs in straight lines from every {_ordinal(period)} row to the next: a "
+            "slower log was interpolated, which takes off its fast part. Give NaN in the rows "
+            "between.",
+        )
+
+
+def _clipped(name: str, values: Array, others: Array) -> Faults:
+    """Look for a flat top of a signal that elsewhere never rests."""
+    is_flat = at_limit(values)
+    elsewhere = np.diff(values[~is_flat])
+    begins = np.flatnonzero(np.diff(is_flat.astype(int)) > 0)
+    # A rounded top is entered slowly.
+    slopes = np.abs(values[begins] - values[np.maximum(begins - 1, 0)])
+    is_entered_fast = begins.size > 0 and np.median(slopes) > 4 * _resolution(values)
+    if np.mean(is_flat) > SHORT_CLIP and is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
+        yield (
+            "clipped",
+            f"{name} rests at {number(np.abs(values[is_flat]).max(), 3)} for "
+            f"{percent(np.mean(is_flat))} % of the time and nowhere else: its sensor or log was "
+            "clipped there. Make these samples NaN.",
+        )
+
+
+def _frozen(name: str, values: Array, others: Array) -> Faults:
+    """Look for a long rest of a signal that elsewhere never rests, while others move."""
+    changes = np.flatnonzero(np.diff(values))
+    rests = np.diff(np.r_[0, changes, values.size - 1])
+    longest = int(rests.max())
+    usual = float(np.quantile(rests, REGULAR))
+    if longest < max(20, 10 * usual) or usual > 2:
+        return
+    begin = int(np.r_[0, changes][np.argmax(rests)])
+    end = begin + longest
+    during = others[:, begin + 1 : end]
+    # A rounded signal that turns slowly rests, too, but does not jump when it moves again.
+    steps = np.abs(np.diff(values))
+    jump = steps[end] if end < steps.size else np.inf
+    is_jump = jump > 4 * (np.median(steps) + _resolution(values))
+    is_long = longest > max(100, 50 * usual)
+    if (is_jump or is_long) and any(np.mean(np.diff(row) != 0) > REGULAR for row in during):
+        yield (
+            "frozen",
+            f"{name} has one value in {counted(longest, 'row')} from row {begin + 1} on, while "
+            "others move: its log stood still. Make these samples NaN.",
+        )
+
+
+def _far_off(name: str, values: Array, others: Array) -> Faults:
+    """Look for single samples that their neighbors contradict."""
+    if _is_made_of_steps(values):
+        return
+    middle = values[1:-1] - (values[2:] + values[:-2]) / 2
+    usual = 1.4826 * float(np.median(np.abs(middle))) + _resolution(values)
+    is_far = np.abs(middle) > max(FAR * usual, FAR_IN_SIGNAL * float(np.std(values)))
+    # A single sample bends the lines beside it by half as much the other way, a step by as much on
+    # one side.
+    beside = -np.r_[0.0, middle[:-1]], -np.r_[middle[1:], 0.0]
+    both = [np.abs(bend / np.where(is_far, middle, 1.0) - 0.5) < 0.2 for bend in beside]
+    places = np.flatnonzero(is_far & both[0] & both[1]) + 1
+    if 0 < places.size <= RARE * values.size:
+        first = places[0]
+        before, far, after = (number(x, 3) for x in values[first - 1 : first + 2])
+        yield (
+            "far off",
+            f"{name} has {counted(places.size, 'sample')} far from both neighbors, the first in "
+            f"row {first}: {far} between {before} and {after}. Make them NaN.",
+        )
+
+
+def _alternating(name: str, values: Array, others: Array) -> Faults:
+    """Look for the samples of two sensors in turn."""
+    middle = values[1:-1] - (values[2:] + values[:-2]) / 2
+    turns = np.mean(middle[1:] * middle[:-1] < 0)
+    apart = np.abs(np.mean(values[::2][: values.size // 2] - values[1::2]))
+    pairs = np.std(values[2:] - values[:-2])
+    if turns > 0.95 and apart > pairs:
+        yield (
+            "alternating",
+            f"{name} jumps by {number(apart, 3)} from row to row and back: two sensors were logged "
+            "in turn. Give each its own column.",
+        )
+
+
+def _resolution(values: Array) -> float:
+    """Return the smallest difference of two different values."""
+    steps = np.diff(np.unique(values))
+    return float(steps.min()) if steps.size else 0.0
+
+
+def _ordinal(count: int) -> str:
+    words = {2: "second", 3: "third", 4: "fourth", 5: "fifth"}
+    return words.get(count, f"{count}th")
