@@ -5,6 +5,7 @@ Written by the formats' definitions.
 
 import io
 import struct
+import zlib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -325,6 +326,28 @@ def px4_flight():
     return out.getvalue()
 
 
+def crazyflie(version=2, rows=300):
+    """A card log of a Crazyflie: two events in turn, and a CRC-32, as its firmware writes them."""
+    events = {
+        65535: ("fixedFrequency", "fI", ("gyro.x", "motor.m1")),
+        3: ("estTDOA", "Bf", ("idA", "distanceDiff")),
+    }
+    out = io.BytesIO()
+    out.write(struct.pack("<BHH", 0xBC, version, len(events)))
+    for number, (name, letters, variables) in events.items():
+        out.write(struct.pack("<H", number) + name.encode() + b"\0")
+        out.write(struct.pack("<H", len(variables)))
+        for variable, letter in zip(variables, letters, strict=True):
+            out.write(f"{variable}({letter})".encode() + b"\0")
+    stamp, tick = {1: ("I", 1e3), 2: ("Q", 1e6)}[version]
+    for k in range(rows):
+        at = round((5 + k / 100) * tick)
+        out.write(struct.pack(f"<H{stamp}fI", 65535, at, np.sin(0.1 * k), 100 * k))
+        if k % 3 == 0:
+            out.write(struct.pack(f"<H{stamp}Bf", 3, at, k % 256, 0.5 * k))
+    return out.getvalue() + struct.pack("<I", zlib.crc32(out.getvalue()))
+
+
 def samples():
     """Return sound files of every format, by suffix."""
     cut = Path(__file__).parents[1] / "data" / "sitl_sweep_cut.BIN"
@@ -340,5 +363,6 @@ def samples():
         ".csv": [table(), table(separator=";", comma=True)],
         ".h5": [hdf5(), hdf5(libver="latest"), hdf5(packed=True), hdf5(userblock_size=512)],
         ".mat": [matlab(), matlab(do_compression=True), matlab(oned_as="column")],
+        ".cf": [crazyflie(), crazyflie(version=1)],
         **({".ulg": [ulog()]} if find_spec("pyulog") else {}),
     }

@@ -14,6 +14,7 @@ itself loads neither pymavlink nor h5py nor scipy.
 | `telemetry` | MAVLink telemetry logs |
 | `telemetry_packets`, `telemetry_metadata` | their packets; vehicle, parameters and modes |
 | `ulog` | PX4 logs |
+| `crazyflie` | logs of a Crazyflie's memory card |
 | `csv_table` | tables as text |
 | `betaflight` | tables of Betaflight's blackbox |
 | `named_arrays` | HDF5 and MATLAB files, and records of the groups in them and in PX4 logs |
@@ -47,6 +48,9 @@ class Format(NamedTuple):
     suffixes: tuple[str, ...]
     recognizes: Callable[[bytes], bool]
 
+    def __str__(self) -> str:
+        return f"{self.about} ({', '.join(self.suffixes)})" if self.suffixes else self.about
+
 
 def _is_telemetry(head: bytes) -> bool:
     """Return whether a time of this century in µs comes first, then a MAVLink packet."""
@@ -75,6 +79,13 @@ FORMATS = (
         "dataflash", "ArduPilot DataFlash, binary", (".bin",), lambda h: h.startswith(b"\xa3\x95")
     ),
     Format("ulog", "PX4 ULog", (".ulg",), lambda h: h.startswith(b"ULog\x01\x12\x35")),
+    # The card's files have no suffix. Its version is 1 or 2, in 2 bytes.
+    Format(
+        "crazyflie",
+        "the card log of a Crazyflie",
+        (),
+        lambda h: h.startswith((b"\xbc\x01\0", b"\xbc\x02\0")),
+    ),
     Format(
         "named_arrays",
         "HDF5 or MATLAB",
@@ -108,8 +119,9 @@ def read(
     Parameters
     ----------
     path : str or Path
-        ArduPilot DataFlash (.BIN, text .log), MAVLink telemetry (.tlog), PX4 (.ulg), CSV, HDF5 or
-        MATLAB (.mat). The contents decide; the suffix only where they are ambiguous.
+        ArduPilot DataFlash (.BIN, text .log), MAVLink telemetry (.tlog), PX4 (.ulg),
+        Crazyflie (card log), CSV, HDF5 or MATLAB (.mat). The contents decide; the suffix only where
+        they are ambiguous.
     messages : collection of str, optional
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
     columns : mapping of str to str, optional
@@ -185,7 +197,7 @@ def _format(path: Path) -> Format:
     suited += [format_ for format_ in FORMATS if path.suffix.lower() in format_.suffixes]
     if suited:
         return suited[0]
-    kinds = "; ".join(f"{format_.about} ({', '.join(format_.suffixes)})" for format_ in FORMATS)
+    kinds = "; ".join(map(str, FORMATS))
     raise ValueError(f"{path} {_looks(head)}, which greybox does not read; supported are: {kinds}.")
 
 

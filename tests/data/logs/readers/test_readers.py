@@ -87,7 +87,7 @@ def test_every_format_has_its_reader():
 
 
 @pytest.mark.parametrize(
-    ("count", "kinds"), [(30, ["bin", "log", "tlog", "csv"]), (6, ["h5", "mat"])]
+    ("count", "kinds"), [(36, ["bin", "log", "tlog", "csv", "cf"]), (6, ["h5", "mat"])]
 )
 def test_damaged_files_never_hang_crash_or_print(count, kinds):
     counts, failures, _ = fuzzer().fuzz(read, range(count), seed=2, limit=15, kinds=kinds)
