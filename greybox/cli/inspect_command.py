@@ -16,6 +16,7 @@ from greybox.data.logs.flight_controllers import axis_of
 from greybox.data.logs.manoeuvre_detection import find_manoeuvres
 from greybox.data.logs.segment_detection import announcing, find_segments
 from greybox.data.record import Record, Recording
+from greybox.data.signal_faults import record_faults
 
 EXAMPLES = (
     "flight.BIN",
@@ -46,6 +47,7 @@ def run(options: argparse.Namespace) -> Answer:
     if options.setpoint or not segments:
         manoeuvres = find_manoeuvres(recording, options.setpoint)
 
+    findings = (*recording.findings, *faults_of_table(recording))
     notes = save_figure(options.plot, "recording", recording, (*segments, *manoeuvres))
     command = next_command(recording, segments, options)
     if command:
@@ -55,7 +57,7 @@ def run(options: argparse.Namespace) -> Answer:
         about(recording),
         contents(messages),
         _tests(recording, segments, manoeuvres),
-        "\n".join([*(f"  {finding}" for finding in recording.findings), *notes]),
+        "\n".join([*(f"  {finding}" for finding in findings), *notes]),
     ]
     # The JSON always has these keys, None where the log does not have them.
     metadata = ("vehicle", "firmware", "modes")
@@ -66,10 +68,21 @@ def run(options: argparse.Namespace) -> Answer:
         "messages": messages,
         "segments": segments,
         "manoeuvres": manoeuvres,
-        "findings": recording.findings,
+        "findings": findings,
         "next": command,
     }
     return answer, "\n\n".join(filter(None, parts))
+
+
+def faults_of_table(recording: Recording) -> tuple[str, ...]:
+    """Return what a logger did to the signals of a table, whichever of them are inputs.
+
+    A log has thousands of counters, flags and states that nobody identifies.
+    """
+    if len(recording) != 1:
+        return ()
+    (record,) = recording.values()
+    return tuple(fault.text for fault in record_faults(record, (), tuple(record.signals)))
 
 
 def _tests(recording: Recording, segments: Segments, manoeuvres: Segments) -> str:

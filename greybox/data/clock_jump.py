@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.data.files.arrays import Array
+from greybox.data.files.arrays import Array, ComplexArray, IntArray
 
 # Segments of a record, overlapping by half, and the fewest on each side of a jump.
 SEGMENTS, FEWEST = 48, 6
@@ -61,11 +61,12 @@ def clock_jump(u: Array, y: Array) -> ClockJump | None:
         both = excited & np.isfinite(before[1]) & np.isfinite(after[1])
         if np.count_nonzero(both) < FEWEST:
             continue
-        (first, v), (second, w) = ([x[both] for x in side] for side in (before, after))
-        apart = np.mean(np.abs(second - first) ** 2 / (v + w))
+        first, second = before[0][both], after[0][both]
+        variance = before[1][both] + after[1][both]
+        apart = np.mean(np.abs(second - first) ** 2 / variance)
         if apart <= best:
             continue
-        later, sign, left = _shift(omega[both], first, second, v + w, size)
+        later, sign, left = _shift(omega[both], first, second, variance, size)
         is_other = sign < 0 or abs(later) > 0.5
         if is_other and left < EXPLAINED * apart:
             row = int(starts[count] + size // 2)
@@ -73,7 +74,7 @@ def clock_jump(u: Array, y: Array) -> ClockJump | None:
     return found
 
 
-def _spectra(values: Array, starts: Array, size: int) -> Array:
+def _spectra(values: Array, starts: IntArray, size: int) -> ComplexArray:
     """Return the spectra (segments, frequencies) of values (n,), without their means."""
     window = np.sin(np.pi * (np.arange(size) + 0.5) / size) ** 2
     pieces = values[starts[:, None] + np.arange(size)]
@@ -81,7 +82,9 @@ def _spectra(values: Array, starts: Array, size: int) -> Array:
     return np.fft.rfft(window * pieces)[:, 1 : size // 2]
 
 
-def _response(count: int, power: Array, cross: Array, square: Array) -> tuple[Array, Array] | None:
+def _response(
+    count: int, power: Array, cross: ComplexArray, square: Array
+) -> tuple[ComplexArray, Array] | None:
     """Return the response and its variance (frequencies,) from sums over segments."""
     if power.max() <= 0:
         return None
@@ -97,7 +100,7 @@ def _response(count: int, power: Array, cross: Array, square: Array) -> tuple[Ar
 
 
 def _shift(
-    omega: Array, first: Array, second: Array, variance: Array, size: int
+    omega: Array, first: ComplexArray, second: ComplexArray, variance: Array, size: int
 ) -> tuple[float, float, float]:
     """Return by how many rows, and with which sign, the second response follows the first.
 

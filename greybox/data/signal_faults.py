@@ -127,7 +127,7 @@ def _jumped(record: Record, command: str, output: str) -> Iterator[SignalFault]:
     jump = clock_jump(u[measured], y[measured])
     if jump is None:
         return
-    begin = number(record.time[measured[jump.row]], 4)
+    begin = number(float(record.time[measured[jump.row]]), 4)
     later = jump.later * record.step
     kind, what, cause = "reversed", "has the other sign", "its sign was changed"
     if jump.sign > 0:
@@ -215,8 +215,8 @@ def _clipped(name: str, values: Array, others: Array) -> Faults:
         yield (
             "clipped",
             f"{name} rests at {number(np.abs(values[is_flat]).max(), 3)} for "
-            f"{percent(np.mean(is_flat))} % of the time and nowhere else: its sensor or log was "
-            "clipped there. Make these samples NaN.",
+            f"{percent(float(np.mean(is_flat)))} % of the time and nowhere else: its sensor or log "
+            "was clipped there. Make these samples NaN.",
         )
 
 

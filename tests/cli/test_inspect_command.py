@@ -154,3 +154,15 @@ def test_bursts_are_gaps_before_more_than_a_twentieth_of_the_samples():
         record = Record(np.concatenate([[0.0], np.cumsum(intervals)]), {"x": np.arange(100.0)})
         assert len(record.pieces) == gaps + 1
         assert rate(record) == pytest.approx(expected)
+
+
+def test_samples_that_a_logger_damaged_are_named(capsys, tmp_path):
+    time = np.arange(0, 60, 0.01)
+    y = np.sin(2 * time) + 0.01 * np.random.default_rng(0).normal(size=time.size)
+    clean, damaged = tmp_path / "clean.csv", tmp_path / "damaged.csv"
+    header = "time [s],u,y"
+    np.savetxt(clean, np.c_[time, np.sign(y), y], delimiter=",", header=header, comments="")
+    y[4000] = 30
+    np.savetxt(damaged, np.c_[time, np.sign(y), y], delimiter=",", header=header, comments="")
+    assert "far from both neighbors" not in run(capsys, "inspect", clean)[1]
+    assert "y has 1 sample far from both neighbors" in run(capsys, "inspect", damaged)[1]
