@@ -71,8 +71,8 @@ TASKS = {
     "State a problem": "Problem several RelativeError SquaredRelativeError RelativeLikelihood "
     "MaximumLikelihood MagnitudePhase OutputError PredictionError EquationError Criterion "
     "TimeCriterion formulation",
-    "Fit it": "fit Fit cost Starts Transcription MultipleShooting SingleShooting Collocation "
-    "identify solve regression identification",
+    "Fit it": "fit Fit cost objective Objective Solver Solution Starts Transcription "
+    "MultipleShooting SingleShooting Collocation identify solve regression identification",
     "Judge the answer": "Evidence Finding misfit profile Profiles bootstrap Bootstrap compare "
     "simulate predict stepwise validation simulation",
     "Show it and hand it on": "draws Draws plot report save load plotting interop",

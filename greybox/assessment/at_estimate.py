@@ -13,9 +13,9 @@ from greybox.data.files.arrays import Array
 from greybox.data.files.named_values import array_of
 from greybox.data.files.wording import counted
 from greybox.data.record import Record, share_samples
+from greybox.modeling.formulation.input_assumptions import Inputs
 from greybox.modeling.formulation.restated_parameter import restated
 from greybox.modeling.formulation.signal_bias import bias_name
-from greybox.modeling.formulation.time_criteria import Inputs
 from greybox.modeling.model import Model
 from greybox.modeling.model_reference import reference
 from greybox.modeling.pade_delay import delay_order

@@ -8,7 +8,7 @@ another; a disturbance adds power along its own.
 import casadi as ca
 import numpy as np
 
-from greybox.assessment.misfit.tested_record import dynamic_equations
+from greybox.assessment.misfit.equations import dynamic_equations
 from greybox.data.files.arrays import Array, ComplexArray
 from greybox.engine.compiled.part import Trajectory
 from greybox.engine.compiled.record_part import RecordPart

@@ -17,9 +17,9 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import NOT_STORED, Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.formulation.frequency_criteria import MagnitudePhase, evaluate
+from greybox.modeling.formulation.input_assumptions import Inputs, described_inputs
 from greybox.modeling.formulation.prior import Prior
 from greybox.modeling.formulation.signal_bias import bias_name
-from greybox.modeling.formulation.time_criteria import Inputs, described_inputs
 from greybox.statistics.metrics import fit_percent
 
 PRIOR = Prior(noise={}).class_path

@@ -8,7 +8,7 @@ from greybox.assessment.result import Fit
 from greybox.engine.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.engine.compiled.transcription.method import Transcription
 from greybox.engine.solve.robust_fit import with_pseudo_values
-from greybox.modeling.formulation.error_covariance import ESTIMATED
+from greybox.modeling.formulation.error_covariance import is_included
 from greybox.modeling.formulation.included_criteria import (
     CRITERIA,
     SPECTRUM_CRITERIA,
@@ -16,7 +16,7 @@ from greybox.modeling.formulation.included_criteria import (
 )
 from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.formulation.sum import Sum
-from greybox.modeling.formulation.time_criteria import ERRORS
+from greybox.statistics.included_errors import ERRORS
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
 ALL = (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)
@@ -53,9 +53,8 @@ def has_included_criterion(part: FittedPart) -> bool:
 
 def has_included_errors(part: FittedPart) -> bool:
     """Return whether the distribution of the errors and their covariance are of greybox."""
-    noise = part.settings.get("noise", {})
-    is_included = isinstance(noise, Mapping) or noise in ESTIMATED
-    return part.errors in ERRORS and is_included
+    # Criteria of responses state no noise.
+    return part.errors in ERRORS and is_included(part.settings.get("noise", {}))
 
 
 def problem_of(fit: Fit) -> AnyProblem:

@@ -46,7 +46,7 @@ from greybox.engine.solve.minima import Minimum, Multistart
 from greybox.engine.solve.runs import Runs
 from greybox.modeling.formulation.frequency_criteria import evaluate
 from greybox.modeling.formulation.included_criteria import CRITERIA
-from greybox.modeling.formulation.time_criteria import Inputs
+from greybox.modeling.formulation.input_assumptions import Inputs
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import AnyModel, Model, require_known
 from greybox.modeling.model_reference import resolve

@@ -27,9 +27,9 @@ from greybox.engine.covariance.combinations import Combination, invisible_groups
 from greybox.engine.covariance.covariance import informations
 from greybox.engine.covariance.known_directions import KnownDirections
 from greybox.modeling.formulation.frequency_criteria import SquaredRelativeError
+from greybox.modeling.formulation.output_error import OutputError
 from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.formulation.several import several
-from greybox.modeling.formulation.time_criteria import OutputError
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time

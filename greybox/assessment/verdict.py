@@ -55,7 +55,8 @@ def verdict(fit: Any) -> Verdict:
     sentences = [_minimum(fit), _determined(fit)]
     misfit = fit.misfit
     if misfit:
-        holds = misfit.explains and not misfit.is_drifting
+        # What the print says is to be added is a reason for doubt.
+        holds = misfit.explains and not misfit.is_drifting and not misfit.likely
         sentences.insert(0, (holds, f"The model {misfit.verdict}."))
     if fit.left_out:
         count = counted(len(fit.left_out), "check")

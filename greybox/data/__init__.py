@@ -11,6 +11,8 @@ Begin with `record` and `frequency_response`.
 | `clock` | the steps of a record: uniform, in coarse stamps, a schedule; and where rows are lost |
 | `intersample` | signals between their samples: held or continuous |
 | `signal_faults`, `saturation` | what a logger did to samples; samples at a limit |
+| `repetition` | the period of a signal that repeats itself |
+| `clock_jump` | where an output becomes later than its input, or changes its sign |
 | `wrapped_angles` | angles that jump by a full turn |
 | `units` | conversion of units to SI |
 | `headings` | the grammar of headers: names, units, indices, holds |

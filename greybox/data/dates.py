@@ -14,8 +14,9 @@ OF_DAY = "s of the day"
 
 # 10:00:01.25 and 10:00:01,25 and 10:00:01:250, 00:01.5, 1:05:00 PM, 0 days 00:00:01
 TIME = re.compile(
-    r"(?:(?P<days>\d+) days?,? )?(?:(?P<hours>\d+):)?(?P<minutes>\d{1,2}):(?P<seconds>\d{1,2})"
-    r"(?:[.,:](?P<fraction>\d+))?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+    r"(?:(?P<days>\d{1,6}) days?,? )?"
+    r"(?:(?P<hours>\d{1,6}):)?(?P<minutes>\d{1,2}):(?P<seconds>\d{1,2})"
+    r"(?:[.,:](?P<fraction>\d{1,15}))?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
 OFFSET = re.compile(r"(Z| ?UTC| ?[+-]\d\d:?\d\d)$")
 DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})")

@@ -100,7 +100,9 @@ def _clock(index: Any, columns: dict[str, Array], units: dict[str, str], stated:
         )
     name = heading_of_index.name or "the index"
     index_alone = {name: values, **{n: x for n, x in columns.items() if n != name}}
-    clock = table_clock(index_alone, {name: from_text or heading_of_index.unit}, name)
+    # An index without the name of a clock is in s.
+    unit = from_text or heading_of_index.unit or ("" if is_clock else "s")
+    clock = table_clock(index_alone, {name: unit}, name)
     assert clock is not None
     return clock._replace(names=())
 

@@ -5,8 +5,8 @@ trace in a coherence: a signal that is held or interpolated between fewer sample
 late. So each of them is looked for in the samples, once, and every use of a record says it.
 
 Right signals have a similar look: steps, 3-2-1-1 and binary sequences rest and jump, an encoder
-counts, an actuator is at its limit, a vehicle stands. `benchmarks/signal_faults.py` counts how
-often one of them is accused.
+counts, an actuator is at its limit, a vehicle stands. `benchmarks/damaged_records.py` counts
+how often one of them is accused.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.data.clock_jump import clock_jump
 from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.numbers_in_text import number, percent
 from greybox.data.files.wording import counted
@@ -28,6 +29,10 @@ LEVELS = 20
 LONGEST = 25
 # Share of the changes that keep to one slower clock.
 REGULAR = 0.9
+# Share of the range of a signal below which values are equal.
+ROUNDING = 1e-9
+# Share of the time at a limit below which a clipped signal is hardly wrong.
+SHORT_CLIP = 0.005
 # Single samples: how far they lie from the line through their neighbors, in deviations of all such
 # distances and in deviations of the signal, and their share of the samples, at most.
 FAR, FAR_IN_SIGNAL, RARE = 20.0, 0.5, 0.01
@@ -41,7 +46,8 @@ class SignalFault:
     ----------
     signal : str
     kind : str
-        "held", "interpolated", "clipped", "frozen", "far off" or "alternating".
+        "held", "interpolated", "clipped", "frozen", "far off", "alternating", "later" or
+        "reversed".
     text : str
         What is seen, and what to do, as a sentence.
     """
@@ -55,7 +61,7 @@ class SignalFault:
 
 
 def signal_faults(
-    name: str, values: Array, others: Array, *, is_command: bool = False
+    name: str, values: Array, others: Array, *, is_command: bool = False, hold: float = np.inf
 ) -> tuple[SignalFault, ...]:
     """Return the faults of a signal, at most one of them: others would only be its look.
 
@@ -68,14 +74,22 @@ def signal_faults(
         The other signals of the same rows.
     is_command : bool
         Whether the signal is an input, which may be held, at its limit, or at rest.
+    hold : float, s
+        For how long a value of a command lasted; 0 states that it is not held.
     """
     measured = np.isfinite(values)
     values, others = values[measured], others[:, measured]
     if values.size < FEWEST or not np.ptp(values) > 0:
         return ()
+    # A change of units or of the time base leaves rounding errors in samples that were equal.
+    unit = ROUNDING * float(np.ptp(values))
+    values = np.rint(values / unit) * unit
 
     looks = [_interpolated, _far_off, _alternating]
-    looks = looks if is_command else [_held, _clipped, _frozen, *looks]
+    if not is_command:
+        looks = [_held, _clipped, _frozen, *looks]
+    elif hold == 0:
+        looks = [_held, *looks]
     for look in looks:
         for kind, text in look(name, values, others):
             return (SignalFault(name, kind, text),)
@@ -92,8 +106,39 @@ def record_faults(
     for name in (*outputs, *commands):
         others = [record[other] for other in record.signals if other != name]
         rows = np.array(others).reshape(-1, len(record))
-        faults += signal_faults(name, record[name], rows, is_command=name not in outputs)
+        faults += signal_faults(
+            name,
+            record[name],
+            rows,
+            is_command=name not in outputs,
+            hold=record.hold.get(name, np.inf),
+        )
+    # With several inputs, an output follows now one of them and now another.
+    if len(commands) == 1 and not faults:
+        for output in outputs:
+            faults += _jumped(record, commands[0], output)
     return tuple(faults)
+
+
+def _jumped(record: Record, command: str, output: str) -> Iterator[SignalFault]:
+    """Look for a clock, or a sign, that changes where both sides excite the same frequencies."""
+    u, y = record[command], record[output]
+    measured = np.flatnonzero(np.isfinite(u) & np.isfinite(y))
+    jump = clock_jump(u[measured], y[measured])
+    if jump is None:
+        return
+    begin = number(record.time[measured[jump.row]], 4)
+    later = jump.later * record.step
+    kind, what, cause = "reversed", "has the other sign", "its sign was changed"
+    if jump.sign > 0:
+        kind, cause = "later", "a clock jumped, or rows of one signal were lost"
+        what = f"is {number(abs(later), 3)} s {'later' if later > 0 else 'earlier'}"
+    yield SignalFault(
+        output,
+        kind,
+        f"{output} {what} from about {begin} s on than before, against {command}: {cause}. Use "
+        "the record on one side of it, record.between(START, END).",
+    )
 
 
 Faults = Iterator[tuple[str, str]]
@@ -140,8 +185,10 @@ def _interpolated(name: str, values: Array, others: Array) -> Faults:
     """Look for straight lines between the samples of a slower logger."""
     bends = np.abs(np.diff(values, 2))
     # Lines of numbers with few digits bend by their rounding.
-    straight = bends <= max(1e-9 * np.ptp(values), 4 * _resolution(values))
-    if straight.all():
+    rounding = max(1e-9 * float(np.ptp(values)), 2.01 * _resolution(values))
+    straight = bends <= rounding
+    # Where corners are hardly larger, a rounded curve looks like lines.
+    if straight.all() or np.median(bends[~straight]) < 10 * rounding:
         return
     corners = np.flatnonzero(~straight)
     period = _slower_clock(corners)
@@ -164,7 +211,7 @@ def _clipped(name: str, values: Array, others: Array) -> Faults:
     # A rounded top is entered slowly.
     slopes = np.abs(values[begins] - values[np.maximum(begins - 1, 0)])
     is_entered_fast = begins.size > 0 and np.median(slopes) > 4 * _resolution(values)
-    if is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
+    if np.mean(is_flat) > SHORT_CLIP and is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
         yield (
             "clipped",
             f"{name} rests at {number(np.abs(values[is_flat]).max(), 3)} for "

@@ -6,6 +6,7 @@
 | ``t``, ``T`` | if there is no full name |
 | a first column that increases, in a unit of time | if there is no such name |
 | ``stamp.sec`` and ``stamp.nanosec``; ``Date`` and ``Time`` | both together |
+| ``hour``, ``minute`` and ``second`` | the three together |
 
 A unit is stated in brackets, at the end of the name, or by a counter's name, such as ``TimeUS``.
 Dates and times of day, 10:00:01.25, state theirs. Without a statement, the numbers must show it: by
@@ -59,6 +60,8 @@ FRACTIONS = {
     **dict.fromkeys("msec msecs millisec millisecs millisecond milliseconds ms".split(), 1e-3),
 }
 
+OF_DAY_BY_NAME = {"hour": 3600.0, "minute": 60.0, "second": 1.0}  # s
+
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
 # Days from 2000 to 2100 in spreadsheets, since 1900, and in MATLAB, since year 0.
@@ -67,10 +70,11 @@ DAY, WEEK = 86400.0, 604800.0  # s
 
 # Hz; no logger of flights or of motor stands is slower or faster, but a wrong unit is.
 PLAUSIBLE = (1e-3, 1e5)
-# Of a counter's log: rates in Hz, shortest length and latest end after its start in s. Between two
-# units, which differ by 1000, these leave one for most logs.
+# Rates in Hz of a counter's log, its shortest length and its latest end after the start, in s.
+# Between units, which differ by 1000, these leave one for most logs: `benchmarks/clock_units.py`
+# shows what a tenth and ten times their values do.
 USUAL = (0.1, 5e4)
-SHORTEST = 1.0
+SHORTEST = 0.3
 LATEST = 12 * 3600.0
 
 COUNTS = tuple(2.0**bits for bits in (16, 24, 31, 32))  # after which counters start again
@@ -146,9 +150,12 @@ def table_clock(
     names = (stated,) if stated in columns else clock_names(columns, units)
     if not names:
         return None
-    if len(names) == 2:
+    findings: tuple[str, ...] = ()
+    if len(names) == 3:
+        parts = zip(names, OF_DAY_BY_NAME.values(), strict=True)
+        time, _ = _running_on(np.sum([columns[n] * ticks for n, ticks in parts], axis=0), (DAY,))
+    elif len(names) == 2:
         time = _sum(names[0], names[1], columns, units)
-        findings = ()
     else:
         time, findings = times_in_seconds(names[0], units.get(names[0], ""), columns[names[0]])
     signals = [x for name, x in columns.items() if name not in names and len(x) == time.size]
@@ -159,8 +166,11 @@ def table_clock(
 
 
 def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the names of the columns that are the time: one, two or none."""
+    """Return the names of the columns that are the time: one to three, or none."""
     vectors = {name: x for name, x in columns.items() if x.ndim == 1 and x.size}
+    by_word = {name.strip().lower().removesuffix("s"): name for name in vectors}
+    if by_word.keys() >= OF_DAY_BY_NAME.keys():
+        return tuple(by_word[word] for word in OF_DAY_BY_NAME)
     pair = next(_pairs(vectors, units), ())
     ranks = {}
     for name, values in vectors.items():

@@ -1,10 +1,12 @@
 """Angles that jump by a full turn where they leave their range, such as ±π or 0 to 360°."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from greybox.data.files.arrays import Array
+from greybox.data.record import Record
 from greybox.data.units import known_unit
 
 # Share of a turn by which a jump may differ from it, and by which an angle may move in a sample
@@ -35,3 +37,15 @@ def wrapped_turn(values: Array, unit: str) -> float | None:
         if jumps.any() and np.all(leftover < NEARLY * turn) and np.ptp(known) < 1.01 * turn:
             return turn
     return None
+
+
+def unwrapped(record: Record) -> Record:
+    """Return a record whose angles in rad run on where they jumped, as `gb.prepare` makes them."""
+    signals = dict(record.signals)
+    for name, values in record.signals.items():
+        if record.units.get(name) == "rad" and wrapped_turn(values, "rad"):
+            measured = np.isfinite(values)
+            run_on = values.copy()
+            run_on[measured] = np.unwrap(values[measured])
+            signals[name] = run_on
+    return replace(record, signals=signals)

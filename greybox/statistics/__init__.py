@@ -9,6 +9,7 @@ time.
 | `correlation_statistics` | whether residuals are white, or follow an input |
 | `error_growth` | whether errors are larger in a part of the band |
 | `error_distribution` | how errors are distributed, and how much large ones count |
+| `included_errors` | the included distributions of errors by name |
 | `huber` | large errors bounded, for robust estimates |
 | `noise_ratio` | whether a signal is smooth or noise |
 | `residual_autocorrelation` | autoregressions of one series |

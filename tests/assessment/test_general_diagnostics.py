@@ -349,6 +349,10 @@ def test_the_error_of_an_approximate_delay_is_that_of_its_phase():
     assert pade_error(problem.with_(delay="exact"), {"T": 0.4}) is None
 
 
+# Frequencies of nearly equal magnitude, where equal variances agree with errors of equal relative size.
+FLAT = np.geomspace(0.1, 1, 20)
+
+
 @pytest.mark.parametrize(
     ("criterion", "columns", "said"),
     [
@@ -369,12 +373,28 @@ def test_the_error_of_an_approximate_delay_is_that_of_its_phase():
     ],
 )
 def test_what_the_criterion_does_not_use_is_mentioned(criterion, columns, said, tmp_path):
-    data = measured(Lag(), np.geomspace(0.5, 20, 20), noise=0.05, columns=columns, name="sines")
+    data = measured(Lag(), FLAT, noise=0.05, columns=columns, name="sines")
     fit = gb.fit(gb.Problem(Lag(), data, criterion), starts=1)
     found = [text for text in fit.notes if "not used" in text]
     assert [text[: len(said)] for text in found] == ([said] if said else [])
     gb.save(fit, tmp_path / "fit.h5")
     assert gb.load(tmp_path / "fit.h5").notes == fit.notes
+
+
+@pytest.mark.parametrize(("low", "high", "contradict"), [(0.05, 0.05, 0), (0.01, 0.17, 1)])
+def test_variances_that_contradict_the_criterion_leave_a_fit_in_doubt(low, high, contradict):
+    omega = np.geomspace(0.5, 20, 7)
+    data = measured(Lag(), omega, noise=0.01, name="sines")
+    variance = (np.geomspace(low, high, 7) * np.abs(data.response)) ** 2
+    stated = replace(data, variance=variance)
+    said = [
+        text
+        for text in gb.fit(gb.Problem(Lag(), stated), starts=2).warnings
+        if "contradict" in text
+    ]
+    assert len(said) == contradict
+    by_variances = gb.fit(gb.Problem(Lag(), stated, gb.MaximumLikelihood()), starts=2)
+    assert not any("contradict" in text for text in by_variances.warnings)
 
 
 def test_what_many_responses_do_not_use_is_mentioned_once():
@@ -384,7 +404,7 @@ def test_what_many_responses_do_not_use_is_mentioned_once():
             Lag(),
             measured(
                 Lag(),
-                np.geomspace(0.5, 20, 20),
+                FLAT,
                 noise=0.05,
                 columns=columns,
                 seed=k,

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 import greybox as gb
+from greybox.data.record import Recording
 from greybox.data.signal_faults import record_faults, signal_faults
 
 RATE, COUNT = 100.0, 6000
@@ -88,6 +89,51 @@ def test_right_signals_are_left_alone(drive):
         y = np.round(y / step) * step if step else y.astype(np.float32).astype(float)
         record = gb.Record(np.arange(COUNT) / RATE, {"u": u, "y": y})
         assert record_faults(record, ["y"], ["u"]) == ()
+
+
+@pytest.mark.parametrize("drive", ["noise", "binary"])
+def test_a_clock_or_a_sign_that_changes_in_mid_record_is_named(drive):
+    time = np.arange(COUNT) / RATE
+    half = COUNT // 2
+    for seed in range(4):
+        u, y = motion(seed, 0.02, drive)
+        late = np.r_[y[:half], y[half - 5 : -5]]
+        (fault,) = record_faults(gb.Record(time, {"u": u, "y": late}), ["y"], ["u"])
+        assert fault.kind == "later"
+        assert "y is 0.05 s later from about" in str(fault)
+
+        turned = np.r_[y[:half], -y[half:]]
+        (fault,) = record_faults(gb.Record(time, {"u": u, "y": turned}), ["y"], ["u"])
+        assert fault.kind == "reversed"
+
+
+def test_a_plant_that_changes_is_no_jump_of_a_clock():
+    """A mass that halves, and a second input that takes over."""
+    time = np.arange(COUNT) / RATE
+    half = COUNT // 2
+    for seed in range(4):
+        u, _ = motion(seed)
+        noise = 0.01 * np.random.default_rng(seed).normal(size=COUNT)
+        slow, fast = (lfilter(*butter(2, edge), u) for edge in (0.03, 0.12))
+        y = np.r_[slow[:half], fast[half:]] + noise
+        assert record_faults(gb.Record(time, {"u": u, "y": y}), ["y"], ["u"]) == ()
+        other, _ = motion(seed + 100)
+        y = lfilter(*butter(2, 0.1), np.r_[u[:half], other[half:]]) + noise
+        assert record_faults(gb.Record(time, {"u": u, "y": y}), ["y"], ["u"]) == ()
+
+
+def test_resampling_does_not_hide_it():
+    """The names of a fault are those of the test; the log has 100 Hz, the measurement 50 Hz."""
+    u, y = motion(3)
+    time = np.arange(COUNT) / RATE
+    held = damaged("held", y)
+    log = Recording({"log": gb.Record(time, {"force": u, "angle": held})}, "log.csv")
+    for rate in (None, 50.0):
+        settings = gb.identification.Settings(
+            "u=log.force", "y=log.angle", whole=True, open_loop=True, rate=rate
+        )
+        measured = gb.identification.measure(log, settings)
+        assert "y changes only in every fifth row" in str(measured.quality)
 
 
 def test_every_verb_says_it():

@@ -202,6 +202,17 @@ def test_a_date_and_a_time_are_one_time_also_across_midnight(tmp_path, start):
         np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-6)
 
 
+@pytest.mark.parametrize("start", [36_059.0, 86_398.0])
+def test_hours_minutes_and_seconds_are_one_time(tmp_path, start):
+    path = tmp_path / "flight.csv"
+    of_day = np.round(start + TIME, 6) % 86_400
+    columns = of_day // 3600, of_day // 60 % 60, of_day % 60
+    written(path, ["Hour", "Minute", "Second", "x"], *columns, TIME)
+    record = gb.read(path)["flight"]
+    np.testing.assert_allclose(record.time - record.time[0], TIME, atol=1e-6)
+    assert list(record.signals) == ["x"]
+
+
 @pytest.mark.parametrize(
     ("name", "ticks", "bits"),
     [("time_us", 1e6, 32), ("micros", 1e6, 32), ("time_ms", 1e3, 16), ("millis", 1e3, 32)],

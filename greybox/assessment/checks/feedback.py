@@ -9,6 +9,7 @@ from greybox.assessment.checks.records import (
     in_time,
     place_of,
 )
+from greybox.assessment.disturbed_state import reached_states
 from greybox.data.files.wording import some
 from greybox.statistics.correlation_statistics import cross_correlation, whiteness
 from greybox.statistics.metrics import is_resolved
@@ -58,7 +59,7 @@ def feedback(evidence: Evidence) -> Findings:
 
     if responding:
         places = some(responding)
-        part, _ = tested[0]
+        moving = [part for part, _ in tested if reached_states(part)]
         yield Finding(
             (
                 f"feedback answers the errors of an unstable model, noise or gusts ({places}), "
@@ -72,9 +73,9 @@ def feedback(evidence: Evidence) -> Findings:
             )
             + (
                 "use data without feedback."
-                if all(part.is_static for part, _ in tested)
+                if not moving
                 # Free gains suffice for white disturbances, and leave slow ones in the errors.
                 else "compare with criterion=PredictionError(), and if its errors are not white, "
-                f"with {gust_criterion(evidence, part)}."
+                f"with {gust_criterion(evidence, moving[0])}."
             )
         )

@@ -7,6 +7,8 @@ no term needs another fit. What is tried is in `causes/`.
 | --- | --- |
 | `answer` | the answer: `Misfit` with its causes and the shape of the best term |
 | `term` | a term that a model may lack: its words, code and effect |
+| `equations` | the equations of a record, which may lack terms |
+| `signal_changes` | delays, rates, filters and followers of a signal |
 | `tested_record` | a record as causes look at it |
 | `causes/` | the causes, a file each |
 | `shortened_record` | a long record with fewer samples |

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.assessment.misfit.answer import FALSE_ALARMS, Cause, Misfit
+from greybox.assessment.misfit.answer import NAMED, Cause, Misfit
 from greybox.assessment.misfit.causes.included import CAUSES, RecordCause
 from greybox.assessment.misfit.group import group_of
 from greybox.assessment.misfit.group_misfit import determined_values, misfit_of_group
@@ -98,7 +98,7 @@ def _place(cause: Cause) -> tuple[bool, bool, float]:
     Among these, what has no known form comes last.
     """
     # Rounding must not order what explains as much.
-    return cause.p_value >= FALSE_ALARMS, not cause.code, -round(cause.share, 9)
+    return cause.p_value >= NAMED, not cause.code, -round(cause.share, 9)
 
 
 def _flights(

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.assessment.misfit.answer import FALSE_ALARMS, Cause, Shape
+from greybox.assessment.misfit.answer import NAMED, Cause, Shape
 from greybox.assessment.misfit.group import Group
 from greybox.assessment.misfit.ranking import Tested
 from greybox.assessment.misfit.term import KNOTS
@@ -21,7 +21,7 @@ def shape_of(group: Group, tests: Sequence[Tested], causes: Sequence[Cause]) -> 
     drawn = [
         (test, cause)
         for test, cause in zip(tests, causes, strict=True)
-        if cause.p_value < FALSE_ALARMS
+        if cause.p_value < NAMED
         and test.candidate.term.has_shape
         and None not in test.candidate.by_part
     ]

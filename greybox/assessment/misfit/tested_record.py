@@ -5,26 +5,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
-import casadi as ca
 import numpy as np
 
+from greybox.assessment.misfit.equations import Equation, dynamic_equations
+from greybox.assessment.misfit.signal_changes import delayed, filtered, following, rate
 from greybox.assessment.misfit.term import RecordTerm, Wording
 from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
 from greybox.engine.compiled.disturbances import DisturbedRecord, Effect
-from greybox.engine.compiled.record_part import RecordPart
 from greybox.modeling.added_terms import Formula
-from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.formula_arguments import Names
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.traced_once import once
 
 Result = TypeVar("Result")
 
-# States and inputs beyond which an equation is tried with its own alone: with twenty states, the
-# products of all pairs in all equations are thousands of terms, among which a true one is not
-# found.
-LARGE = 10
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
 # Time constants of lags and delays, over the rms of an input over that of its rate. The first one
 # is less than a sample: the effect of the rate alone, which a delay of any size has.
@@ -93,51 +87,11 @@ class Input:
 
 @frozen
 class Output:
-    """A simulated output (samples,) of a record, with its residuals."""
+    """A simulated output (samples,) of a record."""
 
     name: str
     values: Array
-    residuals: Array
     place: Place
-
-
-@dataclass(frozen=True)
-class Equation:
-    """The signals in the derivative of a state, and those among them with a parameter."""
-
-    index: int
-    state: str
-    signals: frozenset[str]
-    present: frozenset[str]
-
-
-@once  # of constants, of other terms, and of a warning
-def dynamic_equations(part: RecordPart) -> list[Equation]:
-    """Return the equations of a record that may lack a term.
-
-    In a small model all states and inputs count as being in every derivative. Derivatives without
-    any parameter or input are kinematic, and left out unless all are; those of colored disturbances
-    are left out, too.
-    """
-    system = part.system
-    x, u, p = system.symbols
-    names = (*system.states, *system.inputs)
-    derivative = system.derivative(x, u, p)
-    slopes = ca.jacobian(derivative, ca.vertcat(x, u))
-    is_in_equation = slopes.sparsity()
-
-    own = range(len(undisturbed(part.problem.model).state_names) or len(system.states))
-    dynamic = [i for i in own if ca.depends_on(derivative[i], ca.vertcat(u, p))]
-    equations = []
-    for i in dynamic or own:
-        signals, present = set[str](), set[str]()
-        for k, name in enumerate(names):
-            if len(names) <= LARGE or is_in_equation.has_nz(i, k):
-                signals.add(name)
-            if ca.depends_on(slopes[i, k], p):
-                present.add(name)
-        equations.append(Equation(i, system.states[i], frozenset(signals), frozenset(present)))
-    return equations
 
 
 class TestedRecord:
@@ -209,11 +163,8 @@ class TestedRecord:
     @cached_property
     def outputs(self) -> list[Output]:
         """The outputs."""
-        rows = zip(self.part.outputs, self.record.outputs, self.record.residuals, strict=True)
-        return [
-            Output(name, values, residuals, self.at_output(k))
-            for k, (name, values, residuals) in enumerate(rows)
-        ]
+        rows = zip(self.part.outputs, self.record.outputs, strict=True)
+        return [Output(name, values, self.at_output(k)) for k, (name, values) in enumerate(rows)]
 
     @cached_property
     def formula_arguments(self) -> tuple[Names, Names, Names]:
@@ -278,19 +229,19 @@ class TestedRecord:
 
     def delayed(self, values: Array, delay: float) -> Array:
         """Return a signal (samples,) delayed by so many seconds."""
-        return self.record.by_stretch(_delayed, values, delay)
+        return self.record.by_stretch(delayed, values, delay)
 
     def rate(self, values: Array) -> Array:
         """Return the rate without later values, which may respond to the present noise."""
-        return self.record.by_stretch(_backward, values)
+        return self.record.by_stretch(rate, values)
 
     def filtered(self, values: Array, numerator: Sequence[float], poles: Sequence[float]) -> Array:
         """Return a signal (samples,) behind a digital filter, from rest."""
-        return self.record.by_stretch(_filtered, values, np.array(numerator), np.array(poles))
+        return self.record.by_stretch(filtered, values, np.array(numerator), np.array(poles))
 
     def following(self, values: Array, reach: float, *, is_slow: bool) -> Array:
         """Return the lag of what follows a signal by `reach` a sample, or with such a play."""
-        return self.record.by_stretch(_followed, values, reach, is_slow)
+        return self.record.by_stretch(following, values, reach, is_slow)
 
     def time_constants(self, values: Array) -> Array:
         """Return the delays and lags that are tried for a signal (samples,), s."""
@@ -308,32 +259,3 @@ class TestedRecord:
             times += [-T for T in times]
         for T in times:
             yield np.sign(T) * (self.delayed(values, T) - values), T
-
-
-def _backward(piece: Array, step: float) -> Array:
-    return np.diff(piece, prepend=piece[0]) / step
-
-
-def _delayed(piece: Array, step: float, delay: float) -> Array:
-    samples = np.arange(len(piece))
-    return np.interp(samples - delay / step, samples, piece)
-
-
-def _followed(piece: Array, step: float, reach: float, is_slow: bool) -> Array:
-    y, moved = float(piece[0]), []
-    for u in piece.tolist():
-        a, b = (u, y) if is_slow else (y, u)
-        # The functions `min` and `max` take three times as long.
-        y = b + reach if a > b + reach else b - reach if a < b - reach else a
-        moved.append(y)
-    return np.array(moved) - piece
-
-
-def _filtered(piece: Array, step: float, numerator: Array, poles: Array) -> Array:
-    # As `scipy.signal.lfilter`, which takes a third of a second to import.
-    from scipy.linalg import get_blas_funcs  # noqa: PLC0415  (see `greybox.engine.compiled.condensing`)
-
-    moved = np.convolve(piece - piece[0], numerator)[: len(piece)]
-    bands = np.repeat(poles[:, None], len(piece), axis=1)
-    (tbsv,) = get_blas_funcs(("tbsv",), (bands,))
-    return tbsv(len(poles) - 1, bands, moved, lower=1)

@@ -11,14 +11,11 @@ from greybox.data.files.arrays import Array, IntArray
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values, places_of, selected
 from greybox.data.record import Record, require_time
+from greybox.modeling.formulation.input_assumptions import Inputs, between_samples
+from greybox.modeling.formulation.output_error import OutputError
+from greybox.modeling.formulation.prediction_error import PredictionError
 from greybox.modeling.formulation.signal_bias import bias_name
-from greybox.modeling.formulation.time_criteria import (
-    Inputs,
-    OutputError,
-    PredictionError,
-    TimeCriterion,
-    between_samples,
-)
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameters
 from greybox.modeling.realization import Dynamics, dynamics

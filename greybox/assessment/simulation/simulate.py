@@ -31,7 +31,7 @@ from greybox.data.files.named_values import Values, array_of, selected
 from greybox.data.files.wording import counted, some
 from greybox.data.record import Record, share_samples
 from greybox.engine.compiled.sampled_data import Stretch, gapless
-from greybox.modeling.formulation.time_criteria import Inputs
+from greybox.modeling.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, require_known
 

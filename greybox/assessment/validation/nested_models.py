@@ -24,6 +24,7 @@ from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number, p_text
 from greybox.data.files.printed import Printed
 from greybox.data.files.wording import listed
+from greybox.modeling.formulation.error_covariance import is_estimated
 
 
 @dataclass(frozen=True, repr=False)
@@ -237,7 +238,7 @@ def _estimates_variance(part: FittedPart) -> bool:
     """Return whether the data of a part are rows or lines of a variance that the fit estimates."""
     if isinstance(part, FittedResponse) or getattr(part.data, "has_time", False):
         return False
-    return not isinstance(part.settings.get("noise"), Mapping)
+    return is_estimated(part.settings.get("noise"))
 
 
 def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:

@@ -9,7 +9,7 @@ Begin with `readers`, then `prepare`.
 | `segment_detection` | tests in a log: System Identification mode, and sines |
 | `sine_detection` | sines and sweeps in one signal |
 | `manoeuvre_detection` | doublets, 2-1-1 and other inputs |
-| `named_columns` | columns of a table under the names that the user gives them; signals in SI |
+| `named_columns` | columns of a table under the names that the user gives them |
 | `injected_tests` | tests that Betaflight and PX4 inject themselves |
 | `flight_controllers` | signals of an axis and filters, for all flight controllers together |
 | `ardupilot`, `px4`, `betaflight` | the same for each flight controller |

@@ -15,7 +15,7 @@ from greybox.data.files.wording import counted, some
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
 from greybox.data.saturation import at_limit
-from greybox.data.signal_faults import record_faults
+from greybox.data.signal_faults import SignalFault, record_faults
 from greybox.data.spectral.uniform_stretches import FILLED, longest_stretch
 
 Severity = Literal["note", "warning", "refusal"]
@@ -104,6 +104,7 @@ def check(
     *,
     input: str = "u",
     output: str = "theta",
+    faults: Sequence[SignalFault] | None = None,
 ) -> Quality:
     """Judge a test before the fit.
 
@@ -117,6 +118,9 @@ def check(
         The excited stretches; by default, the whole record is judged.
     input, output : str
         Signal names.
+    faults : sequence of SignalFault, optional
+        What a logger did to the samples, where they were resampled since; by default looked for in
+        the record.
 
     Returns
     -------
@@ -139,7 +143,7 @@ def check(
         *_filters(record, (input, output)),
         *_gaps(record, usable),
         *jitter(record),
-        *_faults(record, output, input),
+        *_faults(record_faults(record, (output,), (input,)) if faults is None else faults),
         *_unstated_hold(record, input),
         *_saturation(record, usable, input),
         *_amplitude(record, input, output),
@@ -202,8 +206,8 @@ def _gaps(record: Record, segments: Segments) -> Findings:
         yield Finding("gaps", severity, float(share), text)
 
 
-def _faults(record: Record, output: str, input: str) -> Findings:
-    for fault in record_faults(record, (output,), (input,)):
+def _faults(faults: Sequence[SignalFault]) -> Findings:
+    for fault in faults:
         yield Finding("samples", "warning", math.nan, fault.text)
 
 

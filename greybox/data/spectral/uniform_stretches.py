@@ -19,7 +19,7 @@ JITTER = 0.05
 
 
 # Missing samples in a row that are interpolated, and the largest share of a stretch: a signal in
-# every second row has a rate of its own. `benchmarks/results/spectral_coverage.txt` has the errors.
+# every second row has a rate of its own. `benchmarks/results/damaged_records.txt` has the errors.
 FILLED = 3
 MOST_FILLED = 0.25
 

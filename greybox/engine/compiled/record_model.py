@@ -17,9 +17,10 @@ from greybox.engine.compiled.sample_step import SampleStep, sample_step
 from greybox.engine.compiled.transcription.method import Transcription
 from greybox.engine.compiled.vectorized import Columns
 from greybox.modeling.formula_arguments import Names
+from greybox.modeling.formulation.input_assumptions import between_samples
 from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.formulation.signal_bias import bias_name
-from greybox.modeling.formulation.time_criteria import TimeCriterion, between_samples
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics

@@ -8,7 +8,7 @@ import numpy as np
 from greybox.data.files.arrays import Array, IntArray, all_finite, diagonal, positive_or_one
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.wording import listed
-from greybox.modeling.formulation.time_criteria import TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 
 
 def require_independent(outputs: tuple[str, ...], measured: Array) -> None:

@@ -48,7 +48,7 @@ from greybox.engine.compiled.residual_covariance import (
 )
 from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
-from greybox.modeling.formulation.time_criteria import TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.held_inputs import folded_back
 from greybox.modeling.model_reference import reference
 from greybox.modeling.one_thread import one_thread_at_a_time

@@ -24,14 +24,10 @@ from greybox.data.spectral.uniform_stretches import check_uniform
 from greybox.engine.regression.least_squares import undetermined
 from greybox.engine.regression.linear_in_parameters import Equations, regressions
 from greybox.engine.regression.regressors import regressors
+from greybox.modeling.formulation.input_assumptions import Inputs, between_samples, described_inputs
+from greybox.modeling.formulation.modeled_outputs import modeled_outputs
+from greybox.modeling.formulation.output_error import OutputError
 from greybox.modeling.formulation.problem import Problem
-from greybox.modeling.formulation.time_criteria import (
-    Inputs,
-    OutputError,
-    between_samples,
-    described_inputs,
-    modeled_outputs,
-)
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter, Parameters, lower_and_upper, start_values
 from greybox.modeling.realization import dynamics

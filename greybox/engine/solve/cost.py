@@ -15,7 +15,8 @@ def cost(problem: AnyProblem, values: Values, method: Transcription | None = Non
 
     The states of records are those of the smallest cost; NaN where there are none, for example if
     the model diverges. Their steps of integration are halved until the cost no longer changes,
-    unless the `method` states a number of steps.
+    unless the `method` states a number of steps. A criterion that bounds large errors bounds those
+    at these values.
 
     Raises
     ------

@@ -23,6 +23,7 @@ from greybox.engine.solve.constraints import Limits, limits_of
 from greybox.engine.solve.point_costs import PointCosts
 from greybox.engine.solve.record_costs import Nodes, ProfiledCosts, SimulatedCosts
 from greybox.engine.solve.response_costs import ResponseCosts
+from greybox.engine.solve.robust_fit import with_pseudo_values
 from greybox.engine.solve.worker_payload import pickled, unpickled
 from greybox.modeling.cached_property import cached_property
 from greybox.modeling.model import require_known
@@ -61,8 +62,9 @@ def objective(
     at : mapping, optional
         Parameters by name, by default their starts. The steps of integration are halved until the
         cost there no longer changes, unless the `method` states a number of steps. Then they stay,
-        so that the cost is smooth: where a model is much faster, make another objective. Fixed
-        parameters get these values, which records refuse.
+        so that the cost is smooth: where a model is much faster, make another objective. Large
+        errors that the criterion bounds are those at these values: give an estimate, at which a fit
+        has the same. Fixed parameters get these values, which records refuse.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed, as in `fit`.
     states : "profiled" or "simulated"
@@ -81,11 +83,11 @@ def objective(
     >>> from greybox.problems import pitch_hover
     >>> objective = gb.objective(pitch_hover.problem())
     >>> objective.names
-    ('a1', 'a2', 'a3', 'a4', 'T_rotor')
+    ('a1', 'a2', 'a3', 'a4')
     >>> round(objective.value(pitch_hover.published["values"]), 4)
     0.5866
     >>> objective.gradient(objective.start).shape, objective.hessian(objective.start).shape
-    ((5,), (5, 5))
+    ((4,), (4, 4))
     """
     if states not in KINDS:
         raise ValueError(f"states is {states!r:.40}: give 'profiled' or 'simulated'.")
@@ -100,6 +102,9 @@ def objective(
     if not nlp.has_states:
         return Objective(nlp, start)
     costs = with_fine_steps(nlp, x)
+    bounded = with_pseudo_values(costs.nlp, x)
+    if bounded is not costs.nlp:
+        costs = ProfiledCosts(bounded)
     return Objective(costs.nlp, start, states, costs.nodes_at(x))
 
 

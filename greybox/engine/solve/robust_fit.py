@@ -16,13 +16,16 @@ from greybox.engine.solve.search_method import solver_for
 # Relative change of the cost between two fits that no standard error shows.
 ROUNDING = 1e-9
 
+# Fits of pseudo-values. Each reduces the distance from the robust estimate about ten times: a dozen
+# usually suffices.
+MOST_ROUNDS = 30
+
 
 def with_robust_errors(search: Multistart, solver: LocalSolver) -> tuple[Multistart, LocalSolver]:
     """Return the search and the solver of the problem with pseudo-values instead of outliers."""
     measured = solver.nlp
     cost = math.nan
-    # Each fit of pseudo-values reduces the distance from the robust estimate about ten times.
-    for _ in range(30 if search.minima and _is_robust(measured) else 0):
+    for _ in range(MOST_ROUNDS if search.minima and _is_robust(measured) else 0):
         best = search.minima[0]
         if math.isclose(best.cost, cost, rel_tol=ROUNDING, abs_tol=ROUNDING):
             break
@@ -36,9 +39,14 @@ def with_robust_errors(search: Multistart, solver: LocalSolver) -> tuple[Multist
 def with_pseudo_values(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     """Return a problem with the pseudo-values of its robust estimate `x` (p,)."""
     moved = nlp
-    # Only the initial states remain to be fitted: a few rounds suffice.
-    for _ in range(5 if _is_robust(nlp) else 0):
-        moved = _pseudo_values(nlp, solver_for(moved).profile(x).trajectories)
+    cost = math.nan
+    # Only the initial states remain to be fitted.
+    for _ in range(MOST_ROUNDS if _is_robust(nlp) else 0):
+        profile = solver_for(moved).profile(x)
+        if math.isclose(profile.cost, cost, rel_tol=ROUNDING, abs_tol=ROUNDING):
+            break
+        cost = profile.cost
+        moved = _pseudo_values(nlp, profile.trajectories)
     return moved
 
 

@@ -79,7 +79,9 @@ def as_search_method(search: AnySearch) -> SearchMethod:
     if isinstance(search, str) and search in INCLUDED:
         return INCLUDED[search]
     words = ", ".join(map(repr, SEARCHES))
-    raise ValueError(f"search is {search!r:.60}: give {words}, or an instance of your own Solver.")
+    raise ValueError(
+        f"search is {search!r:.60}: give one of {words}, or an instance of your own Solver."
+    )
 
 
 @one_thread_at_a_time

@@ -16,7 +16,11 @@ Begin with `problem`.
 | `criterion` | what all criteria share |
 | `frequency_criteria` | the criteria for frequency responses |
 | `error_covariance` | how accurate outputs are: estimated, or known |
-| `time_criteria`, `spectrum_criteria` | the criteria for records and for spectra of manoeuvres |
+| `time_criterion` | what the criteria for records share |
+| `output_error`, `prediction_error` | the criteria for records |
+| `spectrum_criteria` | the criterion for spectra of manoeuvres alone |
+| `modeled_outputs` | which outputs of a model the data have |
+| `input_assumptions` | how inputs vary between samples, and who says it |
 | `included_criteria` | the list of them |
 | `signal_bias` | the constant error of a measured signal, as a parameter |
 | `relative_score` | bias and spread of relative criteria by noise |
@@ -35,14 +39,12 @@ from greybox.modeling.formulation.frequency_criteria import (
     RelativeLikelihood as RelativeLikelihood,
     SquaredRelativeError as SquaredRelativeError,
 )
+from greybox.modeling.formulation.output_error import OutputError as OutputError
+from greybox.modeling.formulation.prediction_error import PredictionError as PredictionError
 from greybox.modeling.formulation.problem import Problem as Problem
 from greybox.modeling.formulation.several import several as several
 from greybox.modeling.formulation.spectrum_criteria import EquationError as EquationError
 from greybox.modeling.formulation.starts import Starts as Starts
 from greybox.modeling.formulation.sum import Sum as Sum
-from greybox.modeling.formulation.time_criteria import (
-    OutputError as OutputError,
-    PredictionError as PredictionError,
-    TimeCriterion as TimeCriterion,
-)
+from greybox.modeling.formulation.time_criterion import TimeCriterion as TimeCriterion
 from greybox.statistics.error_distribution import ErrorDistribution as ErrorDistribution

@@ -163,3 +163,13 @@ def stated_noise(noise: ErrorCovariance) -> Any:
         return noise.deviations
     names = [name for name, included in ESTIMATED.items() if included == noise]
     return names[0] if names else noise
+
+
+def is_estimated(stated: Any) -> bool:
+    """Return whether the noise that a fit stores is estimated: one of your own is known."""
+    return isinstance(stated, str) and stated in ESTIMATED
+
+
+def is_included(stated: Any) -> bool:
+    """Return whether the noise that a fit stores is of greybox: one of your own is a text there."""
+    return isinstance(stated, Mapping) or is_estimated(stated)

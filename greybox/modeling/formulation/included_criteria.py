@@ -8,8 +8,10 @@ from greybox.modeling.formulation.frequency_criteria import (
     RelativeLikelihood,
     SquaredRelativeError,
 )
+from greybox.modeling.formulation.output_error import OutputError
+from greybox.modeling.formulation.prediction_error import PredictionError
 from greybox.modeling.formulation.spectrum_criteria import EquationError
-from greybox.modeling.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 
 CRITERIA: tuple[Criterion, ...] = (
     RelativeError(),

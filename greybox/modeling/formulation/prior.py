@@ -11,7 +11,7 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import array_of
 from greybox.data.files.wording import listed
 from greybox.modeling.formulation.held_estimate import HeldEstimate, shared_parameters
-from greybox.modeling.formulation.time_criteria import TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameters, normal_prior
 

@@ -36,7 +36,7 @@ from greybox.modeling.formulation.resolved_parameters import (
     resolved_parameters,
 )
 from greybox.modeling.formulation.sum import Addable
-from greybox.modeling.formulation.time_criteria import TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.model import Model, ParameterFormula, require_operating_point
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, Parameters

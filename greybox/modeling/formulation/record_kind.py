@@ -4,7 +4,7 @@ from greybox.data.record import Record
 from greybox.modeling.formulation.data_kind import DataKind
 from greybox.modeling.formulation.included_criteria import TIME_CRITERIA
 from greybox.modeling.formulation.signal_units import check_units
-from greybox.modeling.formulation.time_criteria import TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameters
 

@@ -4,7 +4,9 @@ from greybox.data.files.frozen_values import frozen
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.modeling.colored_disturbance import gust_time
-from greybox.modeling.formulation.time_criteria import OutputError, TimeCriterion, modeled_outputs
+from greybox.modeling.formulation.modeled_outputs import modeled_outputs
+from greybox.modeling.formulation.output_error import OutputError
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics

@@ -6,7 +6,7 @@ from greybox.modeling.formulation.data_kind import DataKind
 from greybox.modeling.formulation.included_criteria import SPECTRUM_CRITERIA
 from greybox.modeling.formulation.signal_units import check_units
 from greybox.modeling.formulation.spectrum_criteria import outputs_in_spectrum
-from greybox.modeling.formulation.time_criteria import TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameters
 

@@ -30,6 +30,8 @@ from greybox.data.logs.known_filters import KnownFilters, in_series
 from greybox.data.logs.prepare import prepare
 from greybox.data.logs.segment_detection import find_segments, present
 from greybox.data.record import Record, Recording
+from greybox.data.repetition import period_of
+from greybox.data.signal_faults import SignalFault, record_faults
 from greybox.data.spectral.experiment_quality import (
     Finding,
     Findings,
@@ -52,6 +54,9 @@ from greybox.workflows.identification.systematic_errors import (
 )
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
+
+# Findings that judge the estimate, not the record.
+OF_ESTIMATE = ("response", "coherence", "noise")
 
 FEEDBACK = (
     "In a loop, output noise returns through the controller to the input, and biases the direct "
@@ -303,8 +308,12 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     # Tests that were refused stay among the judged ones, so that the verdict names them.
     judged = [segment for segment in tests if segment in used or not segment.usable]
 
+    # Resampling smooths what the logger did.
+    faults = _faults_as_logged(recording, settings, record.span) or None
+
     def quality_of(response: FrequencyResponse | None) -> Quality:
-        return check(record, response, judged, input=u, output=y).with_findings(*jitter(during))
+        quality = check(record, response, judged, input=u, output=y, faults=faults)
+        return quality.with_findings(*jitter(during))
 
     quality = quality_of(None)
     response = None
@@ -336,6 +345,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = quality.with_findings(refused)
+        quality = quality if are_sines or settings.period else _with_period(quality, pieces, u)
     filters = named_filters(recording, axis_of(control))
     if response is not None:
         about = _about(recording, record, response, signals, filters, used, settings)
@@ -374,6 +384,23 @@ def _tests_and_used(
     if sines and settings.band is not None:
         used = _within_band(sines, settings.band)
     return tests, used
+
+
+def _faults_as_logged(
+    recording: Recording, settings: Settings, span: Interval
+) -> tuple[SignalFault, ...]:
+    """Return the faults of input and output in their own messages, under the names of the test."""
+    records = []
+    for name, signal in settings.names:
+        logged, field = recording.locate(signal)
+        logged = logged.between(*span)
+        hold = {name: logged.hold[field]} if field in logged.hold else {}
+        signals = {**logged.signals, name: logged[field]}
+        records.append(replace(logged, signals=signals, hold={**logged.hold, **hold}))
+
+    (u, _), (y, _) = settings.names
+    driven, moved = records
+    return (*record_faults(moved, (y,)), *record_faults(driven, (), (u,)))
 
 
 def _refuse_closed_loop(recording: Recording, settings: Settings, controller: str) -> None:
@@ -521,6 +548,27 @@ def _estimated(
             about = {"refined": "the polynomials describe what the best rational function leaves"}
             measured = replace(measured, about={**measured.about, **about})
     return measured, None, linear
+
+
+def _with_period(quality: Quality, pieces: Sequence[Record], control: str) -> Quality:
+    """Say that the excitation repeats itself: noise cannot be told from it between its lines.
+
+    Then whatever refuses the estimate over a band is only the look of these lines.
+    """
+    longest = max(pieces, key=len)
+    excitation = INSTRUMENT if INSTRUMENT in longest.signals else control
+    period = longest.step * period_of(longest[excitation])
+    if math.isnan(period):
+        return quality
+    text = (
+        f"{'the instrument' if excitation == INSTRUMENT else control} repeats itself every "
+        f"{number(period, 6)} s, as multisines do, and has power only at its own lines: state it, "
+        f"period={number(period, 6)}."
+    )
+    if quality.usable:
+        return quality.with_findings(Finding("period", "note", period, text))
+    others = [f for f in quality.findings if f.about not in OF_ESTIMATE]
+    return Quality(tuple(others)).with_findings(Finding("period", "refusal", period, text))
 
 
 def _on_points(points: FiniteFrequency | None) -> Findings:

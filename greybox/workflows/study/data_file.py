@@ -18,6 +18,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import PAIR, read_response, read_responses
 from greybox.data.time_column import seconds
+from greybox.data.wrapped_angles import unwrapped
 from greybox.modeling.formulation.signal_units import as_the_only_pair
 from greybox.modeling.model import Model, require_known
 
@@ -143,7 +144,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
 
     (record,) = records
     # Models are written in SI units, tables in any.
-    record = record.in_si(name for name in names if name in record.signals)
+    record = unwrapped(record.in_si(name for name in names if name in record.signals))
     return replace(record, findings=unique([*record.findings, *log.findings]))
 
 

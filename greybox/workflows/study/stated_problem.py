@@ -24,7 +24,7 @@ from greybox.modeling.formulation.frequency_criteria import Criterion
 from greybox.modeling.formulation.problem import Problem
 from greybox.modeling.formulation.several_responses import responses_in
 from greybox.modeling.formulation.sum import Sum
-from greybox.modeling.formulation.time_criteria import TimeCriterion
+from greybox.modeling.formulation.time_criterion import TimeCriterion
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.workflows.identification.identify import filter_model

@@ -404,7 +404,7 @@ def test_the_shift_is_that_of_a_fit_with_twice_the_steps():
     finer = GaussNewton(nlp.refined(2))
     moved = finer.run(end.estimate)
     away = 0.004
-    heights = [solver.cost(end.estimate * (1 + sign * away)) - end.cost for sign in (1, -1)]
+    heights = [solver.profile(end.estimate * (1 + sign * away)).cost - end.cost for sign in (1, -1)]
     standard_error = away * end.estimate[0] / np.sqrt(2 * np.mean(heights))
     wanted = (moved.estimate[0] - end.estimate[0]) / standard_error
     assert abs(wanted) > 0.1

@@ -95,6 +95,19 @@ class Pair(gb.StateSpace):
         return x.x, x.y
 
 
+def with_outliers():
+    record = lag_record(samples=60)
+    outputs = record["y"].copy()
+    outputs[::17] += 1.5
+    record = gb.Record(record.time, {"u": record["u"], "y": outputs})
+    return gb.Problem(SampledLag(), record, gb.OutputError(errors="huber"))
+
+
+def spectrum(criterion):
+    data = gb.spectral.transient_spectrum(lag_record(), "u", "y", (2.0, 30.0))
+    return gb.Problem(SampledLag(), data, criterion)
+
+
 RESPONSES = {
     "relative errors": pitch_hover.problem,
     "given variances": lambda: response(gb.MaximumLikelihood()),
@@ -115,6 +128,7 @@ RECORDS = {
     "a full covariance": lambda: two_outputs(gb.OutputError(noise="full"), gap=0),
     "process noise": lambda: two_outputs(gb.PredictionError(process_noise=("x",)), gap=0),
     "a gain": lambda: gb.Problem(SampledLag(), lag_record(samples=40), gb.PredictionError()),
+    "bounded errors": with_outliers,
     "two records": lambda: lag_problem(0, 40) + lag_problem(1, 40),
     "a response beside": lambda: (
         gb.Problem(SampledLag(), lag_record(samples=40)) + lag_response(gb.RelativeLikelihood())
@@ -122,11 +136,6 @@ RECORDS = {
     "a manoeuvre": lambda: spectrum(gb.OutputError()),
     "a manoeuvre by equation error": lambda: spectrum(gb.EquationError()),
 }
-
-
-def spectrum(criterion):
-    data = gb.spectral.transient_spectrum(lag_record(), "u", "y", (2.0, 30.0))
-    return gb.Problem(SampledLag(), data, criterion)
 
 
 def beside_start(objective):

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from recipes import OneBoard
-from scipy.stats import multivariate_normal
+from scipy.stats import f, multivariate_normal
 
 import greybox as gb
 from greybox.modeling.formulation.error_covariance import EstimatedCovariance, KnownDeviations
@@ -90,6 +90,57 @@ def test_a_covariance_that_is_known_is_worth_more_than_independent_errors():
     fits = [fitted(rows(seed), OneBoard()) for seed in range(25)]
     scores = [(fit.estimate["b"] - 0.5) / fit.standard_error["b"] for fit in fits]
     assert 0.6 < np.std(scores) < 1.5
+
+
+@dataclass(frozen=True)
+class Datasheet(gb.formulation.ErrorCovariance):
+    """Independent sensors, as deviations by name state them."""
+
+    deviation: float
+    description: ClassVar[str] = "deviations of a data sheet"
+
+    def known(self, outputs):
+        return self.deviation**2 * np.eye(len(outputs))
+
+
+def test_a_test_of_nested_models_knows_that_variances_are_given():
+    """With stated deviations three times too large, F is still that of least squares."""
+    record = rows(5, 0.2**2 * np.eye(2))
+
+    def tested(noise):
+        criterion = gb.OutputError(noise=noise)
+        fits = [
+            gb.fit(gb.Problem(Board(), record, criterion, fixed=held), starts=[{}], progress=False)
+            for held in ({"b": 0.52}, {})
+        ]
+        return gb.validation.nested_test(*fits)
+
+    measured = np.array([record["y"], record["z"]])
+    slopes = SLOPES.transpose(1, 0, 2).reshape(2, -1).T
+    squares = [
+        np.sum((measured.ravel() - slopes @ values) ** 2)
+        for values in (
+            (np.mean(measured - 0.52 * SLOPES[:, 1]), 0.52),
+            np.linalg.lstsq(slopes, measured.ravel(), rcond=None)[0],
+        )
+    ]
+    statistic = (squares[0] - squares[1]) / squares[1] * 118
+    own, named = tested(Datasheet(0.6)), tested({"y": 0.6, "z": 0.6})
+    assert own.statistic == pytest.approx(named.statistic)
+    assert own.statistic == pytest.approx(statistic, rel=0.1)
+    assert own.p_value == pytest.approx(f.sf(statistic, 1, 118), rel=0.1)
+
+
+def test_a_study_on_a_worker_gives_the_same_estimate_and_errors(tmp_path):
+    problem = gb.Problem(Board(), rows(1), gb.OutputError(noise=OneBoard()))
+    alone = gb.fit(problem, starts=[{}], progress=False)
+    with gb.solve.WorkerPool(1) as worker:
+        member = gb.study.Member(problem, [{}], name="board")
+        study = gb.batch([member], tmp_path, executor=worker, progress=False)
+    stored = study["board"].fit
+    assert stored.estimate == pytest.approx(alone.estimate)
+    assert stored.standard_error == pytest.approx(alone.standard_error)
+    assert stored.cost == pytest.approx(alone.cost)
 
 
 def test_rows_without_one_of_correlated_outputs_do_not_count():

@@ -7,7 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox.data.intersample import Intersample
-from greybox.modeling.formulation.time_criteria import (
+from greybox.modeling.formulation.input_assumptions import (
     between_samples,
     described_inputs,
     require_inputs,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from linear_simulation import lsim
-from scipy.signal import chirp
+from scipy.signal import chirp, lfilter
 
 import greybox as gb
 from greybox.data.record import Record, Recording
@@ -364,3 +364,24 @@ def test_a_yaw_rate_called_r_is_no_setpoint():
     found = measure(log, Settings("dr", "r", whole=True))
     assert not found.used
     assert "direct" in found.response.about["estimate"]
+
+
+def test_a_multisine_without_its_period_is_told_from_a_bad_instrument():
+    """The cure works as it is written."""
+    random = np.random.default_rng(0)
+    time = np.arange(6000) / 100
+    lines = np.unique(np.rint(np.geomspace(1, 40, 12))) / 10  # Hz
+    r = np.sin(2 * np.pi * time[:, None] * lines + random.uniform(0, 6, lines.size)).sum(axis=1)
+    u = r + 0.05 * random.normal(size=time.size)
+    y = lfilter([0.1], [1, -0.9], u) + 0.02 * random.normal(size=time.size)
+    record = gb.Record(time, {"u": u, "y": y, "r": r}, hold={"u": 0.0, "r": 0.0})
+    settings = Settings("log.u", "log.y", instrument="log.r")
+    log = Recording({"log": record}, "log.csv")
+
+    refused = measure(log, settings)
+    (text,) = refused.quality.refusals
+    assert "repeats itself every 10 s" in text
+    assert "period=10." in text
+    measured = measure(log, replace(settings, period=10.0))
+    exact = 0.1 / (1 - 0.9 * np.exp(-1j * measured.response.omega / 100))
+    assert np.median(np.abs(measured.response.response / exact - 1)) < 0.02

@@ -221,3 +221,19 @@ def test_a_file_that_is_neither_response_nor_record_is_said(tmp_path):
         match=r"words\.csv has no numeric column besides the time",
     ):
         read_data(tmp_path / "words.csv", Tilt())
+
+
+def test_angles_of_a_table_run_on_where_they_jumped(tmp_path):
+    """As `gb.prepare` makes them: a heading of several turns, logged from -180 to 180 degrees."""
+    time = np.arange(400) / 20
+    heading = 0.9 * time + 0.2 * np.sin(time)  # rad
+    logged = np.degrees((heading + np.pi) % (2 * np.pi) - np.pi)
+    rows = [f"{t},{u},{theta}" for t, u, theta in zip(time, np.cos(time), logged, strict=True)]
+    path = tmp_path / "heading.csv"
+    path.write_text("\n".join(["time [s],u,theta [deg]", *rows]))
+    record = read_data(path, Tilt())
+    np.testing.assert_allclose(
+        record["theta"] - record["theta"][0], heading - heading[0], atol=1e-9
+    )
+    prepared = gb.prepare(gb.read(path), {"theta": "heading.theta"})
+    np.testing.assert_allclose(record["theta"], prepared["theta"], atol=1e-9)

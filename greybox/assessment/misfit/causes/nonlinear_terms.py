@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from greybox.assessment.misfit.equations import Equation
 from greybox.assessment.misfit.term import RecordTerm, Wording
-from greybox.assessment.misfit.tested_record import Equation, TestedRecord
+from greybox.assessment.misfit.tested_record import TestedRecord
 from greybox.data.files.arrays import Array
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.functions import maximum, minimum, tanh

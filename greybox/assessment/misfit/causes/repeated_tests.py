@@ -48,10 +48,9 @@ def repeated_tests(flight: TestedRecord) -> Iterator[RecordTerm]:
         earlier.append(test)
 
     previous = flight.part.data.padded(rows, 0.0)
-    measured = flight.part.data.measured
-    for y, row, data in zip(flight.outputs, previous, measured, strict=True):
-        if is_resolved(y.residuals, data):
-            yield RecordTerm(REPEATED, target=y.name, values=row, effect=y.place)
+    for k, y in enumerate(flight.outputs):
+        if is_resolved(flight.record.residuals[k], flight.part.data.measured[k]):
+            yield RecordTerm(REPEATED, target=y.name, values=previous[k], effect=y.place)
 
 
 def tests_of(flight: TestedRecord) -> list[Test]:
