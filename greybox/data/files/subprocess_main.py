@@ -30,6 +30,14 @@ MOST = 20_000  # arrays; even an empty one costs a header
 LINKS = 50_000  # in all groups of a file
 DEEPEST = 8  # structs within structs, groups within groups
 HARD, SOFT = 0, 1  # types of links, H5L_type_t of the HDF5 library
+# Groups of MATLAB 7.3 with the contents of its cells and objects, under numbers instead of names.
+INNER = ("#refs#", "#subsystem#")
+NUMBERS = (
+    "double",
+    "single",
+    "logical",
+    *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
+)
 REFUSED = 3  # the exit status for a file that names other files, or more than it can hold
 # Scipy's stand-ins for timetable, timeseries, table and other objects.
 OPAQUE = ("MatlabOpaque", "MatlabFunction")
@@ -49,6 +57,7 @@ class Collector:
         self.items: list[dict[str, Any]] = []
         self.arrays: list[np.ndarray] = []
         self.findings: list[str] = []
+        self.unread: list[str] = []  # names of cells, texts and objects
         self.about: dict[str, Any] = {}
 
     def reserve(self, numbers: int) -> None:
@@ -74,6 +83,16 @@ class Collector:
         # Each array is released once it is written: the parent process holds its copy by then.
         while self.arrays:
             out.write(np.ascontiguousarray(self.arrays.pop(0), dtype="<f8").data)
+
+
+def _unread(names: list[str]) -> Iterator[str]:
+    """Yield one finding on all that has no numbers of its own."""
+    if names:
+        listed = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        yield (
+            f"not read: {listed}. Cells, texts and MATLAB's objects (timetables?) are left out; "
+            "save the numbers in them as vectors, or as fields of a struct."
+        )
 
 
 def hdf5(path: str, collector: Collector, _: list[str]) -> None:
@@ -104,6 +123,7 @@ def hdf5(path: str, collector: Collector, _: list[str]) -> None:
                 except PROBLEMS:
                     text = f"{name}: it cannot be read, the file is damaged there."
                     collector.findings.append(text)
+    collector.findings += _unread(collector.unread)
 
 
 def _members(
@@ -115,6 +135,8 @@ def _members(
         raise RefusedError(f"it has more than {LINKS} links")
 
     for name in group:
+        if not path and name in INNER:
+            continue
         place = f"{path}/{name}".lstrip("/")
         link = group.id.links.get_info(name.encode("utf-8", "surrogateescape"))
         if link.type not in (HARD, SOFT):
@@ -133,7 +155,17 @@ def _stored(dataset: Any) -> int:
 
 
 def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
-    if dataset.shape is None:
+    import h5py  # noqa: PLC0415
+
+    kind = _text(dataset.attrs, "MATLAB_class")
+    is_complex = kind and dataset.dtype.names
+    # The fields of MATLAB's arrays of structs are references.
+    is_reference = h5py.check_ref_dtype(dataset.dtype) is not None
+    if (kind and kind not in NUMBERS) or is_complex or is_reference:
+        collector.unread.append(name)
+        return
+    # MATLAB 7.3 stores the size of an empty array instead of its numbers.
+    if dataset.shape is None or "MATLAB_empty" in dataset.attrs:
         return
     fields = dataset.dtype.names
     # A table is a vector of structs; images and other arrays of more dimensions are not signals.
@@ -143,13 +175,37 @@ def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
     collector.reserve(_stored(dataset))
     values = dataset[()]
     if not fields:
-        collector.add(
-            name, values, unit=_text(dataset.attrs, "unit") or _text(dataset.attrs, "units")
-        )
+        unit = _text(dataset.attrs, "unit") or _text(dataset.attrs, "units")
+        collector.add(name, _unpacked(values, dataset.attrs), unit)
 
     for field in fields or ():
         if values[field].dtype.kind in "biuf" and values[field].ndim == 1:
             collector.add(f"{name}/{field}", values[field], unit="")
+
+
+def _unpacked(values: np.ndarray, attributes: Any) -> np.ndarray:
+    """Return the numbers that a packed dataset means, by the attributes that netCDF defines."""
+    fill = [_number(attributes, name) for name in ("_FillValue", "missing_value")]
+    scale = _number(attributes, "scale_factor")
+    offset = _number(attributes, "add_offset")
+    missing = np.isin(values, [x for x in fill if x is not None])
+    if scale is None and offset is None and not missing.any():
+        return values
+
+    unpacked = values * float(1 if scale is None else scale) + float(
+        0 if offset is None else offset
+    )
+    unpacked[missing] = np.nan
+    return unpacked
+
+
+def _number(attributes: Any, name: str) -> float | None:
+    """Return an attribute that is one number, None without it."""
+    try:
+        value = np.ravel(attributes[name])
+        return value[0] if value.size == 1 and value.dtype.kind in "iuf" else None
+    except PROBLEMS:
+        return None
 
 
 def _text(attributes: Any, name: str) -> str:
@@ -175,10 +231,12 @@ def matlab(path: str, collector: Collector, _: list[str]) -> None:
         {f"scipy says: {str(w.message).splitlines()[0]:.160}" for w in raised}
     )
     keep_struct("", contents, collector)
+    collector.findings += _unread(collector.unread)
 
 
 def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -> None:
     """Collect the numeric vectors and matrices of a struct, and of the structs in it."""
+    contents = _labeled(contents)
     simulink = _simulink(contents)
     for key, value in {**contents, **simulink}.items():
         if key.startswith("__") or (simulink and key == "signals"):
@@ -188,10 +246,8 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
         if isinstance(value, Mapping):
             if group.count("/") < DEEPEST:
                 keep_struct(f"{group}{key}/", value, collector)
-        elif type(value).__name__ in OPAQUE:
-            collector.findings.append(
-                f"{key}: only MATLAB can read this object (a timetable?); save it as a struct."
-            )
+        elif type(value).__name__ in OPAQUE or _has_numbers(value):
+            collector.unread.append(f"{group}{key}")
         elif (
             isinstance(value, np.ndarray)
             and value.dtype.kind in "biuf"
@@ -200,6 +256,29 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
         ):
             collector.reserve(value.size)
             collector.add(f"{group}{key}", value, unit="")
+
+
+def _has_numbers(value: Any) -> bool:
+    """Return whether a value is a cell with arrays of numbers in it."""
+    cells = value if isinstance(value, list) else []
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        cells = list(value.ravel())
+    return any(isinstance(cell, np.ndarray) and cell.dtype.kind in "biuf" for cell in cells)
+
+
+def _labeled(contents: Mapping[str, Any]) -> dict[str, Any]:
+    """Return variables of which matrices with labels, as Mission Planner writes them, are structs.
+
+    ``ATT_label`` names the columns of ``ATT``.
+    """
+    variables = dict(contents)
+    for key, values in contents.items():
+        labels = [str(label).strip() for label in np.ravel(contents.get(f"{key}_label", ()))]
+        is_matrix = isinstance(values, np.ndarray) and values.ndim == 2
+        if is_matrix and len(set(labels)) == len(labels) == values.shape[1]:
+            variables[key] = dict(zip(labels, values.T, strict=True))
+            del variables[f"{key}_label"]
+    return variables
 
 
 def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:

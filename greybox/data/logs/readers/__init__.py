@@ -173,10 +173,11 @@ def read(
         log = replace(log, records={n: replace(record, gaps=gaps) for n, record in log.items()})
     if not columns:
         return log
-    # The readers of tables refuse more than one when columns are named.
-    ((name, record),) = log.items()
-    signals = [key for key in columns if key in record.signals]
-    return replace(log, records={name: record.in_si(signals)})
+    # The readers of tables refuse more than one when columns are named, apart from its instances.
+    in_si = {}
+    for name, record in log.items():
+        in_si[name] = record.in_si([key for key in columns if key in record.signals])
+    return replace(log, records=in_si)
 
 
 def _format(path: Path) -> Format:

@@ -42,10 +42,11 @@ class _MessageLines:
         }
 
     def append(self, number: int, body: str) -> None:
-        """Append a line; lines with too few fields are damaged."""
+        """Append a line; lines with too few or too many fields are damaged."""
         # The last field may be a text with commas.
         fields = body.split(",", len(self.letters) - 1)
-        if len(fields) < len(self.letters):
+        is_text = self.layout.format.endswith(tuple(TEXTS))
+        if len(fields) < len(self.letters) or ("," in fields[-1] and not is_text):
             self.damaged += 1
             return
         self.order.append(number)
@@ -96,7 +97,8 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         If the file cannot be opened.
     """
     messages = bare(messages)
-    lines: dict[str, _MessageLines] = {}
+    current: dict[str, _MessageLines] = {}  # by the latest FMT line of each name
+    by_layout: dict[tuple[object, ...], _MessageLines] = {}
     unknown = 0
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file):
@@ -104,11 +106,26 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
             if name == "FMT":
                 if layout := _layout(body):
                     is_stored = is_wanted(layout.name, messages)
-                    lines.setdefault(layout.name, _MessageLines(layout, is_stored))
-            elif name in lines:
-                lines[name].append(number, body)
+                    key = (layout.name, layout.format, layout.columns)
+                    group = by_layout.setdefault(key, _MessageLines(layout, is_stored))
+                    current[layout.name] = group
+            elif name in current:
+                current[name].append(number, body)
             else:
                 unknown += bool(comma)
+
+    # The log may describe one name in two ways: the one with most lines is read.
+    lines: dict[str, _MessageLines] = {}
+    for group in by_layout.values():
+        other = lines.setdefault(group.layout.name, group)
+        if len(group.order) > len(other.order):
+            lines[group.layout.name] = group
+    lost = [
+        f"{group.layout.name}: {len(group.order)} lines with another layout than the rest were "
+        "left out."
+        for group in by_layout.values()
+        if group.order and lines[group.layout.name] is not group
+    ]
 
     tables = UnitTables(lines[name].messages(Units({}, "")) for name in TABLES if name in lines)
     groups = [
@@ -117,10 +134,11 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
         if name not in TABLES and group.order
     ]
     findings = [
-        f"{name}: {group.damaged} damaged lines were skipped."
-        for name, group in lines.items()
+        f"{group.layout.name}: {group.damaged} damaged lines were skipped."
+        for group in by_layout.values()
         if group.damaged
     ]
+    findings += lost
     if unknown:
         findings.append(
             f"{unknown} lines are damaged, or have no FMT line that describes them, and were "

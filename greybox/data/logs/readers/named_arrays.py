@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from greybox.data.files.arrays import Array
 from greybox.data.files.named_values import Values
 from greybox.data.files.subprocess_reader import read_in_subprocess
@@ -14,14 +16,14 @@ from greybox.data.headings import split_names
 from greybox.data.logs.named_columns import renamed
 from greybox.data.logs.readers.controller_outputs import with_holds
 from greybox.data.logs.readers.messages import MessageNames, checksum_of, on_one_clock, records
-from greybox.data.logs.readers.table_columns import table
+from greybox.data.logs.readers.table_columns import columns_of, table
 from greybox.data.record import Record, Recording
+from greybox.data.time_column import table_clock
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
-Groups = dict[
-    str, tuple[dict[str, Any], dict[str, Any]]
-]  # numeric arrays and their units, of groups or structs
+Group = tuple[dict[str, Any], dict[str, Any]]  # numeric arrays and their units
+Groups = dict[str, Group]  # of groups or structs
 
 
 def read(
@@ -75,8 +77,42 @@ def read(
     for columns, _ in groups.values():
         columns.update({name: _rows(values, turned) for name, values in columns.items()})
     groups = {name: split_names(*group) for name, group in groups.items()}
+    findings = [*report["findings"]]
+    if not (stated or rate):
+        groups, turned_matrices = _time_in_first_row(groups)
+        findings += turned_matrices
 
-    return recording(path, groups, report["findings"], messages, None, stated, rate)
+    return recording(path, groups, findings, messages, None, stated, rate)
+
+
+def _time_in_first_row(groups: Groups) -> tuple[Groups, list[str]]:
+    """Return the groups, with one more for each matrix of Simulink's block To File, and findings.
+
+    Such a matrix has a sample per column, and in its first row the time, which may repeat. A group
+    with a time of its own has none.
+    """
+    result = dict(groups)
+    findings = []
+    for group, (columns, units) in groups.items():
+        matrices = {name: x for name, x in columns.items() if _starts_with_time(x)}
+        if not matrices or table_clock(columns, units) or "Ts" in columns:
+            continue
+        others = {name: x for name, x in columns.items() if name not in matrices}
+        result[group] = (others, units)
+        for name, matrix in matrices.items():
+            result[name] = ({"time": matrix[0], name: matrix[1:].T}, {"time": "s"})
+            findings.append(
+                f"{name}: its first row was taken as the time in s, as by Simulink's To File."
+            )
+    return {name: group for name, group in result.items() if group[0]}, findings
+
+
+def _starts_with_time(values: Array) -> bool:
+    """Return whether a matrix has more columns than rows, and a first row that never falls."""
+    if values.ndim != 2 or not 2 <= len(values) < values.shape[1]:
+        return False
+    time = values[0]
+    return bool(np.isfinite(time).all() and (np.diff(time) >= 0).all() and time[-1] > time[0])
 
 
 def _rows(values: Array, turned: bool) -> Array:
@@ -84,6 +120,19 @@ def _rows(values: Array, turned: bool) -> Array:
     if values.ndim == 2 and 1 in values.shape:
         return values.ravel()
     return values.T if turned else values
+
+
+def _split(group: Group, stated: Mapping[str, str]) -> Group:
+    """Return a group with the columns of its matrices, but for those that are named as a whole."""
+    columns, units = group
+    wanted = {text.partition(":")[0] for text in stated.values()}
+    parts = {}
+    labels = {}
+    for name, values in columns.items():
+        split = {name: values} if name in wanted else columns_of(name, values)
+        parts |= split
+        labels |= dict.fromkeys(split, units.get(name, ""))
+    return parts, labels
 
 
 def read_contents(kind: str, path: Path, *wanted: str) -> tuple[dict[str, Any], Groups]:
@@ -143,7 +192,7 @@ def recording(
 
     # Every group has a clock of its own.
     for name, group in groups.items():
-        columns, units = renamed(*group, stated, path.name) if stated else group
+        columns, units = renamed(*_split(group, stated), stated, path.name) if stated else group
         timer = "time" if "time" in (stated or {}) else ""
         part, assumed = table(name, columns, units, rate, timer)
         if part.time is None and part.columns and rows_allowed:

@@ -13,6 +13,9 @@ from greybox.data.time_column import table_clock
 # Columns of the widest matrix whose columns become signals: a convention that excludes images.
 WIDEST = 64
 
+INSTANCES = ("I", "instance", "Instance", "Inst")  # columns with the number of a device
+MOST_INSTANCES = 16  # devices of one kind on a vehicle
+
 
 def table(
     name: str,
@@ -67,13 +70,38 @@ def table(
         findings = (*findings, f"{sentence}{some(odd, 12)}.")
 
     order = np.arange(size if time is None else time.size)
-    return Messages(name, order, time, split, {}, labels, hold=hold), findings
+    instance = _instance(split)
+    return Messages(name, order, time, split, {}, labels, instance, hold), findings
+
+
+def _instance(columns: Mapping[str, Array]) -> str:
+    """Return the column that numbers devices whose rows come in turn; empty without one.
+
+    A current ``I`` of a few whole numbers stays for many rows, where devices take turns.
+    """
+    for name in INSTANCES:
+        values = columns.get(name, np.empty(0))
+        numbers, counts = np.unique(values, return_counts=True)
+        are_numbers = np.isin(numbers, np.arange(MOST_INSTANCES)).all()
+        if numbers.size < 2 or not are_numbers:
+            continue
+        # The number changes before and after a row of a rarer device, or of two such in turn.
+        rows_of_others = values.size - counts.max()
+        if 2 * np.count_nonzero(np.diff(values)) >= rows_of_others:
+            return name
+    return ""
 
 
 def _split(name: str, values: AnyArray, size: int) -> Mapping[str, Array]:
-    """Return the signals of a variable of the right length: itself, or the columns of a matrix."""
-    if values.shape[:1] != (size,):
-        return {}
+    """Return the signals of a variable of the right length, without those of other lengths."""
+    return columns_of(name, values) if values.shape[:1] == (size,) else {}
+
+
+def columns_of(name: str, values: AnyArray) -> Mapping[str, Array]:
+    """Return the signals of a variable: itself, or the columns of a matrix, ``x[0]``, ``x[1]`` ...
+
+    Images and arrays of more dimensions have none.
+    """
     if values.ndim == 1:
         return {name: values}
     if values.ndim == 2 and values.shape[1] <= WIDEST:

@@ -119,3 +119,35 @@ def test_the_usual_units_are_those_of_ardupilots_messages():
     assert with_usual_units(stated) == (stated, ())
     (barometer,), findings = with_usual_units(groups[-1:])
     assert (barometer.units, findings) == ({}, ())
+
+
+def test_a_field_too_many_is_damage(tmp_path):
+    """Only a text at the end may have commas."""
+    lines = [
+        "FMT, 1, 17, ATT, Qff, TimeUS,Roll,Pitch",
+        "FMT, 2, 17, MSG, QZ, TimeUS,Message",
+        "ATT, 1000000, 1.5, 2.5",
+        "ATT, 1100000, 9, 1.5, 2.5",
+        "ATT, 1200000, 3.5, 4.5",
+        "MSG, 1200000, hover, then land",
+    ]
+    (tmp_path / "flight.log").write_text("\n".join(lines) + "\n")
+    recording = read(tmp_path / "flight.log")
+    np.testing.assert_array_equal(recording["ATT"]["Pitch"], [2.5, 4.5])
+    assert "ATT: 1 damaged lines were skipped." in recording.findings
+    assert not any("MSG" in text for text in recording.findings)
+
+
+def test_the_latest_description_of_a_message_counts(tmp_path):
+    """Two logs in one file: columns that were moved keep their names, as pymavlink reads them."""
+    lines = ["FMT, 1, 17, ATT, Qff, TimeUS,Roll,Pitch"]
+    lines += [f"ATT, {1_000_000 + 10_000 * k}, 1, 2" for k in range(3)]
+    lines += ["FMT, 1, 17, ATT, Qff, TimeUS,Pitch,Roll"]
+    lines += [f"ATT, {1_100_000 + 10_000 * k}, 2, 1" for k in range(10)]
+    (tmp_path / "flight.log").write_text("\n".join(lines) + "\n")
+    recording = read(tmp_path / "flight.log")
+    record = recording["ATT"]
+    np.testing.assert_array_equal(record["Roll"], np.ones(10))
+    np.testing.assert_array_equal(record["Pitch"], np.full(10, 2.0))
+    lost = "ATT: 3 lines with another layout than the rest were left out."
+    assert lost in recording.findings

@@ -133,3 +133,93 @@ def test_groups_that_are_asked_for_are_read_alone(made, tmp_path):
     assert [*recording] == ["a", "c"]
     assert recording.findings == ("there is no group d.",)
     np.testing.assert_array_equal(recording["c"]["x"], T + 2)
+
+
+def test_mission_planners_matrices_have_names_for_their_columns(tmp_path):
+    """Mission Planner writes a matrix for each message, and a cell of labels beside it."""
+    number = np.arange(200.0)
+    attitude = np.stack([number, 1e6 * (5 + T), np.sin(T)], axis=1)
+    rows = np.repeat(number, 2)
+    gyro = np.stack([rows, 1e6 * (5 + np.repeat(T, 2)), np.tile([0.0, 1.0], 200), rows], axis=1)
+
+    def labels(*names):
+        return np.array(names, dtype=object)[:, None]
+
+    contents = {
+        "ATT": attitude,
+        "ATT_label": labels("LineNo", "TimeUS", "Pitch"),
+        "IMU": gyro,
+        "IMU_label": labels("LineNo", "TimeUS", "I", "GyrX"),
+    }
+    savemat(tmp_path / "flight.mat", contents)
+    log = read(tmp_path / "flight.mat")
+    assert list(log) == ["ATT", "IMU[0]", "IMU[1]"]
+    np.testing.assert_allclose(log["ATT"].time, 5 + T)
+    np.testing.assert_array_equal(log["ATT"]["Pitch"], np.sin(T))
+    np.testing.assert_array_equal(log["IMU[1]"]["GyrX"], number)
+
+
+def test_the_time_of_simulinks_to_file_is_in_the_first_row(tmp_path):
+    savemat(tmp_path / "run.mat", {"ans": np.stack([T, np.sin(T), np.cos(T)])})
+    log = read(tmp_path / "run.mat")
+    np.testing.assert_array_equal(log["ans"].time, T)
+    np.testing.assert_array_equal(log["ans"]["ans[1]"], np.cos(T))
+    assert log.findings == (
+        "ans: its first row was taken as the time in s, as by Simulink's To File.",
+    )
+
+
+def test_a_column_of_a_matrix_can_be_named(tmp_path):
+    """By the name that the list of columns has for it."""
+    savemat(tmp_path / "flight.mat", {"t": T, "y": np.stack([T, np.sin(T)], axis=1)})
+    record = read(tmp_path / "flight.mat", columns={"angle": "y[1]:deg"})["flight"]
+    np.testing.assert_allclose(record["angle"], np.radians(np.sin(T)))
+
+    savemat(tmp_path / "plain.mat", {"data": np.stack([T, -T, np.sin(T)], axis=1)})
+    record = read(tmp_path / "plain.mat", columns={"time": "data[0]", "y": "data[2]"})["plain"]
+    np.testing.assert_array_equal(record.time, T)
+    np.testing.assert_array_equal(record["y"], np.sin(T))
+
+
+def test_numbers_beside_cells_and_texts_of_matlab_7_3_are_read(made, tmp_path):
+    """The contents of 5000 cells are no data; one remark names all that is left out."""
+    with made("new.mat", userblock_size=512) as file:
+        for name, values in (("t", T), ("u", np.sin(T))):
+            file[name] = values[None, :]
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        references = np.empty((5000, 1), dtype=h5py.ref_dtype)
+        for k in range(5000):
+            file[f"#refs#/{k}"] = np.arange(40.0)[None, :]
+            references[k, 0] = file[f"#refs#/{k}"].ref
+        file["runs"] = references
+        file["runs"].attrs["MATLAB_class"] = np.bytes_("cell")
+        file["note"] = np.array([[104], [105]], dtype="u2")
+        file["note"].attrs["MATLAB_class"] = np.bytes_("char")
+        file["table"] = np.array([[1, 2, 3]], dtype="u4")
+        file["table"].attrs["MATLAB_class"] = np.bytes_("timetable")
+    path = tmp_path / "new.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + path.read_bytes()[512:])
+    log = read(path)
+    assert list(log) == ["new"]
+    assert list(log["new"].signals) == ["u"]
+    np.testing.assert_array_equal(log["new"]["u"], np.sin(T))
+    (finding,) = log.findings
+    assert finding.startswith("not read: note, runs, table. Cells, texts and MATLAB's objects")
+
+
+def test_packed_numbers_are_unpacked(made, tmp_path):
+    """By the attributes of netCDF: value = packed * scale_factor + add_offset."""
+    packed = np.round(1000 * np.sin(T)).astype("i2")
+    packed[5] = -32768
+    with made() as file:
+        file["time"] = T
+        file["pitch"] = packed
+        file["pitch"].attrs.update(scale_factor=0.01, add_offset=2.0, units="deg")
+        file["pitch"].attrs["_FillValue"] = np.array([-32768], dtype="i2")
+        file["rate"] = np.where(np.arange(200) == 7, -9999.0, T)
+        file["rate"].attrs["missing_value"] = -9999.0
+    record = read(tmp_path / "made.h5")["made"]
+    expected = 2.0 + 0.01 * packed
+    expected[5] = np.nan
+    np.testing.assert_allclose(record["pitch"], expected)
+    np.testing.assert_array_equal(record["rate"], np.where(np.arange(200) == 7, np.nan, T))
