@@ -134,6 +134,7 @@ def test_resampling_does_not_hide_it():
         )
         measured = gb.identification.measure(log, settings)
         assert "y changes only in every fifth row" in str(measured.quality)
+        assert measured.response is None
 
 
 def test_every_verb_says_it():

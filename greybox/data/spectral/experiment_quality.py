@@ -33,6 +33,9 @@ class Limits:
 # 1.2 % and loses as much of its fundamental; at 1 %, both are 2e-6.
 SATURATED = Limits(warning=0.01, refusal=0.2)
 
+# Faults that no point of a response survives: a fifth of the magnitude, and fifty stated errors.
+WRONG_EVERYWHERE = ("held", "later", "reversed")
+
 # Distinct values of a signal. Steps of the resolution have an rms error of step/√12: 12 % of a sine
 # across eight values, 27 % of one across four.
 LEVELS = Limits(warning=8, refusal=4)
@@ -208,7 +211,8 @@ def _gaps(record: Record, segments: Segments) -> Findings:
 
 def _faults(faults: Sequence[SignalFault]) -> Findings:
     for fault in faults:
-        yield Finding("samples", "warning", math.nan, fault.text)
+        severity = "refusal" if fault.kind in WRONG_EVERYWHERE else "warning"
+        yield Finding("samples", severity, math.nan, fault.text)
 
 
 def _unstated_hold(record: Record, input: str) -> Findings:
