@@ -20,6 +20,9 @@ from greybox.statistics.score_statistics import score_tests
 
 TOGETHER = 5  # terms that together explain all of the misfit: more would fit noise
 ALIKE = 0.95  # correlation of effects, beyond which data can hardly tell them apart
+# Standard deviations of the squares of white residuals that a fitted filter predicts: with them, it
+# is rare that the most colored of eleven outputs of 50 white samples looks colored.
+BY_CHANCE = 3.0
 KNOWN = 0.1  # share of the information, below which another group knows the values
 
 
@@ -125,18 +128,21 @@ def _causes(group: Group, tested: Sequence[Tested], white: Array, numbers: Array
 
 
 def _drift(group: Group) -> float:
-    """Return the share of the squares of residuals that earlier samples predict.
+    """Return the largest share of the squares of an output that its earlier residuals predict.
 
     An output of too few samples is not tested.
     """
-    count = len(group.residuals)
-    innovations = [
-        count / float(weights[0]) ** 2
-        for weights, stretches in zip(group.filters, group.outputs, strict=False)
-        if any(len(rows) for rows in stretches)
-    ]
-    squares = sum_of_squares(group.residuals) + TINY
-    return 1 - min(innovations, default=squares) / squares
+    shares = [0.0]
+    for weights, stretches in zip(group.filters, group.outputs, strict=True):
+        rows = np.concatenate(stretches)
+        order = len(weights) - 1
+        predicted = sum(max(len(places) - order, 0) for places in stretches)
+        # A filter that was fitted to white residuals leaves less of these than of new ones.
+        chance = order + BY_CHANCE * np.sqrt(2 * order)
+        if predicted > 2 * chance:
+            variance = predicted / (predicted - chance) / float(weights[0]) ** 2
+            shares.append(1 - variance / (np.mean(group.residuals[rows] ** 2) + TINY))
+    return float(max(shares))
 
 
 def _shares(
