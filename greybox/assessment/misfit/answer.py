@@ -8,8 +8,8 @@ from greybox.data.files.printed import Printed
 from greybox.data.files.text_table import text_table
 from greybox.modeling.added_terms import Formula
 
-# Largest probability at which a model is called wrong. Of 959 right fits of simulated records, 0.6 %
-# were below 0.003, and of 38 in gusts 8 between both; of 148 wrong ones none was between both.
+# Largest probability at which a model is called wrong. Of 959 right fits of simulated records, 0.6
+# % were below 0.003, and of 38 in gusts 8 between both; of 148 wrong ones none was between both.
 FALSE_ALARMS = 0.001
 NAMED = 0.003  # the same for a cause of a model that is called wrong
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
