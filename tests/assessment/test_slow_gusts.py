@@ -70,7 +70,7 @@ def test_gusts_that_bias_prediction_errors_are_told_with_the_state_and_the_cure_
     assert max(errors(biased)) > 3
     assert verdict(biased).grade != "good"
     (text,) = [text for text in biased.warnings if "prediction errors are not white" in text]
-    assert "use PredictionError(disturbance={'q': 'colored'})" in text
+    assert "PredictionError(disturbance={'q': 'colored'})" in text
 
     cured = fitted(1.0, gb.PredictionError(disturbance={"q": "colored"}), seed)
     assert max(errors(cured)) < 3

@@ -75,7 +75,11 @@ def colored_predictions(evidence: Evidence) -> Findings:
     if values:
         part, _ = tested[0]
         has_gusts = isinstance(part.problem.model, ColoredDisturbance)
-        cause = "as if signals were low-pass filtered, or the model is incomplete"
+        # Gusts bias the values, until residuals look like a missing term.
+        cause = (
+            "as if signals were low-pass filtered, or the model is incomplete, or as in gusts: "
+            f"compare with {gust_criterion(evidence, part)}"
+        )
         if evidence.is_explained:
             gusts = "if gusts reached another state, too" if has_gusts else "in gusts"
             cause = (
