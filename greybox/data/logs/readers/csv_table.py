@@ -12,6 +12,7 @@ from greybox.data.files.arrays import Array
 from greybox.data.files.control_characters import printable
 from greybox.data.files.decimal_marks import has_decimal_comma, is_like_number, number_in
 from greybox.data.files.delimited_text import MISSING, DelimitedText, read_delimited
+from greybox.data.files.grouping import unique
 from greybox.data.files.progress import bar
 from greybox.data.files.wording import counted, some
 from greybox.data.headings import Heading, find_column, headings, with_units_in_header
@@ -56,9 +57,9 @@ def read(
     Returns
     -------
     Recording
-        One record. The findings name columns without numbers, which are left out, lines with fewer
-        cells than the header, which are skipped, and cells with text or infinite values, which are
-        missing samples.
+        One record, or one for each device whose rows come in turn. The findings name columns
+        without numbers, which are left out, lines with fewer cells than the header, which are
+        skipped, and cells with text or infinite values, which are missing samples.
 
     Raises
     ------
@@ -103,10 +104,13 @@ def read(
     groups = {path.stem: (columns, units)}
     # Rows without a time are for static models.
     log = recording(path, groups, findings, stated=stated, rate=rate, rows_allowed=True)
-    ((name, record),) = log.items()
-    record = completed(replace(record, findings=log.findings), settings)
+    # A table of one device is one record, and its findings are those of the file.
+    if len(log) == 1:
+        log = replace(log, records={n: replace(r, findings=log.findings) for n, r in log.items()})
+    tables = {name: completed(record, settings) for name, record in log.items()}
+    findings = unique([*log.findings, *(text for r in tables.values() for text in r.findings)])
     about = {"parameters": settings} if settings else {}
-    return replace(log, records={name: record}, metadata=about, findings=record.findings)
+    return replace(log, records=tables, metadata=about, findings=findings)
 
 
 def _used(named: Sequence[Heading], stated: Mapping[str, str]) -> set[str]:

@@ -16,9 +16,9 @@ from greybox.data.headings import split_names
 from greybox.data.logs.named_columns import renamed
 from greybox.data.logs.readers.controller_outputs import with_holds
 from greybox.data.logs.readers.messages import MessageNames, checksum_of, on_one_clock, records
-from greybox.data.logs.readers.table_columns import columns_of, table
+from greybox.data.logs.readers.table_columns import columns_of, devices, table
 from greybox.data.record import Record, Recording
-from greybox.data.time_column import table_clock
+from greybox.data.time_column import clock_names, table_clock
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -194,16 +194,20 @@ def recording(
     for name, group in groups.items():
         columns, units = renamed(*_split(group, stated), stated, path.name) if stated else group
         timer = "time" if "time" in (stated or {}) else ""
-        part, assumed = table(name, columns, units, rate, timer)
-        if part.time is None and part.columns and rows_allowed:
-            about = (name, path.name, checksum)
-            by_name[name] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]
-            continue
-        clocked, restarts = on_one_clock([part])
-        clocked = clocked if parameters is None else with_holds(clocked, parameters)
-        records_of_group, dropped = records(clocked, path.name, checksum)
-        by_name.update(records_of_group)
-        findings += [*assumed, *restarts, *dropped]
+        # Rows without a time are of experiments, not of devices that log in turn.
+        has_clock = bool(timer or clock_names(columns, units))
+        parts = devices(name, columns) if has_clock else {name: columns}
+        for device, values in parts.items():
+            part, assumed = table(device, values, units, rate, timer)
+            if part.time is None and part.columns and rows_allowed:
+                about = (device, path.name, checksum)
+                by_name[device] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]
+                continue
+            clocked, restarts = on_one_clock([part])
+            clocked = clocked if parameters is None else with_holds(clocked, parameters)
+            records_of_device, dropped = records(clocked, path.name, checksum)
+            by_name.update(records_of_device)
+            findings += [*assumed, *restarts, *dropped]
     if not by_name:
         raise ValueError(
             f"{path} has no numeric column besides the time: it needs one for each signal."

@@ -13,8 +13,10 @@ from greybox.data.time_column import table_clock
 # Columns of the widest matrix whose columns become signals: a convention that excludes images.
 WIDEST = 64
 
-INSTANCES = ("I", "instance", "Instance", "Inst")  # columns with the number of a device
-MOST_INSTANCES = 16  # devices of one kind on a vehicle
+MOST_DEVICES = 16  # of one kind on a vehicle
+# Share of the rows whose number differs from the one before where devices log in turn. A current in
+# whole amperes, which has the name I too, changes with half of the rows at most.
+IN_TURN = 2 / 3
 
 
 def table(
@@ -70,26 +72,36 @@ def table(
         findings = (*findings, f"{sentence}{some(odd, 12)}.")
 
     order = np.arange(size if time is None else time.size)
-    instance = _instance(split)
-    return Messages(name, order, time, split, {}, labels, instance, hold), findings
+    return Messages(name, order, time, split, {}, labels, hold=hold), findings
 
 
-def _instance(columns: Mapping[str, Array]) -> str:
-    """Return the column that numbers devices whose rows come in turn; empty without one.
+def devices(name: str, columns: Mapping[str, AnyArray]) -> dict[str, dict[str, AnyArray]]:
+    """Return the columns of every device by its name, ``IMU[0]``, ``IMU[1]`` ...; or of the table.
 
-    A current ``I`` of a few whole numbers stays for many rows, where devices take turns.
+    The column ``instance``, or ``I`` in logs of ArduPilot, has the number of the device that a row
+    is of. It is no signal of the devices.
     """
-    for name in INSTANCES:
-        values = columns.get(name, np.empty(0))
-        numbers, counts = np.unique(values, return_counts=True)
-        are_numbers = np.isin(numbers, np.arange(MOST_INSTANCES)).all()
-        if numbers.size < 2 or not are_numbers:
-            continue
-        # The number changes before and after a row of a rarer device, or of two such in turn.
-        rows_of_others = values.size - counts.max()
-        if 2 * np.count_nonzero(np.diff(values)) >= rows_of_others:
-            return name
-    return ""
+    for key, numbers in columns.items():
+        if _numbers_devices(key, numbers):
+            shared = {k: x for k, x in columns.items() if k != key}
+            return {
+                f"{name}[{number:g}]": {
+                    k: x[numbers == number] if len(x) == len(numbers) else x
+                    for k, x in shared.items()
+                }
+                for number in np.unique(numbers)
+            }
+    return {name: dict(columns)}
+
+
+def _numbers_devices(key: str, values: AnyArray) -> bool:
+    """Return whether a column has the numbers of several devices."""
+    if key not in ("I", "Instance", "instance") or values.ndim != 1:
+        return False
+    numbers = np.unique(values)
+    if numbers.size < 2 or not np.isin(numbers, np.arange(MOST_DEVICES)).all():
+        return False
+    return key != "I" or bool(np.mean(np.diff(values) != 0) >= IN_TURN)
 
 
 def _split(name: str, values: AnyArray, size: int) -> Mapping[str, Array]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from greybox.data.logs.readers import read
 from greybox.data.logs.readers.table_columns import WIDEST, table
 from greybox.data.time_column import seconds
 
@@ -93,3 +94,28 @@ def test_of_two_times_the_first_vector_is_the_time():
 )
 def test_names_of_times_with_their_unit(name, unit, tick):
     assert seconds(name, unit) == (tick or None)
+
+
+@pytest.mark.parametrize(("key", "first"), [("I", 0), ("instance", 1)])
+def test_devices_in_turn_are_records_of_their_own(tmp_path, key, first):
+    """Also where one of them misses a row, and their stamps differ a little."""
+    rows = [(0.01 * k + 1e-4 * i, first + i, 10 * i + k) for k in range(100) for i in range(2)]
+    del rows[51]
+    lines = [f"time [s],{key},x", *(f"{t:.4f},{i},{x}" for t, i, x in rows)]
+    path = tmp_path / "gyros.csv"
+    path.write_text("\n".join(lines))
+    for options, name in (({}, "x"), ({"columns": {"y": "x:m"}}, "y")):
+        log = read(path, **options)
+        assert list(log) == [f"gyros[{first}]", f"gyros[{first + 1}]"]
+        np.testing.assert_array_equal(log[f"gyros[{first}]"][name], np.arange(100))
+        second = log[f"gyros[{first + 1}]"]
+        np.testing.assert_array_equal(second[name], 10 + np.delete(np.arange(100), 25))
+        np.testing.assert_allclose(second.time, 1e-4 + 0.01 * np.delete(np.arange(100), 25))
+
+
+def test_a_current_in_whole_amperes_is_a_signal(tmp_path):
+    current = np.random.default_rng(1).integers(0, 2, 300)
+    lines = ["time [s],I [A],x", *(f"{0.01 * k:.2f},{i},{k}" for k, i in enumerate(current))]
+    path = tmp_path / "motor.csv"
+    path.write_text("\n".join(lines))
+    np.testing.assert_array_equal(read(path)["motor"]["I"], current)
