@@ -39,6 +39,15 @@ NUMBERS = (
     *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
 )
 REFUSED = 3  # the exit status for a file that names other files, or more than it can hold
+# Seconds in the units of time of MATLAB's iddata.
+TIME_UNITS = {
+    "nanoseconds": 1e-9,
+    "microseconds": 1e-6,
+    "milliseconds": 1e-3,
+    "seconds": 1.0,
+    "minutes": 60.0,
+    "hours": 3600.0,
+}
 # Scipy's stand-ins for timetable, timeseries, table and other objects.
 OPAQUE = ("MatlabOpaque", "MatlabFunction")
 PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowError, MemoryError)
@@ -236,7 +245,10 @@ def matlab(path: str, collector: Collector, _: list[str]) -> None:
 
 def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -> None:
     """Collect the numeric vectors and matrices of a struct, and of the structs in it."""
-    contents = _labeled(contents)
+    if {"ResponseData", "Frequency"} <= contents.keys():
+        collector.findings.append(_response_remark(group.rstrip("/"), contents))
+        return
+    contents, units = _iddata(_labeled(contents))
     simulink = _simulink(contents)
     for key, value in {**contents, **simulink}.items():
         if key.startswith("__") or (simulink and key == "signals"):
@@ -255,7 +267,56 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
             and value.size
         ):
             collector.reserve(value.size)
-            collector.add(f"{group}{key}", value, unit="")
+            collector.add(f"{group}{key}", value, unit=units.get(key, ""))
+
+
+def _response_remark(name: str, contents: Mapping[str, Any]) -> str:
+    """Return how to save the frequency response of an idfrd or frd object."""
+    unit = "Hz" if "hz" in str(contents.get("FrequencyUnit", "")).lower() else "rad/s"
+    # The name in the file is no part of the command: a crafted one would be run by MATLAB.
+    return (
+        f"{name} is a frequency response (idfrd, frd), which is read from a table. For one input "
+        "and one output, as G in MATLAB: writetable(table(G.Frequency(:), real(G.ResponseData(:)), "
+        f"imag(G.ResponseData(:)), 'VariableNames', {{'frequency [{unit}]', 'alpha', 'beta'}}), "
+        "'G.csv')."
+    )
+
+
+def _iddata(contents: dict[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the fields of a struct, or the signals of an iddata object by name, and their units.
+
+    The fields are those that ``get(data)`` returns in MATLAB. Several experiments are in cells,
+    which stay where they are.
+    """
+    roles = {"Input": "u", "Output": "y"}  # with MATLAB's names for signals that have none
+    if not all(isinstance(contents.get(f"{role}Data"), np.ndarray) for role in roles):
+        return contents, {}
+    tick = TIME_UNITS.get(str(contents.get("TimeUnit", "seconds")) or "seconds")
+    if tick is None:
+        return contents, {}
+
+    signals: dict[str, Any] = {}
+    units: dict[str, str] = {}
+    stamps = contents.get("SamplingInstants")
+    if isinstance(stamps, np.ndarray) and stamps.size:
+        signals["time"] = stamps * tick
+        units["time"] = "s"
+    elif isinstance(contents.get("Ts"), int | float):
+        signals["Ts"] = contents["Ts"] * tick
+    for role, letter in roles.items():
+        values = contents[f"{role}Data"]
+        columns = [values] if values.ndim == 1 else [*values.T]
+        names = [str(name) for name in np.ravel(contents.get(f"{role}Name", ()))]
+        labels = [str(unit) for unit in np.ravel(contents.get(f"{role}Unit", ()))]
+        is_held = role == "Input" and contents.get("InterSample") == "zoh"
+        for k, column in enumerate(columns):
+            name = names[k] if k < len(names) else ""
+            # A slash in a name would be one of a path.
+            name = name.replace("/", "_") or f"{letter}{k + 1}"
+            label = labels[k] if k < len(labels) else ""
+            signals[name] = column
+            units[name] = f"{label} held" if is_held else label
+    return signals, units
 
 
 def _has_numbers(value: Any) -> bool:

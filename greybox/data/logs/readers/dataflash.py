@@ -53,7 +53,7 @@ def read(path: Path, messages: MessageNames = None) -> Recording:
     Raises
     ------
     ValueError
-        If the file holds no message that can be read.
+        If the file holds no message that can be read, or is one of PX4's old logger.
     OSError
         If the file cannot be opened.
     """
@@ -69,6 +69,12 @@ def recording(
     findings: Sequence[str],
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
+    if any(group.name == "TIME" and group.time is None for group in groups):
+        raise ValueError(
+            f"{path} is a log of sdlog2, PX4's old logger, whose messages have no times of their "
+            "own: make a table of it with PX4's sdlog2_dump.py (-t TIME), and name its clock, "
+            "columns=time=TIME_StartTime:us."
+        )
     checksum = checksum_of(path)
     groups, restarts = on_one_clock(groups)
     # Before the messages are chosen: any unit in the log shows that it has tables of units.

@@ -37,8 +37,15 @@ def read(
     The time is a vector ``time`` (or t, tout, timestamp, time_ms ...; see
     `greybox.data.time_column`); without it, ``Ts`` is the sampling interval, s. Vectors of the same
     length are signals. Matrices with one sample per row (as MATLAB shows them, in MATLAB's files)
-    give one signal per column. Simulink's "structure with time" is read, too. A record has the name
-    of its group (``flight/ATT``), at the root or in the workspace that of the file.
+    give one signal per column. A record has the name of its group (``flight/ATT``), at the root or
+    in the workspace that of the file. Devices whose rows come in turn, with their numbers in a
+    column I or instance, have a record each: ``IMU[0]``, ``IMU[1]``.
+
+    Of MATLAB and Simulink, a "structure with time", the matrices of the block To File, whose first
+    row is the time, and structs with the fields of an iddata object are read, too; and Mission
+    Planner's matrices, which have labels beside them.
+
+    Packed numbers of netCDF (``scale_factor``, ``add_offset``, ``_FillValue``) are unpacked.
 
     Units are attributes ``unit`` or ``units`` of HDF5's datasets, followed by the word held or
     sampled if it is known how the signal varies between its samples; those of MATLAB's files are
@@ -57,8 +64,8 @@ def read(
     Returns
     -------
     Recording
-        The findings name the timetables and other objects, which only MATLAB can read: save them as
-        structs.
+        One finding names cells, texts, timetables and other objects, which are left out: save their
+        numbers as vectors, or as fields of a struct.
 
     Raises
     ------
@@ -214,6 +221,7 @@ def recording(
             if rows_allowed
             else f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
             f"length; it holds {present or 'no samples at all: copy it again'}."
+            + "".join(f" {problem}" for problem in problems)
         )
 
     return Recording(by_name, path.name, checksum, {}, tuple(findings))

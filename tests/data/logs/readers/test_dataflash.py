@@ -432,3 +432,14 @@ def test_a_number_of_instances_that_is_a_control_is_no_signal(saved):
     (record,) = saved(log.binary).values()
     assert [*record.signals] == ["R"]
     assert "ROut" not in record.hold
+
+
+def test_a_log_of_px4s_old_logger_is_refused_with_the_way_out(tmp_path):
+    """Its messages have the form of DataFlash, but share the times of messages TIME."""
+    made = Log(units=False).fmt("TIME", "Q", "StartTime").fmt("ATT", "ff", "Roll,Pitch")
+    for k in range(20):
+        made.add("TIME", 10_000 * k).add("ATT", 0.1, 0.2 * k)
+    path = tmp_path / "flight.px4log"
+    path.write_bytes(made.binary)
+    with pytest.raises(ValueError, match=r"sdlog2.*sdlog2_dump\.py"):
+        read(path)

@@ -1,5 +1,7 @@
 """HDF5 and MATLAB files: their groups are records."""
 
+import re
+
 import h5py
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from scipy.io import savemat
 from synthetic_logs import hdf5, matlab
 
 from greybox.data.logs.readers import read
+from greybox.data.response_file import read_response
 
 T = 0.01 * np.arange(200)
 
@@ -223,3 +226,49 @@ def test_packed_numbers_are_unpacked(made, tmp_path):
     expected[5] = np.nan
     np.testing.assert_allclose(record["pitch"], expected)
     np.testing.assert_array_equal(record["rate"], np.where(np.arange(200) == 7, np.nan, T))
+
+
+@pytest.mark.parametrize("stamped", [False, True])
+def test_the_fields_of_an_iddata_object_are_signals(tmp_path, stamped):
+    """As ``get(data)`` returns them in MATLAB."""
+    fields = {
+        "Domain": "Time",
+        "OutputData": np.stack([np.sin(T), np.cos(T)], axis=1),
+        "OutputName": np.array(["pitch", "q"], dtype=object)[:, None],
+        "OutputUnit": np.array(["deg", "deg/s"], dtype=object)[:, None],
+        "InputData": np.sign(np.sin(T))[:, None],
+        "InputName": np.array(["elevator"], dtype=object)[:, None],
+        "InputUnit": np.array([""], dtype=object)[:, None],
+        "InterSample": "zoh",
+        "Ts": np.zeros((0, 0)) if stamped else 10.0,
+        "SamplingInstants": 1e3 * T[:, None] if stamped else np.zeros((0, 0)),
+        "TimeUnit": "milliseconds",
+    }
+    savemat(tmp_path / "flight.mat", {"data": fields})
+    record = read(tmp_path / "flight.mat")["data"]
+    np.testing.assert_allclose(record.time, T)
+    assert list(record.signals) == ["elevator", "pitch", "q"]
+    np.testing.assert_array_equal(record["q"], np.cos(T))
+    assert record.units == {"elevator": "", "pitch": "deg", "q": "deg/s"}
+    assert dict(record.hold) == {"elevator": np.inf}
+
+
+def test_a_frequency_response_of_matlab_is_refused_with_the_way_out(tmp_path):
+    omega = np.array([1.0, 2.0, 5.0])
+    fields = {
+        "ResponseData": (1 / (1 + 1j * omega))[None, None, :],
+        "Frequency": omega[:, None],
+        "FrequencyUnit": "rad/TimeUnit",
+        "Ts": 0.0,
+    }
+    savemat(tmp_path / "G.mat", {"G": fields})
+    with pytest.raises(ValueError, match=r"G is a frequency response .*writetable") as refused:
+        read(tmp_path / "G.mat")
+    header = re.search(r"\{'(.*?)', '(.*?)', '(.*?)'\}", str(refused.value)).groups()
+
+    # What MATLAB would write then is a response.
+    path = tmp_path / "G.csv"
+    response = 1 / (1 + 1j * omega)
+    columns = np.stack([omega, response.real, response.imag], axis=1)
+    np.savetxt(path, columns, delimiter=",", header=",".join(header), comments="")
+    np.testing.assert_allclose(read_response(path).response, response)
