@@ -1,21 +1,26 @@
-"""When a record was sampled, and across which long steps its inputs are known.
+"""The sampling clock of a record, and the long steps across which its inputs are known.
 
-A step that is long against its neighbors has two meanings. In a *schedule* nothing is missing: the
-input is known, and a model runs on. Where *rows are lost* the input is unknown, and a new stretch
-begins, with initial states of its own. The rule is this:
+A time step that is much longer than its neighbors can mean two things. In a *schedule* no row is
+missing: the input is known during the long step, and a model is simulated across it. Where *rows
+are lost* the input is unknown, and a new stretch with its own initial states begins after the step.
+These rules decide between the two:
 
-1. A clock within a quarter of a step of a uniform one has no holes. Nor has a schedule, a change of
-   rate, or an irregular clock; nor has a clock in coarse stamps, whose steps are two neighboring
-   multiples of a tick where the clock itself is uniform: the uniform clock counts in their place.
-   A clock that loses a row at equal intervals has the same stamps, of one and two ticks, and its
-   signals are smoother on these.
-2. A *hole* is a step of more than one and a half of the usual steps before it and of those after
-   it. In an irregular clock, it is three times longer than any of its neighbors.
-3. The input is known across a hole if there is no input; if it has the same value on both sides and
-   no value of it lasted for so short a time elsewhere; or if a line across so many rows, tried
-   where the rows are there and the input moves, is wrong by less than a tenth of its spread.
-4. Elsewhere rows are lost. `Record.gaps` states otherwise: "bridge" that inputs are known
-   throughout, "cut" that nothing is known across any step of more than one and a half median steps.
+1. A clock has no holes if all samples lie within a quarter of a step of uniform times. A change of
+   the sampling rate makes no hole, and neither does the scatter of irregular times.
+   Time stamps in coarse units make none, either: a uniform clock of 75 Hz in stamps of 10 ms has
+   steps of 10 and 20 ms, and the uniform clock is used instead of its stamps. A clock that loses
+   rows at equal intervals can have the same stamps. Then rows count as lost if the signals are
+   smoother as functions of the stamps than as functions of uniform times.
+2. A *hole* is a step that exceeds 1.5 times the usual step before it and 1.5 times the usual step
+   after it. In an irregular clock, a hole is a step of more than three times each of its neighbors.
+3. The inputs are known across a hole if every input meets one of two conditions. Either the input
+   has the same value on both sides of the hole, and it never kept a value for so short a time in
+   the rest of the record. Or linear interpolation across as many rows is accurate: where the rows
+   are present and the input changes, its rms error is at most a tenth of the standard deviation of
+   the input. A model without inputs needs none to be known.
+4. Across every other hole, rows are lost. The field `Record.gaps` overrides these rules: "bridge"
+   states that the inputs are known across every long step, "cut" that rows are lost in every step
+   of more than 1.5 median steps.
 """
 
 import math
@@ -30,64 +35,76 @@ from greybox.data.files.wording import counted
 
 Gaps = Literal["auto", "bridge", "cut"]
 
-# Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest
-# to its own place.
+# Largest deviation of a sample from uniform times, in steps, at which no row counts as missing.
+# Up to a quarter of a step, there is no doubt which uniform time belongs to a sample.
 JITTER = 0.25
 
-# Share of a step by which samples may be off uniform ones and still count as uniform: steps of a
-# log are not known more precisely.
+# Largest deviation from uniform times, in steps, at which the times themselves count as uniform:
+# the time stamps of a log are not more precise.
 EXACT = 1e-3
 
-# In usual steps: halfway between a step and that across one lost row.
+# A step is long beyond this number of usual steps: a normal step is 1, and a step across one lost
+# row is 2.
 LONG = 1.5
 
-# In usual steps: longer than across one lost row, over which signals are resampled.
+# A step of more usual steps than this lost two rows or more. Signals are interpolated across one
+# lost row (a step of 2) when they are resampled.
 ONE_LOST = 2.5
 
-# Steps before and after a long one that show what is usual there, and the fewest of them. The
-# second of ten by size is a single step even where half of the rows are lost.
+# The usual step near a long step is estimated from this number of steps on each side of it, and is
+# unknown from fewer than FEWEST. Among ten steps, the second shortest is a step without a lost row
+# even where half of the rows are lost.
 NEIGHBORS = 10
 FEWEST = 3
 
-# Times the longest neighbor: of 10 000 random (exponential) steps, one is that long.
+# In an irregular clock, a hole is longer than its longest neighbor by this factor. If steps are
+# random (exponentially distributed), one step in 10 000 exceeds it.
 LONG_IN_IRREGULAR = 3.0
 
-# Tick of coarse stamps in the shortest of their steps, at least: finer ones are off by 0.1 steps.
+# Stamps are coarse if their unit, the tick, is at least this share of their shortest step. Finer
+# stamps deviate from a uniform clock by less than 0.1 steps, which JITTER tolerates.
 COARSE = 0.19
-# The rarer ones of both steps in a block of stamps that is compared with a uniform clock, and the
-# fewest that show one. Of 1000 schedules, or clocks that had lost rows at random, at most 4 fitted
-# by chance; of clocks of 75 Hz in stamps of 10 ms that had lost 5 % of their rows, 96 % fitted.
+
+# Coarse stamps have steps of two lengths. A block of stamps that is compared with a uniform clock
+# has this number of steps of the rarer length. Stamps with fewer than FEWEST_RARER of them are not
+# compared.
+# In simulations, a uniform clock fitted at most 4 of 1000 schedules, or clocks that lost rows at
+# random, by chance, and 96 % of the clocks of 75 Hz in stamps of 10 ms that lost 5 % of their rows.
 RARER = 8
 FEWEST_RARER = 4
 
-# Blocks that are compared in a long record.
+# At most this number of blocks is compared in a long record, to limit the computing time.
 BLOCKS = 2000
-# By how many standard deviations more than half of the long steps must speak for lost rows.
+
+# Rows count as lost, rather than stamps as coarse, if a sign test rejects equal smoothness by more
+# than this number of standard deviations.
 CLEAR = 3.0
 
-# Error of a line across lost rows, in standard deviations of the input, up to which the input is
-# known: less than the error of most models.
+# An input is known across a hole if the rms error of linear interpolation there is at most this
+# number of standard deviations of the input. Most models have larger errors.
 KNOWN = 0.1
-# Steps and places that are tried in a long record: enough for a tenth, and for an error.
+
+# At most this number of steps, or of interpolated samples, is examined in a long record. That is
+# enough to estimate whether a tenth of the steps is irregular, and an rms error.
 TRIALS = 20_000
 
 
 @frozen
 class Clock:
-    """The steps of a record.
+    """The sampling clock of a record: its usual step, its kind, and where rows may be missing.
 
     Attributes
     ----------
     step : float, s
-        The usual step: the median, or that of the clock which coarse stamps round; NaN for one
-        sample.
+        The usual step: the median step, or for coarse stamps the step of the uniform clock that was
+        rounded. NaN for a record of one sample.
     kind : str
-        "uniform", "rounded" (a uniform clock in coarse stamps), "regular" (steps are mostly whole
-        multiples of the usual one), or "irregular".
+        "uniform", "rounded" (a uniform clock in coarse stamps), "regular" (most steps are whole
+        multiples of the usual step), or "irregular".
     holes : (h,) int array
-        Rows after which rows are missing.
+        Indices of the last rows before each hole, see the rules of this module.
     tick : float, s
-        The unit of coarse stamps; zero for other clocks.
+        The unit of coarse stamps; zero for the other kinds.
     """
 
     step: float
@@ -97,7 +114,7 @@ class Clock:
 
 
 def require_gaps(gaps: str) -> None:
-    """Raise ValueError for anything but one of `Gaps`."""
+    """Raise ValueError if `gaps` is not one of the options "auto", "bridge" and "cut"."""
     if gaps not in get_args(Gaps):
         raise ValueError(
             f"gaps is {gaps!r:.40}: use 'bridge' where the inputs are known across long steps, "
@@ -106,7 +123,7 @@ def require_gaps(gaps: str) -> None:
 
 
 def median_step(values: Array) -> float:
-    """Return the median step between values (n,); NaN for a single one."""
+    """Return the median difference of successive values (n,); NaN for a single value."""
     # np.median imports masked arrays, which takes a hundredth of a second.
     steps = np.sort(np.diff(values))
     if not steps.size:
@@ -115,70 +132,85 @@ def median_step(values: Array) -> float:
 
 
 def off_uniform(time: Array) -> float:
-    """Return by how many mean steps times (n,) are off uniform ones at most."""
+    """Return the largest deviation of times (n,) from uniform times, in mean steps."""
     if time.size < 3:
         return 0.0
-    # The mean step has more digits than a difference of two rounded times.
+    # The mean step is more precise than the difference of two successive rounded times.
     step = (time[-1] - time[0]) / (time.size - 1)
     return float(np.abs(time - time[0] - step * np.arange(time.size)).max() / step)
 
 
 def decimal_tick(time: Array) -> float:
-    """Return the unit of times (n,), the longest of 1, 0.1, ... 1e-6 s, or 0 for finer ones."""
+    """Return the longest of the units 1, 0.1, ... 1e-6 s of which times (n,) are multiples.
+
+    Zero if the times are finer than a microsecond.
+    """
     for digits in range(7):
         ticks = time * 10.0**digits
-        # Of seconds since 1970, the digits behind the microseconds are rounded.
+        # The tolerance allows for rounding. Units below a microsecond are not tried: times in
+        # seconds since 1970 have no such digits in floating point.
         if np.abs(ticks - np.round(ticks)).max() < 1e-3:
             return 10.0**-digits
     return 0.0
 
 
 def clock_of(time: Array, signals: Sequence[Array] = ()) -> Clock:
-    """Return the clock of times (n,), strictly increasing.
+    """Return the sampling clock of strictly increasing times (n,), s.
 
-    Smooth signals (n,) that were sampled then tell lost rows from coarse stamps.
+    The `signals`, arrays (n,) of samples of smooth signals at these times, help to distinguish lost
+    rows from coarse time stamps, which can have the same times.
     """
-    nothing = np.zeros(0, dtype=int)
+    no_holes = np.zeros(0, dtype=int)
     median = median_step(time)
-    off = off_uniform(time)
-    if off <= EXACT:
-        return Clock(median, "uniform", nothing)
+    deviation = off_uniform(time)
+    if deviation <= EXACT:
+        return Clock(median, "uniform", no_holes)
 
     steps = np.diff(time)
     step, tick = _rounded_step(steps)
-    # A clock that loses most of its rows is none.
+    # A usual step of two ticks or more is no sign of lost rows: a clock of one tick would then have
+    # lost most of its rows.
     if tick and not (step < LONG * tick and _smoother_on(time, signals, tick)):
         longest = max(steps.min() + 1.5 * tick, LONG * step)
         return Clock(step, "rounded", np.flatnonzero(steps > longest), tick)
-    if off <= JITTER:
-        return Clock(median, "uniform", nothing)
+    if deviation <= JITTER:
+        return Clock(median, "uniform", no_holes)
 
+    # More than a tenth of the steps must be no multiple of the usual step for an irregular clock.
     places = np.arange(steps.size)
     if np.mean(_off_whole(steps / median)) > 0.1:
-        # With two rates, the median is one of them: the steps around each are its measure.
-        some = evenly_spread(steps.size, TRIALS)
-        usual = np.fmin(*_usual(steps, some))
-        off = _off_whole(steps[some] / np.where(np.isfinite(usual), usual, median))
-        if np.mean(off) > 0.1:
+        # In a record with two sampling rates, the median step belongs to one of them. Each step is
+        # therefore compared with the steps around it.
+        examined = evenly_spread(steps.size, TRIALS)
+        before, after = _usual(steps, examined)
+        usual = np.fmin(before, after)
+        is_off = _off_whole(steps[examined] / np.where(np.isfinite(usual), usual, median))
+        if np.mean(is_off) > 0.1:
             return Clock(median, "irregular", _long_in_irregular(steps))
     else:
-        places = np.flatnonzero(steps > LONG * np.sort(steps)[steps.size // 4])
+        # Only steps that are longer than the lower quartile can be holes.
+        lower_quartile = np.sort(steps)[steps.size // 4]
+        places = np.flatnonzero(steps > LONG * lower_quartile)
 
-    # Long against both sides; at an end, there is only one.
+    # A hole is long compared with both sides. The first and the last steps have one side only. The
+    # other side is NaN, which np.fmax ignores.
     before, after = _usual(steps, places)
-    here, usual = steps[places], np.fmax(before, after)
-    is_long = here > LONG * np.where(np.isfinite(usual), usual, np.inf)
+    usual = np.fmax(before, after)
+    is_long = steps[places] > LONG * np.where(np.isfinite(usual), usual, np.inf)
     is_long &= _has_neighbors(steps, places, usual, before, after)
     return Clock(median, "regular", places[is_long])
 
 
-def _off_whole(parts: Array) -> BoolArray:
-    """Return which steps (n,), in usual steps, are off whole numbers of them."""
-    return np.abs(parts - np.maximum(np.round(parts), 1)) > JITTER
+def _off_whole(ratios: Array) -> BoolArray:
+    """Return which steps (n,), in units of the usual step, are not close to 1, 2, 3, ..."""
+    return np.abs(ratios - np.maximum(np.round(ratios), 1)) > JITTER
 
 
 def _neighbors(steps: Array, places: IntArray) -> tuple[Array, Array]:
-    """Return the ten steps before and after each of these places, (p, 10) each, or infinity."""
+    """Return the ten steps before and the ten after each of the steps `places` (p,), (p, 10) each.
+
+    Infinity stands for the steps beyond the ends of the record.
+    """
     ends = np.full(NEIGHBORS, np.inf)
     padded = np.concatenate([ends, steps, ends])
     windows = np.lib.stride_tricks.sliding_window_view(padded, NEIGHBORS)
@@ -186,12 +218,17 @@ def _neighbors(steps: Array, places: IntArray) -> tuple[Array, Array]:
 
 
 def _usual(steps: Array, places: IntArray) -> tuple[Array, Array]:
-    """Return the usual step before and after these places (p,); NaN for fewer than three steps."""
+    """Return the usual step before and after each of the steps `places` (p,), two arrays (p,).
+
+    NaN where fewer than three steps are available.
+    """
     usual = []
     for sides in _neighbors(steps, places):
         ordered = np.sort(sides, axis=1)
-        # The mean of the single steps: the second alone would be short where times jitter.
-        single = ordered <= (LONG + 1e-6) * ordered[:, 1:2]  # two and three ticks
+        # The usual step is the mean of the steps that lost no row. The second shortest step alone
+        # would be too short where times jitter. The margin of 1e-6 includes three ticks where the
+        # second shortest step has two.
+        single = ordered <= (LONG + 1e-6) * ordered[:, 1:2]
         single &= np.isfinite(ordered)
         mean = np.where(single, ordered, 0.0).sum(axis=1) / np.maximum(single.sum(axis=1), 1)
         usual.append(np.where(np.isfinite(ordered[:, FEWEST - 1]), mean, np.nan))
@@ -201,13 +238,20 @@ def _usual(steps: Array, places: IntArray) -> tuple[Array, Array]:
 def _has_neighbors(
     steps: Array, places: IntArray, usual: Array, before: Array, after: Array
 ) -> BoolArray:
-    """Return at which places (p,) both sides are known, or ten single steps on one side."""
-    single = [np.all(s <= LONG * usual[:, None], axis=1) for s in _neighbors(steps, places)]
-    return (np.isfinite(before) | single[1]) & (np.isfinite(after) | single[0])
+    """Return at which of the steps `places` (p,) enough neighbors show the usual step.
+
+    The usual step must be known `before` and `after`, each (p,), or none of the ten steps on the
+    other side may be long.
+    """
+    steps_before, steps_after = _neighbors(steps, places)
+    longest_usual = LONG * usual[:, None]
+    none_long_before = np.all(steps_before <= longest_usual, axis=1)
+    none_long_after = np.all(steps_after <= longest_usual, axis=1)
+    return (np.isfinite(before) | none_long_after) & (np.isfinite(after) | none_long_before)
 
 
 def _long_in_irregular(steps: Array) -> IntArray:
-    """Return the steps that are much longer than any neighbor, ten on each side."""
+    """Return the indices of the steps that are much longer than all ten steps on each side."""
     next_longer = np.maximum(steps[:-2], steps[2:])
     places = np.flatnonzero(steps[1:-1] > LONG_IN_IRREGULAR * next_longer) + 1
     longest = np.max([sides.max(axis=1) for sides in _neighbors(steps, places)], axis=0)
@@ -215,17 +259,20 @@ def _long_in_irregular(steps: Array) -> IntArray:
 
 
 def _rounded_step(steps: Array) -> tuple[float, float]:
-    """Return the step of a uniform clock in coarse stamps and their unit, or zeros for others.
+    """Return the step of a uniform clock in coarse stamps and the tick of the stamps, s.
 
-    Where rows are lost at random, steps (n,) of one and two ticks follow one another at random. In
-    the stamps of a uniform clock, two neighboring multiples of a tick alternate so that a straight
-    line is within half a tick of every stamp. That is tried in blocks, because a clock may drift
-    and lose rows.
+    Both are zero if the steps (n,) are not those of such a clock.
+
+    The rounded stamps of a uniform clock have steps of two lengths, neighboring multiples of a tick
+    such as one and two ticks. The two lengths alternate so that a straight line passes within half
+    a tick of every stamp. Where rows are lost at random, the two lengths alternate at random, and
+    no line does. Lines are fitted to blocks of stamps, because a clock may drift and lose rows.
     """
     shortest = float(steps.min())
     longer = steps[steps > (1 + COARSE / 2) * shortest]
     tick = float(longer.min()) - shortest if longer.size else 0.0
-    # The shortest step is one tick to five.
+    # The shortest step must have one to five ticks: 1 / COARSE = 5.3. Rounded stamps may make the
+    # tick slightly longer than the shortest step, hence 1.1.
     if not COARSE <= tick / shortest < 1.1:
         return 0.0, 0.0
     ticks = np.round(steps / tick)
@@ -239,7 +286,9 @@ def _rounded_step(steps: Array) -> tuple[float, float]:
     if size < FEWEST_RARER:
         return 0.0, 0.0
 
-    # A block has so many of the rarer steps in a row, and reaches to the next ones, or to a hole.
+    # A block has `size` successive steps of the rarer length. It extends to the next rarer step on
+    # each side, or to a hole. `piece` is the index of the piece between holes in which a rarer step
+    # lies. `rank` counts the rarer steps before it in that piece.
     ends = np.concatenate([[-1], np.flatnonzero(~within), [steps.size]])
     piece = np.searchsorted(ends, rarer)
     rank = np.arange(rarer.size) - np.searchsorted(piece, piece)
@@ -253,14 +302,18 @@ def _rounded_step(steps: Array) -> tuple[float, float]:
     begins = np.maximum(around[firsts] + 1, ends[piece[firsts] - 1] + 1)
     stops = np.minimum(around[firsts + size + 1], ends[piece[firsts]])
 
-    # The stamps that are furthest off a line are next to the rarer steps.
-    inside = rarer[firsts[:, None] + np.arange(size)]
-    corners = np.concatenate([begins[:, None], inside, inside + 1, stops[:, None]], axis=1)
+    # Only the stamps next to the rarer steps are examined: their distance from a line is largest. A
+    # line passes within half a tick of all of them if some slope is compatible with every pair.
+    rarer_in_block = rarer[firsts[:, None] + np.arange(size)]
+    corners = np.concatenate(
+        [begins[:, None], rarer_in_block, rarer_in_block + 1, stops[:, None]], axis=1
+    )
     stamps = np.concatenate([[0.0], np.cumsum(ticks)])[corners]
     apart = corners[:, None, :] - corners[:, :, None]
     rise = stamps[:, None, :] - stamps[:, :, None]
     with np.errstate(divide="ignore"):
-        # A tenth for the digits of the stamps.
+        # Two stamps deviate from a line by one tick together. A tenth more is for the digits of the
+        # stamps.
         lowest = np.where(apart > 0, (rise - 1.1) / apart, -np.inf).max(axis=(1, 2))
         highest = np.where(apart > 0, (rise + 1.1) / apart, np.inf).min(axis=(1, 2))
     fits = lowest <= highest
@@ -270,10 +323,11 @@ def _rounded_step(steps: Array) -> tuple[float, float]:
 
 
 def _smoother_on(time: Array, signals: Sequence[Array], tick: float) -> bool:
-    """Return whether signals (n,) are clearly smoother on these times (n,) than on uniform ones.
+    """Return whether signals (n,) are clearly smoother at these times (n,) than at uniform times.
 
-    Where steps are of one and two ticks, rows are lost then. Values beside unlike steps are
-    compared, and the signal that says most decides.
+    If they are, rows are lost where a step has two ticks. Each sample between steps of different
+    lengths is compared with a line between its two neighbors, and the sign test of the signal with
+    the clearest result decides.
     """
     steps = np.diff(time)
     within = steps < 2.5 * tick
@@ -283,40 +337,48 @@ def _smoother_on(time: Array, signals: Sequence[Array], tick: float) -> bool:
 
     evidence = 0.0
     for values in signals:
-        uneven, uniform = (_off_lines(values, places, s) for s in (share, 0.5 + 0 * share))
-        # Both ends of a long step have errors in common.
-        excess = np.add.reduceat(uniform - uneven, np.arange(0, places.size, 2))
-        told = excess[excess != 0]
-        if told.size:
-            deviations = float(np.sign(told).sum()) / math.sqrt(told.size)
+        error_at_stamps = _off_lines(values, places, share)
+        error_at_uniform = _off_lines(values, places, np.full_like(share, 0.5))
+        # The errors at the two ends of a long step are correlated, so that pairs are tested.
+        excess = np.add.reduceat(error_at_uniform - error_at_stamps, np.arange(0, places.size, 2))
+        nonzero = excess[excess != 0]
+        if nonzero.size:
+            deviations = float(np.sign(nonzero).sum()) / math.sqrt(nonzero.size)
             evidence = max(evidence, deviations, key=abs)
     return evidence > CLEAR
 
 
 def _off_lines(values: Array, places: IntArray, share: Array) -> Array:
-    """Return the squared errors (p,) of values (n,) from lines between their neighbors.
+    """Return the squared distances (p,) of values (n,) from lines between their two neighbors.
 
-    Lines are evaluated at their `share` (p,). Unit: variance of white noise; zero if unknown.
+    A line is evaluated at the `share` (p,) of the way from the sample before to the sample after.
+    The square is divided by the variance that white noise of unit variance would cause, and it is
+    zero where a value is missing.
     """
-    before, here, after = (values[places + k] for k in (-1, 0, 1))
-    error = here - (1 - share) * before - share * after
+    before = values[places - 1]
+    after = values[places + 1]
+    error = values[places] - (1 - share) * before - share * after
     return np.nan_to_num(np.square(error) / (1 + np.square(1 - share) + np.square(share)))
 
 
 def runs_between_holes(time: Array, clock: Clock, longest: float = 0.0) -> list[IntArray]:
-    """Return the places of every run of times (n,) between holes of more than `longest` s."""
-    wide = time[clock.holes + 1] - time[clock.holes] > longest
-    return np.split(np.arange(time.size), clock.holes[wide] + 1)
+    """Return the indices of the times (n,) of each run between holes longer than `longest` s."""
+    is_wide = time[clock.holes + 1] - time[clock.holes] > longest
+    return np.split(np.arange(time.size), clock.holes[is_wide] + 1)
 
 
 def lost_rows(time: Array, inputs: Array, clock: Clock, gaps: Gaps) -> IntArray:
-    """Return the rows (c,) after which a new stretch begins: the input is unknown from there on.
+    """Return the indices (c,) of the rows after which rows are lost, so that a new stretch begins.
 
     Parameters
     ----------
     time : (n,) array, s
     inputs : (m, n) array
-        NaN where missing.
+        The inputs of the model; NaN where a sample is missing.
+    clock : Clock
+        The clock of `time`.
+    gaps : "auto", "bridge" or "cut"
+        See `Record.gaps`.
     """
     if gaps == "bridge":
         return np.zeros(0, dtype=int)
@@ -330,7 +392,10 @@ def lost_rows(time: Array, inputs: Array, clock: Clock, gaps: Gaps) -> IntArray:
 
 
 def described_gaps(time: Array, clock: Clock, cut: int, gaps: Gaps) -> str:
-    """Return what the long steps are, in words, if a new stretch begins behind `cut` of them."""
+    """Return a sentence on the long steps of a record, of which `cut` begin a new stretch.
+
+    Empty if there is nothing to say.
+    """
     steps = np.diff(time)
     if gaps == "cut":
         places = counted(cut, "step")
@@ -360,41 +425,46 @@ def described_gaps(time: Array, clock: Clock, cut: int, gaps: Gaps) -> str:
 
 
 def _is_known(values: Array, time: Array, clock: Clock) -> BoolArray:
-    """Return across which holes (h,) of the clock an input (n,) is known."""
+    """Return across which holes (h,) of the clock the input `values` (n,) is known: rule 3."""
     holes = clock.holes
     before, after = values[holes], values[holes + 1]
     lengths = time[holes + 1] - time[holes]
     shortest = _shortest_hold(values, time, holes)
-    # Half a step: rounding must not decide.
+    # The margin of half a step keeps the rounding of times from deciding.
     known = (before == after) & (lengths < shortest - clock.step / 2)
 
     moves = ~known & np.isfinite(before) & np.isfinite(after)
     steps = np.diff(time)
     rows = np.maximum(np.round(lengths / clock.step), 2).astype(int)
-    # A line is tried where no step is long.
+    # Interpolation is tested where no step is long, that is where this count does not rise.
     whole = np.concatenate([[0], np.cumsum(steps > LONG * clock.step)])
     present = values[np.isfinite(values)]
     limit = KNOWN * np.std(present) if present.size else 0.0
     for count in np.unique(rows[moves]):
-        is_right = _error_of_lines(values, whole, count) <= limit
-        known[moves & (rows == count)] = is_right
+        is_accurate = _error_of_lines(values, whole, count) <= limit
+        known[moves & (rows == count)] = is_accurate
     return known
 
 
 def _shortest_hold(values: Array, time: Array, holes: IntArray) -> float:
-    """Return the shortest time, s, for which a value lasted between two others.
+    """Return the shortest time, s, for which a signal (n,) kept a value between two changes.
 
-    Values that begin or end in a hole count for as long as they were seen, plus the hole.
+    If a change lies in a hole, the length of the hole is included. Infinity for fewer than two
+    changes.
     """
     changes = np.flatnonzero(np.diff(values) != 0)
     if changes.size < 2:
         return math.inf
-    # From the last sample of the value before to the first of the next one.
+    # The time is from the last sample before the value to the first sample after it.
     return float(np.min(time[changes[1:] + 1] - time[changes[:-1]]))
 
 
 def _error_of_lines(values: Array, whole: IntArray, count: int) -> float:
-    """Return the rms error of lines across so many steps where the input moves; inf if unknown."""
+    """Return the rms error of linear interpolation of an input (n,) across `count` steps.
+
+    The error is estimated where the input changes and no step is long, which means that `whole`
+    (n,), the count of long steps up to each row, is constant. Infinity where that is nowhere.
+    """
     firsts = np.arange(values.size - count)
     firsts = firsts[whole[count:] == whole[:-count]]
     firsts = firsts[values[firsts] != values[firsts + count]]

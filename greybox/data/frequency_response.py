@@ -61,25 +61,26 @@ class FrequencyResponse(Printed):
     coherence : (n,) array, optional
         Magnitude-squared coherence γ², above 0 and at most 1.
     variance : (n,) array, optional
-        E|P̂ - P|², both components together.
+        E|P̂ - P|²: the sum of the variances of the real and the imaginary part.
     dof : (n,) array, optional
         Degrees of freedom of each variance.
     name : str
         A label for tables and figures.
     source : str
-        Where the numbers come from.
+        The file or the method that the numbers come from.
     stretches : tuple of Stretch
-        The stretches of records from which it was estimated, if known: a fit to both these records
-        and the response would use the same data twice.
+        The stretches of records from which the response was estimated, if they are known. They show
+        whether a fit to a record and a response would use the same data twice.
     units : mapping of signal name to str
         The units of input and output, if known.
     about : mapping of str to str
-        How it was measured, in words: excitation, instrument, points that were dropped, filters in
-        the path, and the like. The checksum does not include it.
+        Description of the measurement, in words: excitation, instrument, points that were dropped,
+        filters in the path, and so on. The checksum does not include it.
     common_errors : (m, n) complex array, optional
-        Errors that all points have in common, such as that of a sensor's gain: row j is what one
-        standard deviation of the j-th error adds to the response. They are a part of `variance`;
-        the standard errors of a fit include them in full, since averaging does not reduce them.
+        Errors that are common to all points, such as that of a sensor's gain. Row j is the change
+        of the response due to one standard deviation of the j-th error. `variance` includes these
+        errors. The standard errors of a fit include them in full, since averaging over frequencies
+        does not reduce them.
 
     Raises
     ------
@@ -115,7 +116,7 @@ class FrequencyResponse(Printed):
         """Convert to read-only arrays, check every value, and write out control characters."""
         write_out(self, "input", "output", "name", "source", "units", "about")
         self._check_columns()
-        # The variance includes them, so it is checked first.
+        # The variance includes the common errors, so it must have been checked before them.
         errors = self._checked_errors()
         normalize(self, common_errors=errors, stretches=tuple(self.stretches))
 
@@ -192,10 +193,11 @@ class FrequencyResponse(Printed):
     def with_independent_errors(self) -> "FrequencyResponse":
         """State that the errors of different frequencies are independent by the design of the test.
 
-        They are independent if each frequency was flown by itself, as sines are that follow one
-        another. Otherwise a fit tests its residuals, and few points can hardly show it: intervals
-        then allow for a correlation. Residuals that are still alike at neighboring frequencies show
-        that the model is incomplete. In a file, the comment ``# errors along frequency:
+        They are independent if each frequency was measured in its own time, as with single sines
+        that follow one another. Without this statement, a fit tests whether its residuals are
+        correlated along frequency. A few points are too few for the test, so that the confidence
+        intervals then allow for a correlation. With the statement, correlated residuals show that
+        the model is incomplete. In a file, the comment ``# errors along frequency:
         independent`` states the same.
         """
         return replace(self, about={**self.about, ERRORS: INDEPENDENT})
@@ -209,7 +211,7 @@ class FrequencyResponse(Printed):
         """
         if self.variance is None:
             return np.full(len(self), np.nan)
-        # The variance is that of both components together.
+        # Half of the variance belongs to each of the two components.
         return np.sqrt(self.variance / 2) / np.maximum(np.abs(self.response), 1e-300)
 
     @property
@@ -238,16 +240,17 @@ class FrequencyResponse(Printed):
     @property
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
-        # Not the name, the source or the remarks: the same numbers are the same data.
+        # Name, source and remarks are excluded: responses with the same numbers are the same data.
         columns = attributes(self, *COLUMNS).values()
-        # The mark keeps a variance and a coherence of the same numbers apart.
+        # The mark for a missing column distinguishes a variance from a coherence with the same
+        # numbers.
         marked = ["-" if values is None else values for values in columns]
         common = [] if self.common_errors is None else [self.common_errors]
         return checksum_of(f"{self.input}->{self.output}", *marked, *common)
 
     def where(self, selected: BoolArray | IntArray) -> "FrequencyResponse":
-        """Return the points for which `selected` (n,) is true, or that have these places."""
-        # The frequencies are the last axis of all.
+        """Return the points at which a mask (n,) is true, or the points with these indices."""
+        # Frequency is the last axis of every array.
         arrays = attributes(self, *COLUMNS, "common_errors").items()
         return replace(self, **{n: x[..., selected] for n, x in arrays if x is not None})
 
@@ -293,9 +296,9 @@ class FrequencyResponse(Printed):
     def without_hold(self) -> "FrequencyResponse":
         """Return the response to the continuous input, as a fit compares it with a model.
 
-        Estimates of `greybox.data.spectral` are those of the samples of the input. If its values
-        are held, which `about` then says, they contain the response of the hold: a delay of half
-        the time for which a value lasts.
+        The estimates of `greybox.data.spectral` are responses to the samples of the input. If the
+        input has a zero-order hold, which `about` then states, they include the response of the
+        hold: about a delay of half the hold time. This method divides by it.
         """
         if HOLD not in self.about:
             return self
@@ -305,13 +308,13 @@ class FrequencyResponse(Printed):
 
     @property
     def divided_hold(self) -> float:
-        """Seconds of the hold that was divided out, zero without one."""
+        """The hold time, s, of the hold that `without_hold` divided out; zero if none was."""
         return float(self.about.get(NO_HOLD, 0.0))
 
     def times(
         self, factor: NDArray[np.complexfloating], output: str = "", unit: str = ""
     ) -> "FrequencyResponse":
-        """Multiply by a factor (n,), of which `unit` is the unit; `output` names the new signal."""
+        """Multiply by a factor (n,) of the unit `unit`; `output` names the new signal."""
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
         common = None if self.common_errors is None else self.common_errors * factor
         # The unit of the output changes with the factor, so only that of the input is kept.

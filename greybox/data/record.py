@@ -44,36 +44,37 @@ class Record(Printed):
     Parameters
     ----------
     time : (n,) array, s, or None
-        Strictly increasing; dates and time differences count from the first. None for rows that
-        have no order in time, as in a table of independent measurements: `time` is then the number
-        of each row, `has_time` is False, and only static models can be fitted.
+        Strictly increasing. Dates and time differences are converted to seconds from the first.
+        None for rows without an order in time, as in a table of independent measurements. Then
+        `time` is the index of each row, `has_time` is False, and only static models can be fitted.
     signals : mapping of name to (n,) array
         Real numbers. NaN or the mask of a masked array marks a missing sample. Values beyond ±1e75
         become NaN, and values below 1e-75 become zero: their sums of squares would overflow or
         vanish.
     units : mapping of name to str
-        SI units after `prepare`; before, those of the log.
+        Units of the signals: those of the log, or SI units after `prepare`.
     name, source : str
-        A label, and the name of the file.
+        A label for tables and figures, and the name of the file.
     checksum : str
-        SHA-256 of that file; by default, of the numbers.
+        SHA-256 of the file; by default, of the times and values of this record.
     metadata : mapping
         Vehicle, firmware, parameters and the like, from the log.
     filters : mapping of signal name to tuple
-        Known filters that a signal has passed before it was logged, for a model to include.
+        Known filters that a signal has passed before it was logged. A model should include them.
     hold : mapping of signal name to float, s
-        For how long each value lasted, if known, see `greybox.data.intersample`: infinity for a
-        signal that keeps its value until the next sample, such as the output of a controller; 0 for
-        samples of a continuous signal, such as an attitude; seconds if values lasted for less than
-        a step of the log.
+        The hold time of each value, if it is known, see `greybox.data.intersample`. Infinity for a
+        zero-order hold, in which each value lasts until the next sample, such as the output of a
+        controller; 0 for samples of a continuous signal, such as an attitude; a finite time if
+        values last for less than a step of the log.
     findings : tuple of str
         Problems of the record, in words.
     has_time : bool
         False for rows without a time.
     gaps : "auto", "bridge" or "cut"
-        What a long step is: "bridge" if the inputs are known across it, as in a schedule, so that a
-        model runs on; "cut" if rows are lost wherever a step is longer than one and a half median
-        steps, so that a new stretch begins. By default decided as in `greybox.data.clock`.
+        The meaning of long time steps. "bridge": the inputs are known across them, as in a
+        schedule, and a model is simulated across them. "cut": rows are lost in every step of more
+        than 1.5 median steps, and a new stretch begins after it. "auto": the rules of
+        `greybox.data.clock` decide.
 
     Raises
     ------
@@ -108,11 +109,12 @@ class Record(Printed):
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
         for what in ("signals", "units", "hold"):
-            given = getattr(self, what)
-            if not hasattr(given, "items"):
-                raise TypeError(f"{what} is {given!r:.60}: give {{name: values}}.")
-            # The columns of a data frame may be numbered.
-            normalize(self, **{what: {all_printable(str(name)): x for name, x in given.items()}})
+            mapping = getattr(self, what)
+            if not hasattr(mapping, "items"):
+                raise TypeError(f"{what} is {mapping!r:.60}: give {{name: values}}.")
+            # Names become strings, because the columns of a data frame may have numbers as names.
+            by_name = {all_printable(str(name)): value for name, value in mapping.items()}
+            normalize(self, **{what: by_name})
         require_gaps(self.gaps)
         if self.time is None:
             rows = next(map(np.size, self.signals.values()), 0)
@@ -121,7 +123,7 @@ class Record(Printed):
         if time.size == 0:
             raise ValueError("the record is empty: give at least one sample.")
         require("time", time, np.isfinite(time), "leave out the samples without a time")
-        # Without a time, rows may be in any order.
+        # Only a record with times needs increasing ones: other rows may be in any order.
         with np.errstate(over="ignore"):
             steps = np.diff(time)
         if self.has_time:
@@ -135,7 +137,7 @@ class Record(Printed):
 
         measured = {name: _read_only(x, name) for name, x in self.signals.items()}
         signals = {name: within_range(values) for name, values in measured.items()}
-        lost = [
+        overflows = [
             f"{name} has values beyond 1e75, which count as missing: check its sensor."
             for name, values in measured.items()
             if np.isnan(signals[name][~np.isnan(values)]).any()
@@ -150,13 +152,14 @@ class Record(Printed):
                     f"{alternatives(unknown[0], signals)}"
                 )
         hold = {name: checked_hold(name, seconds) for name, seconds in self.hold.items()}
-        # A given checksum is that of the file: excerpts of one log are recognized by it.
-        # The numbers of other stretches are other data.
-        stated = () if self.gaps == "auto" else (self.gaps,)
+        # A checksum argument is that of the file. It is kept, because it shows that two records are
+        # excerpts of one log. Otherwise the checksum includes `gaps`, because other stretches make
+        # other data of the same numbers.
+        stated_gaps = () if self.gaps == "auto" else (self.gaps,)
         checksum = self.checksum or checksum_of(
-            time, *chain.from_iterable(signals.items()), *stated
+            time, *chain.from_iterable(signals.items()), *stated_gaps
         )
-        findings = (*self.findings, *lost)
+        findings = (*self.findings, *overflows)
         normalize(self, time=time, signals=signals, hold=hold, checksum=checksum, findings=findings)
         write_out(self, "name", "source", "units", "findings")
 
@@ -171,15 +174,22 @@ class Record(Printed):
         return self.signals[name]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the fields alone: the key of a stored study must not depend on what was asked."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        """Return the fields without cached properties.
+
+        The key of a stored study is computed from this state. It must not depend on which
+        properties were read before.
+        """
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
     @cached_property
     def clock(self) -> Clock:
-        """The usual step, and where rows are missing; a step of 1 for rows without a time."""
+        """The sampling clock: the usual step and the holes; a step of 1 for rows without a time."""
         if not self.has_time:
             return Clock(1.0, "uniform", np.zeros(0, dtype=int))
-        smooth = [x for name, x in self.signals.items() if self.hold.get(name, 0.0) == 0.0]
+        # Signals with a hold have steps, so their smoothness shows nothing about the clock.
+        smooth = [
+            values for name, values in self.signals.items() if self.hold.get(name, 0.0) == 0.0
+        ]
         return clock_of(self.time, smooth)
 
     @property
@@ -189,12 +199,12 @@ class Record(Printed):
 
     @property
     def is_irregular(self) -> bool:
-        """Whether more than a tenth of the samples lie off a grid of the steps around them."""
+        """Whether more than a tenth of the steps are no multiple of the usual step around them."""
         return self.clock.kind == "irregular"
 
     @property
     def rate(self) -> float:
-        """Sampling rate, Hz, from the median interval."""
+        """Sampling rate, Hz: the reciprocal of the usual step."""
         return 1 / self.step
 
     @property
@@ -204,24 +214,25 @@ class Record(Printed):
 
     @property
     def duration(self) -> float:
-        """From the first to the last sample, s, gaps included."""
+        """Time from the first to the last sample, s, including gaps."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def pieces(self) -> tuple["Record", ...]:
-        """The stretches in which no row is missing, as records; rows without a time are one piece.
+        """The parts of the record between holes, as records. Rows without a time are one piece.
 
-        A model runs on from one to the next if its inputs are known in between, see `stretches`.
+        A model can be simulated from one piece to the next if its inputs are known across the hole,
+        see `stretches`.
         """
         if not self.has_time:
             return (self,)
-        # As slices, which copy nothing.
+        # Slices are views of the arrays, so no sample is copied.
         pieces = self.independent_pieces
         return tuple(self.rows(slice(rows[0], rows[-1] + 1)) for rows in pieces)
 
     @property
     def independent_pieces(self) -> list[IntArray]:
-        """The rows of each stretch in which no row is missing; without a time, each by itself."""
+        """The row indices of each part between holes. Without a time, every row is its own part."""
         if not self.has_time:
             return list(np.arange(len(self))[:, None])
         ends = self.clock.holes
@@ -230,10 +241,11 @@ class Record(Printed):
         return np.split(np.arange(len(self)), ends + 1)
 
     def stretches(self, inputs: Sequence[str]) -> list[IntArray]:
-        """Return the rows of each stretch through which a model with these inputs runs on.
+        """Return the row indices of each stretch that a model with these inputs can simulate.
 
-        A new stretch begins where the inputs are unknown, see `greybox.data.clock`; missing values
-        of an input are not regarded. Rows without a time are one stretch.
+        A new stretch begins after each hole across which an input is unknown, see
+        `greybox.data.clock`. A NaN of an input between two samples does not begin a stretch. Rows
+        without a time are one stretch.
         """
         if not self.has_time:
             return [np.arange(len(self))]
@@ -242,16 +254,16 @@ class Record(Printed):
         return np.split(np.arange(len(self)), ends + 1)
 
     def gaps_described(self, inputs: Sequence[str]) -> str:
-        """Return what the long steps are for a model with these inputs, or "" if there is none."""
+        """Return a sentence on the long time steps for a model with these inputs, or ""."""
         if not self.has_time:
             return ""
         cut = len(self.stretches(inputs)) - 1
         return described_gaps(self.time, self.clock, cut, self.gaps)
 
     def is_same_as(self, other: "Record") -> bool:
-        """Return whether another record has the same times, and values of the signals of both.
+        """Return whether another record has the same checksum, times and `gaps` as this one.
 
-        What is stated of gaps must be the same, too.
+        Signals that both records contain must have the same values.
         """
         # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
         is_same = (self.checksum, self.gaps) == (other.checksum, other.gaps)
@@ -262,7 +274,7 @@ class Record(Printed):
         )
 
     def during(self, start: float, end: float) -> BoolArray:
-        """Return which samples, (n,), have a time from `start` to `end`, s."""
+        """Return a mask (n,) of the samples with times from `start` to `end`, s."""
         return (self.time >= start) & (self.time <= end)
 
     def between(self, start: float, end: float) -> "Record":
@@ -280,7 +292,7 @@ class Record(Printed):
         self, units: Mapping[str, str] | None = None, **signals: ArrayLike
     ) -> "Record":
         """Return the record with signals added or replaced."""
-        # The numbers are no longer those of the file, so the checksum is computed again.
+        # The values differ from those of the file, so an empty checksum asks for a new one.
         return replace(
             self,
             signals={**self.signals, **signals},
@@ -294,14 +306,16 @@ class Record(Printed):
         hold: Mapping[str, float | str] | None = None,
         gaps: Gaps | None = None,
     ) -> "Record":
-        """Return the record with what its file does not say of these signals; no number changes.
+        """Return the record with information that its file lacks. Times and values do not change.
 
         Parameters
         ----------
         units : mapping of name to str, optional
+            Units of signals.
         hold : mapping of name to float or str, optional
-            Seconds, or "held" and "sampled" as in the header of a table.
+            Hold times of signals in s, or "held" and "sampled" as in the header of a table.
         gaps : "auto", "bridge" or "cut", optional
+            The meaning of long time steps.
 
         Examples
         --------
@@ -319,14 +333,14 @@ class Record(Printed):
         )
 
     def in_si(self, names: Iterable[str] | None = None) -> "Record":
-        """Return the record with these signals in SI units, all by default.
+        """Return the record with these signals in SI units; by default with all signals.
 
-        Units that are not known become findings.
+        Signals of an unknown unit are not converted, and a finding says so.
 
         Raises
         ------
         ValueError
-            If a unit has two readings, such as nm.
+            If a unit is ambiguous, such as nm (nanometer or newton meter).
         """
         signals = dict(self.signals)
         units = dict(self.units)
@@ -345,7 +359,8 @@ class Record(Printed):
                 continue
             signals[name] = conversion.apply(self[name])
             units[name] = conversion.si
-            findings += [f"{name}: {conversion.remark}."] if conversion.remark else []
+            if conversion.remark:
+                findings.append(f"{name}: {conversion.remark}.")
 
         return replace(self, signals=signals, units=units, findings=tuple(findings))
 
@@ -358,25 +373,28 @@ class Record(Printed):
         units: Mapping[str, str] | None = None,
         **others: Any,
     ) -> Self:
-        """Return the columns of a pandas data frame as signals.
+        """Return a record with the columns of a pandas data frame as signals.
 
         Parameters
         ----------
         frame : pandas.DataFrame
             Missing values are NaN. Columns are named as in `greybox.data.headings`. The time is the
-            index, if this has dates or a name such as ``time``, else the column ``time``, ``t``,
-            ``timestamp`` or ``Time (ms)``, else an index of numbers with fractions.
+            index if it contains dates or has a name such as ``time``; otherwise the column
+            ``time``, ``t``, ``timestamp`` or ``Time (ms)``; otherwise an index of numbers with
+            fractions.
         time : str, optional
-            Name of another time column. Dates and time differences count from the first.
+            Name of the time column, if it has another name. Dates and time differences are
+            converted to seconds from the first.
         units : mapping of name to str, optional
             By default ``frame.attrs["units"]``, which `to_pandas` writes.
         others
-            `name`, `hold` and the rest of a `Record`. ``has_time=False`` for rows without a time.
+            Other fields of `Record`, such as `name` and `hold`. ``has_time=False`` for rows without
+            a time.
 
         Raises
         ------
         TypeError, ValueError
-            For anything but a data frame of numbers that makes a record.
+            If `frame` is not a data frame of numbers, or its columns make no valid record.
         """
         require_frame(frame)
         clock, columns, statements = table_of(frame, time, has_time=others.pop("has_time", True))
@@ -384,30 +402,30 @@ class Record(Printed):
         for what, in_header in zip(("units", "hold"), units_and_holds(statements), strict=True):
             described[what] = {**in_header, **described.get(what, {})}
         described["findings"] = clock.findings if clock else ()
-        # Those of columns that were dropped later stay in `attrs`.
+        # The attributes of a frame keep units and holds of columns that were dropped later.
         for what in {"units", "hold"} & described.keys():
             described[what] = selected(described[what], columns)
-        # What the caller states overrides the attributes of the frame.
+        # Arguments override the attributes of the frame.
         options = described | others | ({} if units is None else {"units": units})
 
         return cls(clock.time if clock else None, columns, **options)  # type: ignore[arg-type]
 
     def to_pandas(self) -> Frame:
-        """Return the signals as columns of a pandas data frame with the time in s as index.
+        """Return a pandas data frame with the signals as columns and the time in s as index.
 
-        ``frame.attrs`` has the units, holds, name, source and what is stated of gaps.
+        Its dictionary ``attrs`` contains the fields units, hold, name, source and gaps.
 
         Raises
         ------
         ModuleNotFoundError
-            Without pandas, ``pip install 'greybox-id[pandas]'``.
+            If pandas is not installed: ``pip install 'greybox-id[pandas]'``.
         """
         about = attributes(self, "units", "hold", "name", "source", "gaps")
         return frame_of(self.signals, self.time, "time" if self.has_time else "row", about)
 
     def rows(self, rows: IntArray | slice) -> "Record":
-        """Return the samples of these indices, (m,), or of a slice, which is not copied."""
-        # The checksum stays: the samples are still those of one file.
+        """Return the samples with these indices (m,), or of a slice, which is not copied."""
+        # The checksum is kept, because the samples are still those of the same file.
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
 
@@ -428,11 +446,11 @@ class Record(Printed):
 
 @frozen
 class Recording(Mapping[str, Record]):
-    """The contents of one log file: a `Record` for every kind of message, on its own time base.
+    """The contents of one log file: one `Record` for each kind of message, on its own time base.
 
-    It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages with
-    several instances (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the
-    first one.
+    A recording is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages
+    with several instances (lanes, sensors) have names such as ``"IMU[0]"`` and ``"IMU[1]"``; the
+    name ``"IMU"`` then means the first instance.
 
     Attributes
     ----------
@@ -440,11 +458,11 @@ class Recording(Mapping[str, Record]):
     source, checksum : str
         File name and SHA-256 of the file.
     metadata : mapping
-        Those that are known of ``vehicle, firmware`` (str), ``parameters`` (name to last value),
-        ``parameter_changes`` (tuple of (time, name, previous, value)), ``texts`` (tuple of (time,
-        text)), ``modes`` (tuple of (time, name)); times in s.
+        Any of these entries, as far as the log contains them: ``vehicle`` and ``firmware`` (str),
+        ``parameters`` (name to last value), ``parameter_changes`` (tuple of (time, name, previous,
+        value)), ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)); times in s.
     findings : tuple of str
-        Problems and omissions of the file, in words.
+        Problems of the file and parts that were not read, in words.
     """
 
     records: Mapping[str, Record]
@@ -477,25 +495,29 @@ class Recording(Mapping[str, Record]):
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Every signal, as ``"RATE.POut"``."""
+        """The names of all signals with their messages, such as ``"RATE.POut"``."""
         return tuple(f"{key}.{name}" for key, record in self.items() for name in record.signals)
 
     @property
     def parameters(self) -> Values:
-        """Last value of every parameter of the vehicle; empty if they were not logged."""
+        """The last value of every parameter of the vehicle; empty if none was logged."""
         return self.metadata.get("parameters", {})
 
     def locate(self, signal: str) -> tuple[Record, str]:
-        """Return the record and the field that ``"RATE.POut"`` names, or a unique ``"POut"``.
+        """Return the record of a signal, and the name of the signal in this record.
+
+        The signal is named with its message, such as ``"RATE.POut"``, or without it, such as
+        ``"POut"``, if only one message has it.
 
         Raises
         ------
         KeyError
-            If no message or several messages have it. The message names the alternatives.
+            If no message, or more than one, has the signal. The text names the alternatives.
         """
-        # Names of messages and of signals may have dots, too.
-        for place in [match.start() for match in re.finditer(r"\.", signal)]:
-            message, name = signal[:place], signal[place + 1 :]
+        # Names of messages and of signals may contain dots, so every dot may be the separator.
+        for dot_match in re.finditer(r"\.", signal):
+            message = signal[: dot_match.start()]
+            name = signal[dot_match.end() :]
             if message in self and name in self[message].signals:
                 return self[message], name
         holders = [key for key, record in self.records.items() if signal in record.signals]
@@ -524,12 +546,12 @@ class Recording(Mapping[str, Record]):
 
 
 def runs_between_gaps(values: Array | IntArray, gap: float) -> list[IntArray]:
-    """Return the places of every run of `values` (n,) whose steps are at most `gap`."""
+    """Return the indices of each run of increasing `values` (n,) with differences up to `gap`."""
     return np.split(np.arange(len(values)), np.flatnonzero(np.diff(values) > gap) + 1)
 
 
 def require_time(record: Record, what: str) -> None:
-    """Raise ValueError for rows without a time, which `what` needs."""
+    """Raise ValueError if the record has no time, which the method named `what` needs."""
     if not record.has_time:
         raise ValueError(
             f"{what} needs samples in time, and {record.name or 'the record'} has rows without a "
@@ -539,27 +561,36 @@ def require_time(record: Record, what: str) -> None:
 
 
 def unrounded(record: Record) -> Record:
-    """Return a record in coarse stamps with the times of its uniform clock, others as they are.
+    """Return the record with uniform times instead of coarse time stamps.
 
-    Stamps of a clock that drifts by more than they round stay, too.
+    A record without coarse stamps is returned unchanged. In each part between holes, a line is
+    fitted to the stamps. The stamps are kept if they deviate from it by more than rounding
+    explains, because the clock then drifts.
     """
     if record.clock.kind != "rounded":
         return record
     times = record.time.copy()
     for rows in record.independent_pieces:
-        # The best line through the stamps.
-        ticks, stamps = (values - values.mean() for values in (rows, record.time[rows]))
-        step = ticks @ stamps / max(float(ticks @ ticks), 1.0)
-        if np.abs(stamps - step * ticks).max() < 0.75 * record.clock.tick:
-            times[rows] = record.time[rows].mean() + step * ticks
+        # Least squares for the slope, which is the step of the clock. A part of one row has none,
+        # and max(..., 1) avoids a division by zero.
+        stamps = record.time[rows]
+        row_deviations = rows - rows.mean()
+        stamp_deviations = stamps - stamps.mean()
+        squares = float(row_deviations @ row_deviations)
+        step = row_deviations @ stamp_deviations / max(squares, 1.0)
+        # Rounding moves a stamp by up to half a tick; the rest allows for the error of the line.
+        residuals = stamp_deviations - step * row_deviations
+        if np.abs(residuals).max() < 0.75 * record.clock.tick:
+            times[rows] = stamps.mean() + step * row_deviations
     return replace(record, time=times)
 
 
 def share_samples(a: Record, b: Record) -> bool:
     """Return whether two records have some measured samples in common.
 
-    Records of one file do if their times overlap outside gaps, or if they have a row in common.
-    Other records do if they have the same values at the same times, as after `Record.with_signals`.
+    Records of one file, with the same checksum, have common samples if their times overlap outside
+    holes, or without a time if they have a row in common. Records with different checksums have
+    common samples if they have the same values at the same times, as after `Record.with_signals`.
     """
     if a.has_time != b.has_time:
         return False
@@ -572,9 +603,9 @@ def share_samples(a: Record, b: Record) -> bool:
             for other_piece in b.pieces
         )
 
-    # Without a common file, only equal values at equal times show a common measurement.
+    # Without a common file, only equal values at equal times are evidence of a common measurement.
     _, rows, other_rows = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
-    alike = [
+    is_equal = [
         np.isclose(a[name][rows], b[name][other_rows], 0.0, 0.0, equal_nan=True)
         for name in a.signals
         if name in b.signals
@@ -582,12 +613,14 @@ def share_samples(a: Record, b: Record) -> bool:
 
     # A few samples of quantized signals are equal by chance: more than half of the samples at
     # common times must be equal in all common signals.
-    return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > 0.5
+    if not is_equal or not rows.size:
+        return False
+    return float(np.mean(np.all(is_equal, axis=0))) > 0.5
 
 
 def _read_only(values: ArrayLike, name: str) -> Array:
-    """Return a read-only array (n,), without a copy if it is read-only already."""
-    # A read-only view of an array that its owner may still change does not count.
+    """Return the values as a read-only array (n,); without a copy if they are one already."""
+    # A read-only view is copied if the array that owns its memory may still be changed.
     if type(values) is np.ndarray and values.dtype == float and values.ndim == 1:
         owner = values if values.base is None else values.base
         is_frozen = isinstance(owner, np.ndarray) and not owner.flags.writeable
@@ -597,7 +630,7 @@ def _read_only(values: ArrayLike, name: str) -> Array:
 
 
 def _require_increasing(time: Array, steps: Array) -> None:
-    """Raise ValueError if times (n,), with these `steps` (n - 1,), do not increase."""
+    """Raise ValueError if times (n,), whose differences are `steps` (n - 1,), do not increase."""
     back = np.flatnonzero(steps <= 0)
     if not back.size:
         return

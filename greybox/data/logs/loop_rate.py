@@ -31,32 +31,40 @@ from greybox.data.logs.ardupilot.filters import CONTROLLERS
 from greybox.data.record import Recording
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"
-GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
+GYRO_RATE = 1000.0  # Hz; the sampling rate of the gyro is GYRO_RATE * 2**INS_GYRO_RATE
 FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
 IDENTIFICATION = 8  # bit of SDLOG_PROFILE for every pass of PX4's rate controller
-# Phases to try between gyro and loop, and passes in the mean, a multiple of 2 to 6.
-PHASES, PASSES = 20, 240
 
-# Factor on an error of known size and unknown sign. Logged passes and the others swap roles as the
-# clocks of gyro and loop drift, at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75 ms in
-# a test of 25 s: the mean of a square wave of random phase over up to one and a half of its half
-# periods has the mean square 1/2.
+# The number of phases between the clocks of gyro and loop for which the differences are computed.
+PHASES = 20
+
+# The number of passes in the averages, divisible by every stride from 2 to 6.
+PASSES = 240
+
+# The root mean square of an error of size 1 whose sign changes during a test. The error changes its
+# sign when the clocks of gyro and loop have drifted by half a gyro sample, 0.5 ms at 1 kHz: the
+# logged and the other passes then swap roles. Crystals differ by up to 30 ppm, which is 0.75 ms in
+# a test of 25 s, or one and a half times 0.5 ms. The mean of a square wave of random phase over up
+# to one and a half of its half periods has the mean square 1/2.
 DRIFTING = math.sqrt(1 / 2)
 
 
 @frozen
 class Thinning:
-    """A log of every `stride`-th pass.
+    """A log that contains only every `stride`-th pass of the control loop.
 
     Attributes
     ----------
     loop, logged : float, Hz
+        Rate of the control loop, and rate of the logged passes.
     stride : int
+        Number of passes per logged pass.
     count : float
-        Root mean square of the difference in gyro samples between the logged passes and all, as a
-        share of their number; NaN if unknown.
+        Root mean square, over the phases of the two clocks, of the difference between the mean
+        number of gyro samples per logged pass and that per pass, relative to the latter; NaN if
+        unknown.
     age : float, s
-        The same for the age of the newest sample.
+        Root mean square of the same difference for the age of the newest gyro sample.
     cure : str
         Instruction to log every pass.
     """
@@ -84,10 +92,11 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     if loop <= 0 or time.size < 3 or not (is_px4 or "INS_GYRO_FILTER" in parameters):
         return None
     logged = 1 / median_step(time)
-    # Then the log has all passes: the rate of the loop varies by up to 10 %.
+    # Every pass was logged if the rates are similar: the rate of the loop varies by up to 10 %.
     if loop < 1.25 * logged:
         return None
-    # The rate of the log jitters, while the loop logs every pass, every second, every third ...
+    # The ratio is rounded, because the loop logs every second pass, every third, and so on, while
+    # the times of a log jitter.
     stride = round(loop / logged)
     if is_px4:
         profile = int(parameters.get("SDLOG_PROFILE", 1))
@@ -118,9 +127,11 @@ def thinning_error(
     """
     parameters = recording.parameters
     s = 1j * response.omega
-    gain, cutoff = (_of_controller(parameters, axis, name) for name in ("D", "FLTD"))
+    gain = _of_controller(parameters, axis, "D")
+    cutoff = _of_controller(parameters, axis, "FLTD")
     share = gain * s * response.response * low_pass(1, cutoff, response.omega)
-    # The D term acts on the rate, behind the filter of the gyro.
+    # The D term acts on the angular rate after the gyro filter. If the output is an angle, its
+    # derivative is the rate.
     if response.units.get(response.output) == "rad":
         share = share * s * low_pass(2, parameters["INS_GYRO_FILTER"], response.omega)
 
@@ -133,24 +144,30 @@ def thinning_error(
 
 
 def _differences(per_pass: float, stride: int) -> tuple[float, float]:
-    """Return how far logged passes differ from all passes, in gyro samples and in their age."""
-    # The clock of the gyro runs free: all phases between the two clocks are equally likely.
-    j = np.arange(PASSES + 1) * per_pass
-    times = j + np.arange(PHASES)[:, None] / PHASES
+    """Return the relative rms difference of the sample counts, and that of the ages.
+
+    Both compare the logged passes with all passes, see `Thinning`. The age is in gyro samples, of
+    which each pass has `per_pass` on average.
+    """
+    # The clocks are not synchronized, so all phases between them are equally likely. Times are in
+    # gyro samples, one row for each phase.
+    pass_times = np.arange(PASSES + 1) * per_pass
+    times = pass_times + np.arange(PHASES)[:, None] / PHASES
     counts = np.diff(np.floor(times + 1e-9), axis=1)
     ages = (times - np.floor(times + 1e-9))[:, 1:]
-    return tuple(  # type: ignore[return-value]
-        float(
-            np.sqrt(np.mean((values[:, ::stride].mean(axis=1) - values.mean(axis=1)) ** 2)) / scale
-        )
-        for values, scale in ((counts, per_pass), (ages, 1.0))
-    )
+    return _rms_difference(counts, stride) / per_pass, _rms_difference(ages, stride)
+
+
+def _rms_difference(values: Array, stride: int) -> float:
+    """Return the rms over the rows of the difference between the means of logged and all passes."""
+    differences = values[:, ::stride].mean(axis=1) - values.mean(axis=1)
+    return float(np.sqrt(np.mean(differences**2)))
 
 
 def remaining_alternation(parameters: Values, axis: str, loop: float) -> float:
-    """Return the share of an alternation from pass to pass that the filter of the D term leaves."""
+    """Return the gain of the D term's filter for a signal that alternates from pass to pass."""
     cutoff = _of_controller(parameters, axis, "FLTD")
-    # The gain of a first-order low-pass filter at half of the rate of the loop.
+    # It is the gain of a discrete first-order low-pass filter at half of the loop rate.
     alpha = 1 / (1 + loop / (math.tau * cutoff)) if cutoff > 0 else 1.0
     return alpha / (2 - alpha)
 
@@ -170,7 +187,7 @@ def _of_controller(parameters: Values, axis: str, name: str) -> float:
 
 
 def _cure(parameters: Values, mode: str) -> str:
-    """Return how to log every pass."""
+    """Return the instruction to log every pass."""
     if parameters.get("LOG_FILE_RATEMAX", 0) > 0:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
     mask = int(parameters.get("LOG_BITMASK", 0))

@@ -19,19 +19,27 @@ from greybox.data.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.data.logs.sine_detection import sines_and_sweeps
 from greybox.data.record import Record, Recording
 
-# Searched when no signal is named.
+# The signals that are searched if the caller names none.
 STICKS = (
     *(f"RCIN.C{k}" for k in range(1, 5)),
     *(f"manual_control_setpoint.{name}" for name in ("roll", "pitch", "yaw", "throttle")),
 )
 CONTROLS = ("u", "de", "da", "dr", "dt", "elevator", "aileron", "rudder", "throttle", "stick")
 
-# s at one level: as long as the shortest pulse of an aircraft's 3-2-1-1; its longest takes three
-# times that.
+# Shortest time at one level, s, that counts as a rest. It is the length of the shortest pulse of an
+# aircraft's 3-2-1-1.
 REST = 1.0
 
-# Factor on the number of frequencies of the spectrum: between two, it then falls by 10 % at most.
-FINER = 4
+# A rest of more than this time, s, at another level ends a manoeuvre. It is twice the longest pulse
+# of a 3-2-1-1, which takes three times the shortest one.
+LASTING = 6.0
+
+# Zero padding of the spectrum: the number of frequencies over that of the samples. The spectrum of
+# a sine between two of these frequencies is then at most 10 % below its peak.
+ZERO_PADDING = 4
+
+# The highest frequency of a band over the sampling rate, as in `greybox.data.spectral.transients`.
+HIGHEST = 0.4
 
 
 class _Rest(NamedTuple):
@@ -39,8 +47,8 @@ class _Rest(NamedTuple):
 
     first: int
     last: int
-    begins: float
-    ends: float
+    first_level: float
+    last_level: float
 
 
 def find_manoeuvres(
@@ -76,28 +84,29 @@ def find_manoeuvres(
 
 def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     """Return the manoeuvres in one signal, (n,) arrays."""
-    # Squares must neither vanish nor overflow.
+    # Squares of values outside of this range would vanish or overflow.
     if time.size < 2 or not 1e-100 < np.ptp(values) < 1e100:
         return []
 
-    # Quantiles, since single samples may be damaged.
+    # The range is between quantiles, since single samples may be damaged.
     low, high = np.quantile(values, [0.001, 0.999])
-    # Differences of successive samples are free of the manoeuvre, their median of its edges; 1.4826
-    # makes a standard deviation of it.
+    # The standard deviation of the noise, from successive differences, to which a slow input adds
+    # little. The median ignores the edges of the manoeuvre. The median absolute value of normal
+    # noise times 1.4826 is its standard deviation.
     noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-    # Ripple on sticks and drift of the trim are below a hundredth of the range of a signal.
+    # The tolerance for levels is twice the ripple on sticks and the drift of the trim, which are
+    # below a hundredth of the range of a signal.
     drift = max(0.02 * float(high - low), 1e-12 * float(np.abs(values).max()))
-    # A second of samples does not leave eight standard deviations by chance.
+    # The noise in a second of samples does not exceed a range of eight standard deviations.
     height = max(drift, 8.0 * noise)
     rests = _rests(time, values, height)
     manoeuvres = []
     last_rest = 0
     for k, rest in enumerate(rests[1:], start=1):
         # A short rest at another level is part of the manoeuvre.
-        returned = abs(rest.begins - rests[last_rest].ends) <= 2 * drift
-        # Twice the longest of these pulses: another level that lasts is a new rest.
-        lasting = time[rest.last] - time[rest.first] > 6.0
-        if returned or lasting or rest is rests[-1]:
+        returns = abs(rest.first_level - rests[last_rest].last_level) <= 2 * drift
+        is_lasting = time[rest.last] - time[rest.first] > LASTING
+        if returns or is_lasting or rest is rests[-1]:
             manoeuvres.append(_between(time, values, rests[last_rest], rest, drift, height))
             last_rest = k
 
@@ -111,29 +120,35 @@ def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
         return []
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415  (slow import)
 
-    # The filters are centered: sample k of them covers the window that begins half of it earlier.
+    # The filters are centered: their sample k covers the window that begins half a window earlier.
+    # After the shift, sample k covers the window that begins with k.
     spread = maximum_filter1d(values, window) - minimum_filter1d(values, window)
     moves = np.ma.masked_greater(spread[window // 2 :][: time.size - window + 1], height)
     rests: list[_Rest] = []
     for run in np.ma.clump_unmasked(moves):
         first, last = run.start, run.stop + window - 2
-        ends = (values[first : first + window], values[last - window + 1 : last + 1])
-        rests.append(_Rest(first, last, *(float(np.median(part)) for part in ends)))
+        first_level = float(np.median(values[first : first + window]))
+        last_level = float(np.median(values[last - window + 1 : last + 1]))
+        rests.append(_Rest(first, last, first_level, last_level))
     return rests
 
 
 def _between(
     time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
 ) -> Segment | None:
-    """Return the manoeuvre between two rests; None within the noise, and for sines and sweeps."""
-    # Rests of a noisy signal may overlap, and a step lies where they do.
+    """Return the manoeuvre between two rests.
+
+    None if the signal does not exceed its noise, and for sines and sweeps, which are no manoeuvres.
+    """
+    # The rests of a noisy signal may overlap. A step is then in the overlap.
     first, last = sorted((before.last, after.first))
     rows = slice(first, last + 1)
-    deviation = values[rows] - before.ends
+    deviation = values[rows] - before.last_level
     kind = "manoeuvre"
     amplitude = float(np.abs(deviation).max())
-    change = after.begins - before.ends
-    # A step takes less than a rest: one motion of the hand or of the autopilot.
+    change = after.first_level - before.last_level
+    # A step takes at most the time of a rest, as one motion of the hand or of the autopilot does.
+    # Meanwhile, the signal stays within -50 % and 150 % of the change.
     is_short = time[after.first] - time[before.last] <= REST
     if abs(change) > 2 * drift and is_short and np.all(np.abs(deviation / change - 0.5) < 1):
         kind = "step"
@@ -147,18 +162,19 @@ def _between(
         kind,
         band=_band(time, values, before, after, kind),
         amplitude=amplitude,
-        offset=before.ends,
+        offset=before.last_level,
     )
 
 
 def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) -> Interval:
     """Return the band, rad/s, in which the input, or the derivative of a step, is strong.
 
-    It begins at one period over the manoeuvre and a second of rest on both sides.
+    The lowest frequency has one period in the manoeuvre with a second of rest on both sides.
     """
     ends = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
     rows = slice(ends[0], ends[1] + 1)
-    t, x = time[rows], values[rows] - before.ends
+    t = time[rows]
+    x = values[rows] - before.last_level
     # The FFT needs uniform samples, and logs jitter.
     uniform = np.linspace(t[0], t[-1], t.size)
     step = float(uniform[1] - uniform[0])
@@ -166,18 +182,19 @@ def _band(time: Array, values: Array, before: _Rest, after: _Rest, kind: str) ->
     # The spectrum of a step itself falls as 1/ω and depends on where the record ends.
     if kind == "step":
         x = np.diff(x)
-    # Up to the share of the sampling rate in `greybox.data.spectral.transients`.
-    low, high = math.tau / (t[-1] - t[0]), 0.4 * math.tau / step
-    omega = math.tau * np.fft.rfftfreq(FINER * t.size, step)
-    inside = (omega >= low) & (omega <= max(high, 2 * low))
+    low = math.tau / (t[-1] - t[0])
+    high = HIGHEST * math.tau / step
+    omega = math.tau * np.fft.rfftfreq(ZERO_PADDING * t.size, step)
+    in_range = (omega >= low) & (omega <= max(high, 2 * low))
     # A manoeuvre of a few samples has no frequency below the limit.
-    if not inside.any():
+    if not in_range.any():
         return low, 2 * low
 
-    omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
-    # The band is excited down to -20 dB of the largest magnitude of the input's spectrum.
-    strong = omega[size >= 0.1 * size.max()]
-    # The band ends at the first hole of an octave.
+    omega = omega[in_range]
+    magnitude = np.abs(np.fft.rfft(x, ZERO_PADDING * t.size))[in_range]
+    # Frequencies are excited if the spectrum is at least -20 dB of its largest magnitude.
+    strong = omega[magnitude >= 0.1 * magnitude.max()]
+    # The band ends where the spectrum is weak for an octave.
     holes = np.flatnonzero(strong[1:] > 2 * strong[:-1])
     stop = strong[holes[0] if holes.size else -1]
 

@@ -26,11 +26,19 @@ from greybox.data.logs.flight_controllers import passed_filters
 from greybox.data.record import Record, Recording, require_time, unrounded
 from greybox.data.units import to_si
 
-# The anti-alias filter passes frequencies up to the first share of the new rate and stops them from
-# the second, the new Nyquist frequency. A wider pass band affects more samples at the ends of a
-# stretch: the length of the filter is 5.0 / (STOP - PASS) new samples.
+# Edges of the pass band and the stop band of the anti-alias filter, relative to the new sampling
+# rate. The stop band begins at the new Nyquist frequency. A wider pass band affects more samples at
+# the ends of a stretch: the length of the filter is 5.0 / (STOP - PASS) new samples.
 PASS = 0.35
 STOP = 0.5
+
+# s, rounding error of a time that is computed from start and rate: a sample at the very end of a
+# run still counts as inside.
+TIME_ROUNDING = 1e-9
+
+# Share of the rows with a value, below which the column is a slower sensor in a wide table. A
+# column that merely lost samples has more.
+FEWEST_VALUES = 0.5
 
 
 @frozen
@@ -54,7 +62,7 @@ def horizontal_velocity(
     up accelerates backward, so that it is the negative of "forward"; with the right side down it
     accelerates to the "right".
     """
-    # From forward, the axes are turned by so much.
+    # The rotation of each axis from "forward", rad.
     turns = {"forward": 0.0, "pitch": np.pi, "right": np.pi / 2, "roll": np.pi / 2}
     if axis not in turns:
         raise ValueError(f"axis {axis!r} is not known: use 'pitch', 'roll', 'forward' or 'right'.")
@@ -79,18 +87,18 @@ def prepare(
 
     Angles are unwrapped and units become SI, see `greybox.data.units`. Unknown units are not
     converted; the findings name them and ambiguous ones. A signal that is sampled faster than
-    `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new rate. Nothing is
-    interpolated across a hole of more than one lost row: the record has the same hole, and
-    `Record.pieces` are the stretches between holes. A schedule, a change of rate and an irregular
-    clock have no holes, and of coarse stamps the clock counts that they round, see
-    `greybox.data.clock`.
+    `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new rate. Signals are
+    not interpolated across holes of more than one lost row: the record has the same holes, and
+    `Record.pieces` are the stretches between them. `greybox.data.clock` defines holes, and replaces
+    coarse time stamps by the uniform clock that they round.
 
     ArduPilot truncates angles to hundredths of a degree. Half a hundredth is added, see
     `greybox.data.logs.ardupilot.truncated_angles`.
 
-    A held signal, such as the output of a controller, remains held at its own rate or above: each
-    new sample is its mean until the next one. Below its rate, the filter removes the steps, and
-    `Record.hold` stores how long they lasted.
+    A signal with a zero-order hold, such as the output of a controller, remains held if `rate` is
+    its own rate or a higher one: each new sample is the mean of the signal over the new sampling
+    interval. If `rate` is lower, the anti-alias filter removes the steps, and `Record.hold` stores
+    the hold time of the original signal.
 
     Parameters
     ----------
@@ -155,8 +163,9 @@ def prepare(
         for item in derived.values()
         for name in item.inputs
     }
-    for name in {source for signal in held for source in derived[signal].inputs}:
-        sources[name] = replace(sources[name], hold=HELD)
+    for signal in held:
+        for name in derived[signal].inputs:
+            sources[name] = replace(sources[name], hold=HELD)
 
     rate = 1 / max(source.step for source in sources.values()) if rate is None else rate
     grid = _grid(sources, rate, start, end)
@@ -183,14 +192,8 @@ def prepare(
         source=recording.source,
         checksum=recording.checksum,
         metadata=recording.metadata,
-        hold={
-            n: h
-            for n, item in derived.items()
-            if (h := _known_hold([sources[s] for s in item.inputs], rate)) is not None
-        },
-        filters={
-            n: f for n, item in derived.items() if (f := _known_filters(recording, item.inputs))
-        },
+        hold=_known_holds(derived, sources, rate),
+        filters=_known_filters(recording, derived),
         findings=unique(text for source in sources.values() for text in source.findings),
         gaps=_common_gaps(sources),
     )
@@ -205,12 +208,12 @@ class _Source:
     unit: str
     findings: tuple[str, ...]
     hold: float | None
-    step: float  # s, median of the requested stretch: the rate may differ elsewhere
+    step: float  # s, usual step between start and end: the rate may differ elsewhere
     gaps: Gaps
 
     @property
     def runs(self) -> list[IntArray]:
-        """The places of every run of samples across which values are interpolated."""
+        """The indices of the samples of each run within which values are interpolated."""
         clock = clock_of(self.time)
         if self.gaps == "auto":
             return runs_between_holes(self.time, clock, ONE_LOST * self.step)
@@ -219,23 +222,23 @@ class _Source:
 
     @property
     def is_held(self) -> bool:
-        """True when values last until the next sample."""
+        """Whether each value lasts until the next sample: a zero-order hold."""
         return self.hold is not None and intersample(self.hold, self.step).held
 
     def is_filtered(self, rate: float) -> bool:
         """Return whether a record at this rate needs the anti-alias filter."""
-        # Nearer to the source's rate, a filter would affect only the highest 5 %.
+        # If the rates differ by less than 5 %, only the highest 5 % of the frequencies can alias.
         return rate < 0.95 / self.step
 
     def hold_at(self, rate: float) -> float | None:
-        """Return how long values last in a record at this rate, s, or None."""
+        """Return the hold time of the values in a record at this rate, s; None if unknown."""
         if not self.is_held:
             return self.hold
         return self.step if self.is_filtered(rate) else HELD
 
 
 def _common_gaps(sources: Mapping[str, _Source]) -> Gaps:
-    """Return what all sources state of their long steps, else "auto"."""
+    """Return the meaning of long steps that all sources state, or "auto" if they differ."""
     stated: tuple[Gaps, ...] = unique(source.gaps for source in sources.values())
     return stated[0] if len(stated) == 1 else "auto"
 
@@ -260,24 +263,26 @@ def _source(
     except ValueError as error:
         findings += (f"{signal} is in {unit!r}, as in the log, not in SI: {error}.",)
     else:
-        # In the unit of the log, in which truncated angles are whole numbers of steps.
-        values = untruncated(signal, values) if unit == "deg" else values
-        values, unit = conversion.apply(values), conversion.si
-        findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
+        # The truncation is corrected before the conversion: in degrees, its steps are exact.
+        if unit == "deg":
+            values = untruncated(signal, values)
+        values = conversion.apply(values)
+        unit = conversion.si
+        if conversion.remark:
+            findings += (f"{signal}: {conversion.remark}.",)
 
-    # A table has values of a slower sensor in fewer rows, and lost samples leave more.
-    if finite.mean() < 0.5:
+    if finite.mean() < FEWEST_VALUES:
         findings += (
             f"fewer than half of the rows have a value of {signal}, and the others are "
             "interpolated: for a fit, take the rows as they are, record = gb.read(FILE, "
             "columns={NAME: COLUMN, ...})[TABLE].",
         )
 
-    inside = time[(time >= start) & (time <= end)]
-    inside = inside if inside.size > 1 else time
-    step = clock_of(inside).step
-    # Before any filter or interpolation, which would smear a jump from 2π to 0.
-    values = np.unwrap(values) if unit == "rad" else values
+    requested = time[(time >= start) & (time <= end)]
+    step = clock_of(requested if requested.size > 1 else time).step
+    # Angles are unwrapped before filter and interpolation, which would smear a jump from 2π to 0.
+    if unit == "rad":
+        values = np.unwrap(values)
 
     gaps = record.gaps if gaps is None else gaps
     return _Source(time, values, unit, findings, record.hold.get(field), step, gaps)
@@ -300,7 +305,7 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
             f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} "
             "Hz: lower it."
         )
-    # Without the small number, rounding could lose the last sample.
+    # Without the small margin, rounding could lose the last sample.
     count = math.floor((last - first) * rate + 1e-6) + 1
     if count < 2:
         spans = "; ".join(
@@ -314,53 +319,67 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
 
 
 def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
-    """Return the signal on `grid`, NaN in its gaps and outside."""
+    """Return the signal at the times `grid` (n,), s; NaN in its holes and beyond its ends."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
 
     result = np.full(grid.size, np.nan)
     for run in source.runs:
         time, values = source.time[run], source.values[run]
-        inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
-        if time.size < 2 or not inside.any():
+        in_run = (grid >= time[0] - TIME_ROUNDING) & (grid <= time[-1] + TIME_ROUNDING)
+        if time.size < 2 or not in_run.any():
             continue
-        times = np.clip(grid[inside], time[0], time[-1])
+        times = np.clip(grid[in_run], time[0], time[-1])
         if source.is_filtered(rate):
             time, values = _low_passed(time, values, source.step, rate)
         elif source.is_held:
-            # The mean over each coming step, without a shift in time: a difference of the
-            # integral, which is linear between the samples.
+            # Each new sample is the mean over the interval that begins with it, so the signal is
+            # not shifted in time. The mean is a difference of the integral, which is linear between
+            # the samples.
             step = 1 / rate
             ends = np.append(time[1:], time[-1] + step)
             integral = np.append(0.0, np.cumsum(values * (ends - time)))
             bounds = np.append(time[0], ends)
-            after, before = (np.interp(t, bounds, integral) for t in (times + step, times))
-            result[inside] = (after - before) / step
+            before = np.interp(times, bounds, integral)
+            after = np.interp(times + step, bounds, integral)
+            result[in_run] = (after - before) / step
             continue
-        result[inside] = CubicSpline(time, values)(times)
+        result[in_run] = CubicSpline(time, values)(times)
 
     return result
 
 
-def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
-    """Return how long values last, s, in a signal that is computed from these sources, or None."""
-    # A signal that is computed from held and continuous ones is neither.
-    holds = {source.hold_at(rate) for source in sources}
-    return holds.pop() if len(holds) == 1 else None
+def _known_holds(
+    derived: Mapping[str, Derived], sources: Mapping[str, _Source], rate: float
+) -> dict[str, float]:
+    """Return the hold times, s, of the derived signals for which they are known."""
+    holds = {}
+    for name, item in derived.items():
+        source_holds = {sources[source].hold_at(rate) for source in item.inputs}
+        # A signal that is computed from sources with different holds has no hold of a known form.
+        if len(source_holds) != 1:
+            continue
+        hold = source_holds.pop()
+        if hold is not None:
+            holds[name] = hold
+    return holds
 
 
 def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:
-    """Filter with zero phase at the rate of the source; point reflection extends the ends."""
+    """Return uniform times and the low-pass filtered values at the rate of the source.
+
+    The filter has zero phase. Point reflection extends the values at both ends.
+    """
     from scipy.signal import firwin, kaiserord, oaconvolve  # noqa: PLC0415  (0.33 s to import)
 
     uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 2))
     samples = np.interp(uniform, time, values)
     nyquist = 0.5 / step
-    # 80 dB leave 1e-4 of the amplitude of what would be aliased.
+    # An attenuation of 80 dB leaves 1e-4 of the amplitudes that would alias.
     taps, beta = kaiserord(80.0, (STOP - PASS) * rate / nyquist)
-    # Odd, for a center, and no longer than the reflected ends.
+    # An odd number of taps has a center. The filter must not be longer than the reflected ends.
     taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)
     window: Any = ("kaiser", beta)
-    # A symmetric kernel delays all frequencies alike; centered, it delays none.
+    # A symmetric kernel delays all frequencies equally. Centered on its sample, it delays none.
     kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=window, fs=2 * nyquist)
     half = taps // 2
     # An odd reflection continues value and slope, so that the filter makes no step at the ends.
@@ -368,10 +387,17 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     return uniform, oaconvolve(padded, kernel, mode="valid")
 
 
-def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...]:
-    """Return the filters stated by the record, or else those of the flight controller."""
-    for name in names:
-        record, field = recording.locate(name)
-        if filters := record.filters.get(field, passed_filters(recording, name)):
-            return filters
-    return ()
+def _known_filters(
+    recording: Recording, derived: Mapping[str, Derived]
+) -> dict[str, tuple[Any, ...]]:
+    """Return the known filters of the derived signals: those of the first input that has any."""
+    filters = {}
+    for name, item in derived.items():
+        for source in item.inputs:
+            record, field = recording.locate(source)
+            # The record may state its filters. Otherwise those of the flight controller count.
+            passed = record.filters.get(field, passed_filters(recording, source))
+            if passed:
+                filters[name] = passed
+                break
+    return filters

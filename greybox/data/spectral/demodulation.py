@@ -8,13 +8,18 @@ from greybox.data.clock import median_step
 from greybox.data.files.arrays import Array, BoolArray, ComplexArray
 from greybox.data.files.wording import counted
 
+# A period counts as missing if fewer than this share of its samples is present.
+FEWEST_SAMPLES = 0.3
+
 
 class UnusableSegmentError(ValueError):
     """A stretch of a signal cannot be demodulated; the message gives the reason."""
 
 
 def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, int]:
-    """Return the rows of the last whole periods after `settle`, and how many periods they are.
+    """Return a mask (n,) of the samples in the last whole periods, and the number of periods.
+
+    The first `settle` seconds are excluded, in which transients decay.
 
     Raises
     ------
@@ -24,7 +29,7 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
     if not 0 < omega < math.inf:
         raise UnusableSegmentError(f"the frequency is {omega:g} rad/s: it must be above 0")
     period = math.tau / omega
-    # The least squares have eight unknowns: a constant, a trend and three harmonics.
+    # Least squares have eight unknowns: a constant, a trend, and two for each of three harmonics.
     if time.size < 8:
         raise UnusableSegmentError(f"only {counted(time.size, 'sample')}")
     step = median_step(time)
@@ -33,18 +38,20 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
             f"a period of {period:.3g} s has fewer than four samples of {step:.3g} s"
         )
 
+    # Each sample covers one step, so the signal lasts a step longer than from its first to its last
+    # sample. Without the small margin, rounding could lose a period.
     count = math.floor((time[-1] - time[0] + step - settle) / period + 1e-6)
     if count < 1:
         raise UnusableSegmentError(
             f"{time[-1] - time[0]:.3g} s are too short for {settle:g} s of settling and a period "
             f"of {period:.3g} s"
         )
-    # The last periods, in which transients have decayed most.
-    # Half a step more, so that rounding takes no sample twice.
+    # Transients have decayed most in the last periods. The window begins half a step after the time
+    # that is whole periods before the last sample, so that rounding cannot include a phase twice.
     rows = time > time[-1] + step / 2 - count * period
-    in_each = np.histogram(time[rows], count, (time[-1] - count * period, time[-1]))[0]
-    # Each period of a window must have three tenths of its samples.
-    if in_each.min() < 0.3 * period / step:
+    bounds = (time[-1] - count * period, time[-1])
+    samples_in_period = np.histogram(time[rows], count, bounds)[0]
+    if samples_in_period.min() < FEWEST_SAMPLES * period / step:
         raise UnusableSegmentError(f"a whole period is missing after {time[rows][0]:.1f} s")
     return rows, count
 
@@ -52,7 +59,7 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
 def least_squares(
     t: Array, x: Array, omega: float, origin: float, harmonics: int
 ) -> tuple[ComplexArray, Array, Array]:
-    """Fit constant, trend and harmonics to the rows of `x`.
+    """Fit a constant, a trend and harmonics to each row of `x` (rows, n) at the times `t` (n,), s.
 
     Returns
     -------
@@ -63,24 +70,29 @@ def least_squares(
     residual : (rows, n) array
     """
     step = median_step(t)
-    # Sine and cosine are no longer independent at the Nyquist frequency.
+    # At the Nyquist frequency, the samples of sine and cosine are linearly dependent. Harmonics
+    # above 0.8 of it are left out.
     count = max(1, min(harmonics, int(0.8 * math.pi / (omega * step))))
-    # From -1/2 to 1/2: its coefficient is the drift over the window.
+    # The trend rises by 1 over the window, so its coefficient is the drift.
     trend = (t - t.mean()) / (t[-1] - t[0])
     waves = [sine_and_cosine(t, k * omega, origin) for k in range(1, count + 1)]
     columns = np.concatenate([[np.ones_like(t), trend], *waves])
-    c = _coefficients(columns, x)
-    return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
+    coefficients = _coefficients(columns, x)
+    drift = coefficients[1]
+    sines = coefficients[2::2]
+    cosines = coefficients[3::2]
+    return (sines + 1j * cosines).T, drift, x - coefficients.T @ columns
 
 
 def spectral_line(t: Array, x: Array, omega: float) -> ComplexArray:
-    """Return the complex amplitudes (rows,) at one frequency, fitted with a constant alone.
+    """Return the complex amplitudes (rows,) of `x` (rows, n) at one frequency, rad/s.
 
-    Phases count from the first time.
+    A sine and a constant are fitted by least squares. Phases are relative to a sine that begins at
+    the first time.
     """
     columns = np.vstack([np.ones_like(t), sine_and_cosine(t, omega, float(t[0]))])
-    c = _coefficients(columns, x)
-    return c[1] + 1j * c[2]
+    _, sine, cosine = _coefficients(columns, x)
+    return sine + 1j * cosine
 
 
 def _coefficients(columns: Array, x: Array) -> Array:

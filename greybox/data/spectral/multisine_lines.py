@@ -31,7 +31,8 @@ from greybox.data.spectral.uniform_stretches import UniformStretch, uniform_stre
 # all lines one amplitude; the limit of -30 dB only has to exceed noise and distortion between them.
 EXCITED = 0.03
 
-# Weights of the neighbors of a line, by which its signal-to-noise ratio is expected.
+# The signal-to-noise ratio expected at a line is a mean over two neighbors on each side, without
+# the line itself. These are the weights.
 BESIDE = (0.25, 0.25, 0.0, 0.25, 0.25)
 
 
@@ -62,10 +63,13 @@ def periodic_response(
         If the period is not a whole number of samples, or there are fewer than three periods.
     """
     stretches, spectra = period_spectra(records, period, (input, output, instrument or input))
-    # The instrument has no noise of the loop, so its lines are the clearest.
-    amplitude = np.linalg.norm(spectra[:, 2], axis=0)
+    # The lines are selected by the instrument, which contains no noise from the feedback.
+    u, y, r = np.moveaxis(spectra, 1, 0)
+    amplitude = np.linalg.norm(r, axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
-    points = _estimates((1 + lines) * (HZ / period), *np.moveaxis(spectra[:, :, lines], 1, 0))
+    # The first line is the fundamental: zero frequency is left out.
+    omega = (1 + lines) * (HZ / period)
+    points = _estimates(omega, u[:, lines], y[:, lines], r[:, lines])
     return without_incoherent(response_at(points, stretches, input, output, name))
 
 
@@ -132,7 +136,7 @@ def _estimates(omega: Array, u: ComplexArray, y: ComplexArray, r: ComplexArray) 
     def power(signal: ComplexArray) -> Array:
         return np.sum(np.abs(signal) ** 2, axis=0)
 
-    # A line without excitation has no estimate: 0 / 0 makes its variance NaN.
+    # A line without excitation has no estimate. Its variance is NaN, from 0 / 0 without a warning.
     with np.errstate(all="ignore"):
         a = r.conj() / np.sum(r.conj() * u, axis=0)
         response = np.sum(a * y, axis=0)

@@ -1,10 +1,11 @@
 """A prior as one more part of a sum: a measurement of the parameters, with its own errors."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from greybox.data.files.arrays import Array
 from greybox.data.record import Record
 from greybox.modeling.formulation.prior import NormalPrior, Prior
 from greybox.modeling.formulation.problem import Problem
@@ -13,6 +14,23 @@ from greybox.modeling.parameter import Parameters
 from greybox.modeling.state_space import StateSpace
 
 NAME = "a-priori knowledge"
+
+
+class _Combination(NamedTuple):
+    """A linear combination of parameters that a prior determines with a standard deviation of 1."""
+
+    names: tuple[str, ...]
+    weights: Array  # (names,)
+    mean: float
+
+    def value(self, p: Any) -> Any:
+        """Return the combination of the parameters p, a mapping of name to number or symbol."""
+        # Parameters of weight zero are left out, so that they do not enter the formula.
+        return sum(
+            weight * p[name]
+            for weight, name in zip(self.weights, self.names, strict=True)
+            if weight
+        )
 
 
 def with_priors(problem: Problem | Sum[Problem]) -> Problem | Sum[Problem]:
@@ -47,20 +65,18 @@ def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
 
 
 def _part(priors: list[NormalPrior], parameters: Parameters) -> Problem:
-    """Return the part that measures the parameters along directions with independent errors."""
-    # Multiplied by these roots, the errors of a correlated prior are independent.
-    roots = [np.linalg.inv(np.linalg.cholesky(prior.covariance)) for prior in priors]
-    rows = [
-        (prior.names, row, float(row @ prior.mean))
-        for prior, root in zip(priors, roots, strict=True)
-        for row in root
-    ]
-    names = tuple(f"prior_{k + 1}" for k in range(len(rows)))
+    """Return the part that measures linear combinations of parameters with independent errors."""
+    combinations = []
+    for prior in priors:
+        # Multiplied by this matrix, the errors of a correlated prior are independent.
+        whitening = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+        for weights in whitening:
+            mean = float(weights @ prior.mean)
+            combinations.append(_Combination(prior.names, weights, mean))
+    names = tuple(f"prior_{k + 1}" for k in range(len(combinations)))
 
     def output(self: Any, x: Any, u: Any, p: Any) -> tuple[Any, ...]:
-        return tuple(
-            sum(c * p[name] for c, name in zip(row, of, strict=True) if c) for of, row, _ in rows
-        )
+        return tuple(combination.value(p) for combination in combinations)
 
     declared = {
         name: replace(parameters[name], prior=None) for prior in priors for name in prior.names
@@ -71,10 +87,12 @@ def _part(priors: list[NormalPrior], parameters: Parameters) -> Problem:
         "inputs": (),
         "outputs": names,
     }
-    # As a static model with these combinations as outputs, a prior needs no code of its own in
-    # solvers and statistics.
+    # The prior becomes a static model whose outputs are the combinations. Solvers and statistics
+    # then need no code for priors.
     model = type("Prior", (StateSpace,), {**body, **declared, "output": output})
-    measured = {name: np.array([value]) for name, (_, _, value) in zip(names, rows, strict=True)}
+    measured = {}
+    for name, combination in zip(names, combinations, strict=True):
+        measured[name] = np.array([combination.mean])
     record = Record(np.zeros(1), measured, name=NAME, has_time=False)
 
     return Problem(model(), record, Prior(noise=dict.fromkeys(names, 1.0)), name=NAME)

@@ -37,9 +37,9 @@ class Crossings:
     plants : int
         The number of curves.
     plant, place : (k,) arrays of int
-        The curve, in order, and the point before the crossing.
+        The index of the curve, in ascending order, and of the point before the crossing.
     share : (k,) array
-        How far the crossing is from that point to the next one.
+        Position of the crossing between this point and the next one, from 0 to 1.
     omega : (k,) array
     """
 
@@ -51,7 +51,8 @@ class Crossings:
 
     def between(self, values: Array) -> Array:
         """Interpolate other curves (plants, n) at the crossings (k,)."""
-        before, after = (values[self.plant, self.place + k] for k in (0, 1))
+        before = values[self.plant, self.place]
+        after = values[self.plant, self.place + 1]
         return before + self.share * (after - before)
 
     def where(self, condition: BoolArray) -> "Crossings":
@@ -81,11 +82,13 @@ class Crossings:
         return Located(-value, omega)
 
     def listed(self, name: str, values: Array) -> Numbers:
-        """Return the values (k,) at every crossing of the first plant, if it has several.
+        """Return one entry for each crossing of the first plant, empty if it has fewer than two.
 
-        Plants with fewer crossings have no limit at the last ones.
+        An entry contains the values, from `values` (k,), of all plants at their crossing of this
+        rank. They are infinite for plants with fewer crossings.
         """
-        # The rows of a plant are in the order of frequency.
+        # The rank counts 0, 1, 2 ... within each plant: rows are in the order of plants, and those
+        # of a plant in the order of frequency.
         rank = np.arange(len(self.plant)) - np.searchsorted(self.plant, self.plant)
         count = np.count_nonzero(self.plant == 0)
         if count < 2:
