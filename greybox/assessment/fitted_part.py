@@ -40,7 +40,7 @@ class FittedPart(ABC):
         Whether the cost is a negative log-likelihood.
     rule : str
     condition : str
-        Errors of the data for which the standard errors hold.
+        Assumption about the errors of the data on which the standard errors rest.
     weight : float
     rename : mapping of name to name
         Names in the estimate by names in the model.
@@ -73,7 +73,7 @@ class FittedPart(ABC):
     nuisances: int = 0
     at: Values = field(default_factory=dict, metadata=NOT_STORED)
     outputs: tuple[str, ...] = field(default=(), metadata=NOT_STORED)
-    # What the data consist of, singular and plural, and what they are.
+    # Words for an element of the data, in singular and plural, and for the kind of the data.
     nouns: ClassVar[Any]
 
     def __repr__(self) -> str:
@@ -120,11 +120,11 @@ class FittedPart(ABC):
 
     @property
     def extent(self) -> str:
-        """Band of the data; of a record its duration and rate."""
+        """Band of the data, or the duration and rate of a record."""
         return f"{self.data.omega.min():.3g} to {self.data.omega.max():.3g} rad/s"
 
     def check(self) -> None:
-        """Require that the values agree with one another, for a fit from a file of a stranger.
+        """Require that the values agree with one another, for a fit from an untrusted file.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class FittedPart(ABC):
 
     @property
     def errors(self) -> Any:
-        """The distribution of the errors, as a criterion of records states it; "normal" usually."""
+        """Distribution of the errors in the criterion of a record; "normal" by default."""
         return self.settings.get("errors", "normal")
 
     def has_criterion_of(self, other: "FittedPart") -> bool:
@@ -150,13 +150,19 @@ class FittedPart(ABC):
 
 
 def require_shapes(value: Any, axes_of: Mapping[str, str], sizes: Mapping[str, int]) -> None:
-    """Require the shapes of arrays: a letter of `sizes` for each axis, "*" for any length."""
+    """Require the shapes of the arrays of a value.
+
+    Every axis of an array is a letter, whose length is in `sizes`, or "*" for any length.
+    """
     for name, axes in axes_of.items():
         array = getattr(value, name)
-        if array is not None:
-            lengths = zip(axes, array.shape, strict=False)
-            is_right = array.ndim == len(axes) and all(sizes.get(a, n) == n for a, n in lengths)
-            require(is_right, f"{name} has another shape")
+        if array is None:
+            continue
+
+        is_right = array.ndim == len(axes)
+        for axis, length in zip(axes, array.shape, strict=False):
+            is_right = is_right and sizes.get(axis, length) == length
+        require(is_right, f"{name} has another shape")
 
 
 def _require_outputs(part: FittedPart, *signals: Mapping[str, Any]) -> None:
@@ -165,13 +171,13 @@ def _require_outputs(part: FittedPart, *signals: Mapping[str, Any]) -> None:
 
 
 class Curve:
-    """The field `curve`, whose value may be a function of the part until it is needed."""
+    """Descriptor of the field `curve`, which evaluates a function of the part at the first use."""
 
     def __set__(self, part: Any, value: Any) -> None:
         vars(part)["curve"] = value
 
     def __get__(self, part: Any, owner: type) -> Any:
-        # Without a part, a dataclass asks for the default.
+        # The dataclass reads the default from the class, with None for the part.
         value = part and vars(part)["curve"]
         if callable(value):
             value = vars(part)["curve"] = value(part)
@@ -222,7 +228,7 @@ class FittedResponse(FittedPart):
 
     @property
     def signal_path(self) -> str:
-        """Input and output, those of the model where the data have no names."""
+        """Input and output; the names of the model where the data have none."""
         named = self.curve or self.data
         return f"{named.input or 'input'} → {named.output or 'output'}"
 
@@ -264,8 +270,8 @@ class FittedRecord(FittedPart):
     method : str
         Transcription and integrator, with their automatic choices.
     inputs : "record", "linear" or "held"
-        How the inputs varied between their samples: as the record says (`Record.hold`), or all in
-        one way.
+        How the inputs varied between their samples: as `Record.hold` specifies for each input, or
+        all inputs in the same way.
     biases : tuple of str
         Signals whose constant error was estimated, as the parameter ``<name>_bias``.
     gains : tuple of (state, output)
@@ -333,7 +339,7 @@ class FittedRecord(FittedPart):
 
     @property
     def gaps(self) -> str:
-        """What the long steps of the record are, in words; empty without one."""
+        """Description of the gaps of the record; empty without a gap."""
         if self.is_static:
             return ""
         text = self.data.gaps_described(self.input_names)
@@ -342,7 +348,7 @@ class FittedRecord(FittedPart):
 
     @property
     def unused(self) -> int:
-        """Number of samples with a measured output of which none is compared."""
+        """Number of samples with a measured output but without a compared one."""
         measured = np.any([np.isfinite(self.data[name]) for name in self.outputs], axis=0)
         return int(np.count_nonzero(measured)) - self.compared
 
@@ -400,8 +406,8 @@ class FittedSpectrum(FittedPart):
         Modelled outputs with their end terms; NaN if no start converged.
     outputs : tuple of str
     noise : (k, k) array
-        Covariance of the errors of one sample in the band, given or estimated: of the outputs, or,
-        for equation error, of the equations.
+        Covariance of the errors of one sample in the band, given or estimated. For equation error,
+        these are the errors of the equations, otherwise those of the outputs.
     ends : mapping of state to float
         First minus last value, which was estimated too.
     at : mapping of name to float
@@ -436,6 +442,6 @@ class FittedSpectrum(FittedPart):
 
     def fit_percent(self, output: str) -> float:
         """Return 100 (1 - |residual| / |measured|) over the band."""
-        # The mean is not subtracted, unlike in time: a band above zero frequency contains none.
+        # Unlike in the time domain, no mean is subtracted: the band excludes zero frequency.
         size = np.linalg.norm(self.data.outputs[output])
         return float(100 * (1 - np.linalg.norm(self.residual(output)) / size)) if size else math.nan

@@ -110,7 +110,7 @@ def identifiability(
     at_bound: Sequence[str],
 ) -> Identifiability:
     """Judge every free parameter at the estimate, and find the combinations that are determined."""
-    # A parameter that its bound holds must not appear as an unseen direction.
+    # A parameter that is fixed by its bound must not appear as a direction without information.
     is_known = directions.is_known
     places = [k for k, name in enumerate(names) if not (name in at_bound and is_known[k])]
     inside = directions.of(places)
@@ -126,11 +126,11 @@ def identifiability(
         alone = inside.size / np.sqrt(np.where(is_seen, diagonal, 0.0))
         error[places] = errors / np.abs(inside.at)
         insensitivity[places] = alone / np.abs(inside.at)
-    # A bound chose the value: no share of it means anything, and it is often zero.
+    # A bound determines the value, so errors relative to it mean nothing. It is often zero.
     error[np.isin(names, at_bound)] = insensitivity[np.isin(names, at_bound)] = math.nan
 
     r = inside.correlation
-    # From a correlation of 0.9 on, each error is 2.3 times that with the other parameter known.
+    # At a correlation of 0.9, each error is 2.3 times the error with the other parameter known.
     pairs = [pair for pair in combinations(range(len(places)), 2) if abs(r[pair]) > 0.9]
     correlated = tuple(
         (inside_names[i], inside_names[j], float(r[i, j]))
@@ -177,11 +177,12 @@ def _combinations(
 
     gradients = directions.gradients(rows, is_product)
     error = directions.errors(gradients)
-    # The contribution of each member alone. One that is not determined at all, NaN, is infinite.
+    # The contribution of each member alone to the error. A member that is not determined has the
+    # error NaN, which counts as infinite.
     single = np.nan_to_num(np.abs(gradients) * errors, nan=np.inf)
     smallest = np.where(rows != 0, single, np.inf).min(axis=1, initial=np.inf)
-    # A sum of values of opposite sign may be nearly zero: measure its error by the larger of the
-    # members then.
+    # A sum of values of opposite sign may be nearly zero. Its error is then compared with the
+    # larger member.
     largest = np.abs(rows * value).max(axis=1, initial=0.0)
     size = np.where(is_product, 1.0, np.maximum(np.abs(rows @ value), largest))
     # A combination is reported if its error is five times smaller than those of its members.
@@ -189,26 +190,29 @@ def _combinations(
     if beside := directions.elsewhere:  # they must be determined there too
         good &= ~np.isnan(beside.errors(beside.gradients(rows, is_product)))
 
-    # The simplest first: fewest factors, products before sums, few divisors, smallest error. Others
-    # follow from the chosen ones.
+    # The simplest combinations come first: fewest factors, products before sums, fewest divisors,
+    # smallest error.
     factors, divisors = np.abs(rows).sum(axis=1), (rows < 0).sum(axis=1)
     order = np.lexsort((error / smallest, divisors, ~is_product, factors))
     spanned = np.zeros((0, len(value)))
     for k in order[good[order]]:
         scaled = gradients[k] * directions.size
         extended = np.vstack([spanned, unit_length(scaled, 0)])
-        # Their number is limited by the directions that remain for the members.
+        # A combination that follows from the previous ones is left out.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended
             yield _named(names, value, rows[k], float(error[k]), bool(is_product[k]))
 
 
 def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
-    """Yield candidate powers by place: up to the third for two members, the first for more."""
-    # Powers without a common divisor and with a positive first one: others are powers of these.
-    # Among eight parameters, products of up to four are a few thousand candidates.
+    """Yield the powers of candidate products, by the members' places.
+
+    Products of two members have powers up to the third; longer products have first powers only.
+    """
+    # The powers have no common divisor and the first is positive: all other products are powers of
+    # these. With eight parameters, products of up to four are a few thousand candidates.
     for count in range(2, 5 if len(members) <= 8 else 3):
-        # A length squared or cubed; of products of more than two, nobody reads longer ones.
+        # A length may be squared or cubed. Longer products with higher powers are hard to read.
         highest = 3 if count == 2 else 1
         powers = [n for n in range(-highest, highest + 1) if n]
         for chosen in product(powers, repeat=count):
@@ -229,7 +233,7 @@ def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, in
 def _named(
     names: Sequence[str], value: Array, row: Array, error: float, is_product: bool
 ) -> DeterminedCombination:
-    """Write a combination as people do: few divisors, and the larger value over the smaller one."""
+    """Return a combination with its formula: few divisors, and a value of at least one if equal."""
     if is_product:
         turned = (row < 0).sum() - (row > 0).sum()
         smaller = row @ np.log(np.abs(np.where(row == 0, 1.0, value))) < 0
@@ -257,7 +261,7 @@ def _power(name: str, power: int) -> str:
 
 
 def _text(of: Identifiability) -> Iterator[str]:
-    """Yield the table, then correlations, condition number and combinations, a line for each."""
+    """Yield the lines of the table, the condition number, the correlations and combinations."""
     rows = []
     for name, error, alone in zip(of.names, of.error, of.insensitivity, strict=True):
         remark = (

@@ -38,11 +38,17 @@ from greybox.modeling.symbolic_reading import RAMP, limited_parameters, switchin
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.statistics.column_space import beside
 
-POINTS = 3  # at which the rank is computed: at one of them it may be smaller by chance
-FREQUENCIES = 40  # drawn for each pair: they give more numbers than any structure has parameters
-BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
-STRETCHES = 4  # that it has, each from its own initial state
-# After the name of a parameter: a slope of zero is no proof that it has no effect.
+# Number of points at which the rank is computed. At a single point it may be smaller by chance.
+POINTS = 3
+# Number of frequencies that are drawn for each pair of input and output. They give more equations
+# than any structure has parameters.
+FREQUENCIES = 40
+# Band of these frequencies, rad/s: the band of vehicles and their actuators.
+BAND = (1e-2, 1e3)
+# Number of stretches of the assumed record, each with its own initial state.
+STRETCHES = 4
+# Reasons that follow the name of a parameter. A slope of zero does not prove that a parameter has
+# no effect.
 IN_A_SWITCH = (
     "enters only through a switch or a rounding, which has no slope: neither this test nor a "
     f"solver sees its effect. {RAMP}"
@@ -51,8 +57,9 @@ BEYOND_A_SWITCH = (
     "has no effect on what was tried here, but its formula has a switch (a limit, a dead zone) "
     "beyond which it may have one: fix it, unless the data go there."
 )
-# Sizes of inputs and initial states that are tried until nothing grows out of what formulas are
-# made for, then shorter records too: a tank without its inflow is soon empty.
+# Sizes of inputs and initial states, and relative durations of the record. They are tried in turn
+# until all signals stay within the domain of the formulas. Shorter records are tried last: a tank
+# without inflow, for example, is soon empty.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 TRIALS = (*((size, 1.0) for size in SIZES), (0.1, 0.3), (0.1, 0.1), (0.01, 0.03))
 

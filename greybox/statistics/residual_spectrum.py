@@ -4,8 +4,8 @@ No single family of spectra fits short records of every kind: a small slow drift
 needs an autoregression of order 30, whose coefficients 300 samples do not determine, and wind moves
 several outputs together. So several families are fitted and averaged by their evidence:
 
-- for every output by itself, autoregressions of every order, and white noise with a slow part
-  (whose correlation decays exponentially);
+- for every output by itself, autoregressions of every order, and white noise plus slow noise whose
+  correlation decays exponentially;
 - for all outputs together, the same with a coherency that is constant in blocks of frequencies, and
   white noise of the sensors with process noise through the dynamics of the model. Records of a few
   correlation times determine this last family only.
@@ -14,8 +14,8 @@ The disagreement of the families shows how well the variance is known.
 
 Sources: Burnham and Anderson (2002), Model Selection and Multimodel Inference, 2nd ed., chapter 4
 (averaging by AICc and the variance between models); Whittle (1953), Arkiv för Matematik 2
-(likelihood of a spectrum); Worsley et al. (2002), NeuroImage 15 (residuals have less correlation
-than the errors, by what the fit took from them).
+(likelihood of a spectrum); Worsley et al. (2002), NeuroImage 15 (residuals are less correlated than
+the errors, because the fit removes a part of the errors).
 """
 
 import math
@@ -41,13 +41,14 @@ from greybox.statistics.frequency_grid import FrequencyGrid, filtered, products
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER, levinson
 from greybox.statistics.variance_components import LEAST, variance_components, whittle_score
 
-# Samples above which the spectrum is not corrected for what the fit took from the errors. That part
-# is then far below the uncertainty of the spectrum, and a count of parameters suffices, as for
-# white errors.
+# Number of samples above which the spectrum is not corrected for the part of the errors that the
+# fit removed. In longer records this part is far below the uncertainty of the spectrum, and the
+# number of parameters is a sufficient correction, as for white errors.
 LONGEST_CORRECTED = 50_000
 
-# Blocks of frequencies in which the coherency of outputs is constant: one, for sensors that share
-# their errors, and many, for wind that reaches several outputs through the dynamics.
+# Numbers of blocks of frequencies in which the coherency of the outputs is constant. One block
+# suits sensors that share their errors; many blocks suit wind that reaches several outputs through
+# the dynamics.
 BLOCKS = (1, 24)
 
 # Shares of the slow part in the variance. A grid denser by 1.5 changes no standard error by 2 %.
@@ -60,7 +61,7 @@ GUSTS = (0.78, 0.94, 0.984, 0.996)
 
 @frozen
 class StretchSensitivities:
-    """Sensitivities of a stretch, those to the initial states after those to the parameters.
+    """Sensitivities of a stretch to the parameters, followed by those to the initial states.
 
     Attributes
     ----------
@@ -68,7 +69,8 @@ class StretchSensitivities:
     transform : (k, q, f) complex array
         Their Fourier transforms.
     noise_transform, noise_values : (k, q, f) and (k, q, n) arrays
-        The given noise times both; the first over the square root of the counts.
+        The noise covariance times `transform`, over the square root of the counts, and the noise
+        covariance times `values`.
     present : (k, 1, n) array
         One over the square root of the counts where a sample is measured, else zero.
     """
@@ -82,9 +84,9 @@ class StretchSensitivities:
 
 @frozen
 class ResidualSpectra:
-    """Spectra that the residuals may have, in units of every output's deviation.
+    """Spectra that may explain the residuals, in units of every output's standard deviation.
 
-    The parameters are those of `colored_information`, for outputs with residuals alone.
+    The attributes are the parameters of `colored_information`, for the outputs that have residuals.
     """
 
     weighted: Sequence[Array]
@@ -118,7 +120,7 @@ class ResidualSpectra:
     @cached_property
     def periodogram(self) -> tuple[Array, ComplexArray]:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
-        # Half of it, and its adjoint.
+        # `covariances` adds the adjoint, so that every transform contributes half of the power.
         scale = (self.deviation * np.sqrt(2 * self.counts))[:, None]
         transforms = (np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals)
         factors = ((z, z) for z in transforms)
@@ -136,15 +138,15 @@ class ResidualSpectra:
 
     @cached_property
     def power(self) -> ComplexArray:
-        """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
+        """Power (k, k, b) of the sensitivities. `taken_by` is its mean product with a spectrum."""
         factors = ((z, z) for z in self.transforms())
         return self.grid.covariances(factors)[1].conj() / 2
 
     @cached_property
     def slow(self) -> Array:
-        """Spectra (m, b) of white noise with an exponentially correlated part, of mean one.
+        """Spectra (m, b), of mean one, of white noise with an exponentially correlated part.
 
-        They have many correlation times, and every share of the variance.
+        The spectra combine many correlation times with every share in `SHARES`.
         """
         # In a record of this length, slower errors look like a constant.
         times = np.geomspace(1.0, max(self.grid.longest / 3, 2.0), 14)
@@ -158,10 +160,11 @@ class ResidualSpectra:
         return self.grid.mean(np.log(self.slow))
 
     def transforms(self) -> Iterator[Any]:
-        """Yield the transforms (p, frequencies) of every stretch's weighted sensitivities.
+        """Yield, for every stretch, the transforms of its weighted sensitivities.
 
-        They are those of every output. Of records that are not corrected, the transforms of many
-        stretches are not stored: all have as many frequencies as the longest stretch.
+        Every stretch has a transform (p, frequencies) of every output. The transforms of several
+        long stretches are computed anew at each call, because all have as many frequencies as the
+        longest stretch and would need much memory.
         """
         if self.is_short:
             for stretch in self._stretches:
@@ -174,7 +177,7 @@ class ResidualSpectra:
 
     @cached_property
     def is_short(self) -> bool:
-        """Whether the record is short enough to be corrected for what the fit took."""
+        """Whether the record is short enough to correct the spectrum for the fitted part."""
         return sum(e.shape[1] for e in self.residuals) <= LONGEST_CORRECTED
 
     @cached_property
@@ -185,7 +188,7 @@ class ResidualSpectra:
         """Return the average of spectra that may explain the residuals without process noise."""
         k = len(self.counts)
         alone = [self.one_output(i, lags[:, i], banded[i, i].real) for i in range(k)]
-        # Independent outputs need the fewest numbers, so short records decide for them.
+        # Independent outputs need the fewest coefficients, so AICc prefers them in short records.
         candidates = [self.independent_outputs(alone)]
 
         if k > 1:
@@ -220,8 +223,8 @@ class ResidualSpectra:
     def judged_on_residuals(
         self, average: AveragedSpectrum, banded: ComplexArray
     ) -> AveragedSpectrum:
-        """Replace the likelihood of the errors by that of the residuals; the penalty remains."""
-        # Process noise is compared with the residuals as they are, so the others must be, too.
+        """Replace the likelihood of the errors by that of the residuals, with the same penalty."""
+        # Process noise is scored on the uncorrected residuals, so the other spectra must be, too.
         errors, *_ = whittle_score(average.density.T, banded.T, self._numbers)
         penalty = average.score - errors + self._numbers.sum()
         likely = self._left(self.grid.spread_out(average.density))
@@ -259,12 +262,12 @@ class ResidualSpectra:
         )
 
     def gain_of_gusts(self) -> float:
-        """Return by how much gusts of the best time constant are likelier than white ones."""
+        """Return the gain in score of gusts of the best time constant over white process noise."""
         process = self.white_process_noise
         if process is None:
             return 0.0
         scores = [gusts.score for gusts in map(self.process_noise, GUSTS) if gusts]
-        # The time constant is an unknown, which the criterion of Akaike counts as 2.
+        # The time constant is one more parameter, which costs 2 in the criterion of Akaike.
         return max(process.score - min(scores) - 2, 0.0)
 
     @cached_property
@@ -273,10 +276,11 @@ class ResidualSpectra:
         return self.process_noise(0.0)
 
     def noise_parts(self, correlation: float) -> tuple[ComplexArray, ComplexArray] | None:
-        """Return white noise of every sensor and process noise of every state, of variance one.
+        """Return the spectra of white sensor noise and of process noise, of variance one.
 
-        They are the spectra (c, k, k, b) of these c parts, and the periodograms (c, b, k, k) of the
-        residuals that they lead to, after the fit and with the missing samples.
+        Every sensor and every state with a visible effect adds a part. The first array contains the
+        spectra (c, k, k, b) of these c parts. The second contains the expected periodograms
+        (c, b, k, k) of the residuals, which account for the fit and for missing samples.
         """
         # A longer record shows the spectrum of process noise without the model's dynamics.
         if self.counts.max() > 10_000:
@@ -284,7 +288,7 @@ class ResidualSpectra:
 
         filtered = self._shock_transforms / np.fft.rfft([1.0, -correlation], self.grid.size)
         parts = []
-        # A state that no output shows has no process noise that could be estimated.
+        # Process noise of a state that affects no output cannot be estimated.
         for H in filtered.swapaxes(0, 1):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = (np.abs(H) ** 2 @ self.grid.weight).mean()
@@ -308,10 +312,11 @@ class ResidualSpectra:
         return [(density, self._left(self.grid.spread_out(density))) for density in white]
 
     def _left(self, spectrum: NDArray) -> ComplexArray:
-        """Return the transposed expected periodogram (b, k, k) of what the fit leaves of errors.
+        """Return the transposed expected periodogram (b, k, k) of the residuals.
 
-        Their `spectrum` (k, k, f) is that at all frequencies. A finite record smears lines, and
-        otherwise the fit would seem to take more than there is.
+        The `spectrum` (k, k, f) is that of the errors, at all frequencies. The periodogram includes
+        the smearing of lines by a finite record. Without it, the fit would seem to remove more
+        power than the errors have.
         """
         pairs = np.fft.irfft(spectrum, self.grid.size) * self._measured_pairs
         expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
@@ -333,17 +338,20 @@ class ResidualSpectra:
         coefficients, variances = levinson(r)
         unknowns = 1 + np.arange(len(variances))
         score = n * np.log(variances) + aicc_penalty(unknowns, n)
-        score[1:2] = np.inf  # the autoregression of first order is among the slow parts
+        # The family of slow parts includes the autoregression of first order.
+        score[1:2] = np.inf
+
         slow_scale = (grid.band_weight / self.slow) @ np.maximum(banded, ROUNDING)
-        # All members are equally likely before the data: a family counts with its mean likelihood,
-        # whatever its number of members.
+        # All members of the family have the same prior probability, so that the family counts with
+        # its mean likelihood, whatever the number of its members.
         slow_score = n * (np.log(slow_scale) + self._slow_level)
         slow_score += 2 * math.log(len(slow_scale)) + aicc_penalty(1, n)
         scale = np.concatenate([variances, slow_scale])
         score = np.concatenate([score, slow_score])
         within = np.concatenate([2 * unknowns / n, np.full(len(slow_scale), 2 / n)])
 
-        # Less likely spectra, by one to 10 000, do not change the mean.
+        # Scores are 2 log of the likelihood: above this difference, a spectrum is less likely by
+        # exp(-9), about 1 to 10 000, and does not change the average.
         likely = score < score.min() + 18.0
         regressions, slow = np.split(likely, [len(variances)])
         responses = coefficients[regressions] @ grid.delays[: len(r)]
@@ -353,12 +361,13 @@ class ResidualSpectra:
         return averaged(score[likely], spectra, taken, within[likely])
 
     def slow_errors(self, *, corrected: bool) -> Array:
-        """Return 2 log of the evidence for slow errors, not white ones, and lines: (2, k).
+        """Return the evidence for slow errors and the number of informative lines, (2, k).
 
-        Lines are the number of Fourier frequencies of the longest stretch in which an output shows
-        the parameters, as the width of a flat band with as much power (Parzen). Parameters may take
-        most of a drift, and the residuals then look white: if `corrected`, they are compared with
-        those of white errors.
+        The first row is twice the logarithm of the evidence for slow errors over white errors. The
+        second row is the number of Fourier frequencies of the longest stretch in which an output
+        depends on the parameters: the width of a flat band with as much power (Parzen). The
+        parameters may fit most of a drift, and the residuals then look white. If `corrected`, the
+        residuals are therefore compared with the residuals of white errors.
         """
         banded = self.periodogram[1] + (self.taken_power(self.white)[1] if corrected else 0.0)
         power = np.einsum("iib->ib", banded).real
@@ -373,7 +382,10 @@ class ResidualSpectra:
     def joint_outputs(
         self, apart: AveragedSpectrum, banded: ComplexArray, blocks: int
     ) -> AveragedSpectrum:
-        """Return outputs of these spectra whose coherency is constant in blocks of bands."""
+        """Return the joint spectrum of outputs with a coherency constant in blocks of bands.
+
+        Every output has the spectrum that it has in `apart`.
+        """
         k = len(self.counts)
         root = np.sqrt(np.einsum("iib->ib", apart.density).real)
         weight = self.grid.band_weight
@@ -382,11 +394,11 @@ class ResidualSpectra:
         shares = np.add.reduceat(weight, starts)
         white = banded / (root[:, None] * root)
         means: Any = np.add.reduceat(white * weight, starts, axis=-1) / shares
-        # What the fit took is an estimate, which may leave a negative part.
+        # The correction for the fitted part is an estimate, which may leave a negative part.
         matrices = _positive(means).T + LEAST * np.eye(k)
         size = np.sqrt(np.einsum("bii->bi", matrices).real)
         coherency = matrices / (size[..., None] * size[:, None])
-        # Only samples that all outputs have in common show a coherency.
+        # Only the samples that all outputs have in common inform the coherency.
         common = self.counts.min()
         gain = common * float(shares @ np.linalg.slogdet(coherency)[1])
         widths = np.diff(starts, append=len(weight))
@@ -400,15 +412,16 @@ class ResidualSpectra:
         )
 
     def taken_by(self, density: NDArray) -> float:
-        """Return what the estimate takes from errors of a spectrum."""
+        """Return the power that the fit removes from errors with this spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
     def taken_power(self, spectrum: NDArray, order: int = -1) -> tuple[Array, ComplexArray]:
-        """Return the periodogram of what the fit took from errors of a spectrum (k, k, f).
+        """Return the power that the fit removes from errors with a `spectrum` (k, k, f).
 
-        Residuals r = (1 - P) e, with P = J (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
-        Pᵀ. The errors of other data of the fit are assumed to have the same color. The first are
-        the autocovariances up to this order.
+        The results are autocovariances up to an order and a periodogram, as in
+        `FrequencyGrid.covariances`. The residuals r = (1 - P) e, with P = J (R⁻¹ J)ᵀ, have the
+        covariance Σ - P Σ - Σ Pᵀ + P Σ Pᵀ. The errors of the other data of the fit are assumed to
+        have the same color.
         """
         grid, p = self.grid, self.directions.shape[1]
         is_white = np.all(spectrum == spectrum[..., :1])
@@ -419,7 +432,7 @@ class ResidualSpectra:
         for stretch in self._stretches:
             A = stretch.values
             if is_white:
-                # White errors have no memory, and need no transform.
+                # White errors are uncorrelated in time, so no transform is needed.
                 filtered_by_errors = filtered(np.real(spectrum[..., :1]), A)
             else:
                 transform = filtered(spectrum, stretch.transform)
@@ -436,7 +449,7 @@ class ResidualSpectra:
             covariance[:p, :p] = middle
 
         def factors() -> Iterator[tuple[ComplexArray, ComplexArray]]:
-            # One after the other: the transforms of all stretches would fill the memory.
+            # A generator, because the transforms of all stretches would fill the memory.
             for stretch, C, covariance in zip(self._stretches, colored, covariances, strict=True):
                 left = (C - covariance.T / 2 @ stretch.noise_values) * stretch.present
                 yield stretch.noise_transform, np.fft.rfft(left, grid.size)
@@ -445,7 +458,7 @@ class ResidualSpectra:
 
     @cached_property
     def _stretches(self) -> list[StretchSensitivities]:
-        """Sensitivities of every stretch: records that are corrected are short enough for them."""
+        """Sensitivities of every stretch. Records that are corrected are short enough to store."""
         noise, root = self.white[..., 0], np.sqrt(self.counts)[:, None]
         stretches = []
         for J, X, e in zip(self.weighted, self.initial, self.residuals, strict=True):
@@ -470,12 +483,13 @@ def _positive(matrices: ComplexArray) -> ComplexArray:
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:
-    """Return the spectrum of errors when only random shares (k,) of them were measured.
+    """Return the spectrum of the errors if samples are missing at random.
 
-    Missing samples multiply covariances at all lags but zero by the share, as if part of the errors
-    were white.
+    The `shares` (k,) are the measured parts of the samples. Missing samples multiply the
+    covariances at all lags but zero by the share, as if a part of the errors were white.
     """
-    # Covariances are then less than 5 % too small, below the uncertainty of the spectrum.
+    # Uncorrected covariances are then at most 5 % too small, which is below the uncertainty of the
+    # spectrum.
     if shares.min() >= 0.95:
         return density
     variance = grid.mean(np.einsum("iib->ib", density).real)
@@ -485,11 +499,12 @@ def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> Compl
 
 
 def remaining_products(stretches: Sequence[Array]) -> Array:
-    """Return the share (k,) of sample products in which none is missing, at the best lag.
+    """Return the share (k,) of pairs of samples, at the most frequent lag, that are both measured.
 
-    It is near 1 if blocks are missing, or if every n-th sample is measured, and less if samples are
-    missing at random. The lag is the most frequent distance from one measured sample to the next:
-    an output at a rate of its own may have no two samples within the lags of autoregressions.
+    The share is near 1 if blocks are missing or if every n-th sample is measured. It is smaller if
+    samples are missing at random. The lag is the most frequent distance from one measured sample to
+    the next, because an output with a lower sampling rate may have no two samples within the lags
+    of the autoregressions.
     """
     shares = []
     for rows in zip(*stretches, strict=True):

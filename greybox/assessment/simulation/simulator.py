@@ -44,29 +44,37 @@ from greybox.modeling.step_size import (
     substep_growth,
 )
 
-# Mean change of a state in a sample by halved substeps, relative to its size. The errors of a light
-# mode have one sign, so that those of ten thousand samples add up to 3e-6 of the state. In a few
-# samples with kinks, of the 400 that are checked, changes may be up to 400 times as large: 1e-7.
+# Allowed mean change of a state in one sample by halved substeps, relative to the size of the
+# state. The errors of a lightly damped mode have the same sign in every sample, so that they add up
+# to 3e-6 of the state over ten thousand samples. A single kink among the 400 checked samples may
+# change the state by 400 times the tolerance, 1e-7.
 TOLERANCE = 3e-10
-# Such a change by the smallest steps means that they are unstable, although the states stay finite:
-# in stiff kinetics they alternate about the solution, by 0.01 in one of a hundred samples or more.
+# If the smallest steps still leave this mean change, they are unstable, even though the states stay
+# finite. In stiff kinetics, for example, the states alternate about the solution by 0.01 in one of
+# a hundred samples or more.
 UNSTABLE = 1e-4
-# Largest change of a state in a whole simulation by halved substeps, relative to its largest value:
-# that up to which steps are halved, and that which is worth a warning.
+# Largest change of a state in a whole simulation by halved substeps, relative to its largest value.
+# Steps are halved until the change is below the first limit; a change above the second is reported.
 AGREEMENT = 1e-6
 DISAGREEMENT = 1e-4
-# Most substeps to begin with: the fastest mode at rest may not occur in the simulation.
+# Largest number of substeps of the first run. More may be unnecessary, because the fastest mode at
+# rest may not occur in the simulation.
 MOST_AT_FIRST = 8
-# Samples at which the steps are halved: evenly spread ones, and those where a state moves most.
+# Number of samples at which halved substeps are tried: evenly spread samples, and the samples in
+# which a state moves most.
 CHECKED = 400
 FASTEST = 100
-DIVERGED = 1e20  # counts of cells and pressures exceed 1e9; an unstable model soon exceeds this
+# States beyond this limit count as diverged. Physical values, such as counts of cells and
+# pressures, may exceed 1e9.
+DIVERGED = 1e20
 ERROR = "_error"
 
 
 @frozen
 class WindowSimulations:
-    """Windows run from the states that their lead-ins give; every sample, lead-ins included.
+    """Simulated windows, each from the initial state that its lead-in determines.
+
+    The arrays contain every sample, including those of the lead-ins.
 
     Attributes
     ----------
@@ -77,7 +85,7 @@ class WindowSimulations:
     in_lead : (w, samples, k) bool array
         Marks the measurements within the lead-ins.
     slopes : (w, samples, k, n + a) array
-        Derivatives of the outputs by the window's first state and by the active values.
+        Derivatives of the outputs with respect to the initial state and the active values.
     segments : Segments
     data : (width, w, samples) array
         See `sample_data`.
@@ -100,7 +108,7 @@ class WindowSimulations:
 
 @frozen
 class _Run:
-    """A run of segments from initial states (s, n), driven by data (width, columns)."""
+    """A simulation of segments from initial states (s, n), driven by data (width, columns)."""
 
     segments: Segments
     initial: Array
@@ -130,12 +138,12 @@ class _Run:
 
 
 class Simulator:
-    """A model at an estimate, run with as many substeps as it turns out to need.
+    """Simulates a model at an estimate, with the number of substeps that the motion requires.
 
     Attributes
     ----------
     doubt : str
-        A sentence for the user, if halved substeps changed the motion of a run.
+        Warning for the user if halved substeps changed the motion; otherwise empty.
     """
 
     @one_thread_at_a_time
@@ -155,8 +163,8 @@ class Simulator:
         self.doubt = ""
         system = model.system.observed(outputs)
         self._initial = InitialStates(system)
-        # For an integrator and a number of substeps.
         criterion = model.criterion
+        # Compiled steps by integrator and number of substeps.
         self._step = cache(
             partial(
                 sample_step,
@@ -202,7 +210,7 @@ class Simulator:
         n = len(model.system.states)
         by_value = slopes[..., n:]
         variance = np.zeros(slopes.shape[:-1])
-        # Products of three larger slopes would overflow.
+        # The products of three slopes above this limit would overflow.
         if not np.all(np.abs(slopes) < 1e100):
             by_value = np.full_like(by_value, np.nan)
         elif fitted_initial:
@@ -252,7 +260,7 @@ class Simulator:
             # States are estimated at given values: no derivatives with respect to these are needed.
             segments = Segments(step, w, lead, np.zeros(0, dtype=int))
             columns = _columns(segments, predicting)
-            # A step is tried by its outputs before it is linearized.
+            # The outputs alone decide whether a step is accepted; only then are slopes computed.
             lead_in = Remembering(lambda x: _Run(segments, x, model.q, columns))
             estimates = estimate_states(
                 lambda x: segments.by_segment(lead_in(x).outputs),
@@ -294,7 +302,7 @@ class Simulator:
         estimates, outputs = simulated.initial, simulated.outputs
         by_state = simulated.slopes[..., : len(self._model.system.states)]
         if self._model.criterion.corrects_states:
-            # One step ahead, the corrections continue after the lead-in.
+            # For predictions one sample ahead, the corrections continue after the lead-in.
             segments, q = simulated.segments, self._model.q
             data = _columns(segments, simulated.data)
             corrected = _Run(segments, estimates.states, q, data)
@@ -324,10 +332,10 @@ class Simulator:
         return self._initial.as_measured(states, measured).T
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
-        """Run with more and more substeps until halved ones change no sample noticeably."""
+        """Run with an increasing number of substeps until the local error is within tolerance."""
         if not self._substeps:
-            # By the poles near rest: not at zero itself, where the slope of |v| v vanishes and that
-            # of a root is infinite.
+            # The first number of substeps follows from the poles near rest. Exactly at rest, the
+            # slope of |v| v would vanish and the slope of a square root would be infinite.
             model = self._model
             states = np.full((len(model.system.states), 1), 1e-3)
             inputs = np.zeros((len(model.system.inputs), 1))
@@ -335,8 +343,8 @@ class Simulator:
             needed = stable_substeps(poles, step, reach=self._integrator.reach)
             if self._is_automatic and needed > MOST_SUBSTEPS:
                 self._is_automatic, self._integrator = False, Radau()
-            # A Runge-Kutta step of a pole times step of z = 0.03 has an error of z⁵ / 120 = 2e-10
-            # of the state, just within TOLERANCE.
+            # For a product z = 0.03 of pole and step, a Runge-Kutta step has an error of
+            # z⁵ / 120 = 2e-10 of the state, which is just within TOLERANCE.
             self._substeps = stable_substeps(poles, step, reach=0.03, most=MOST_AT_FIRST)
         while True:
             result = run(self._step(self._integrator, self._substeps))
@@ -347,21 +355,23 @@ class Simulator:
                 return result
             # Steps that are too long may be the reason why states are not finite.
             error = self._local_error(result) if finite else np.inf
-            # Windows in which a formula has left its domain are left out instead.
+            # In predictions, states that are not finite come from a formula outside its domain.
+            # Their windows are left out, so no other integrator is tried for them.
             if (
                 self._is_automatic
                 and most
                 and error > UNSTABLE
                 and (finite or not result.estimates)
             ):
-                # What is stiff far from rest.
+                # The motion is stiff far from rest.
                 explicit = self._integrator, self._substeps
                 self._is_automatic, self._integrator = False, Radau()
                 self._substeps = MOST_AT_FIRST
                 implicit = self._accurate(step, run)
                 if not finite or all_finite(implicit.along.states):
                     return implicit
-                # A jump, such as that of dry friction at rest, stops Newton's iteration, not RK4.
+                # A discontinuity, such as dry friction at rest, makes Newton's iteration fail, but
+                # not an explicit step.
                 self._integrator, self._substeps = explicit
                 return result
             if most or error <= TOLERANCE:
@@ -370,10 +380,11 @@ class Simulator:
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 
     def _agreeing(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
-        """Run until halved substeps give the same motion; `doubt` says if no number of them does.
+        """Run with an increasing number of substeps until halving them gives the same motion.
 
-        Small errors in a sample add up to a large one where the motion is sensitive to them: a
-        relaxation oscillation jumps too late, a chaotic one loses its phase.
+        If no number of substeps is sufficient, `doubt` becomes a warning. Small errors in every
+        sample add up where the motion is sensitive to them: a relaxation oscillation jumps too
+        late, and a chaotic oscillation loses its phase.
         """
         result = self._accurate(step, run)
         is_open = not self._integrator.substeps and result.along.states.size
@@ -381,8 +392,7 @@ class Simulator:
             return result
         result, change = self._refined(result, run)
         if change > DISAGREEMENT and self._is_automatic:
-            # Steps that are short enough for the fastest motion would be too many for explicit
-            # ones.
+            # An explicit integrator would need too many steps for the fastest motion.
             explicit = self._integrator, self._substeps, result, change
             self._is_automatic, self._integrator = False, Radau()
             self._substeps = MOST_AT_FIRST
@@ -413,7 +423,7 @@ class Simulator:
                 # Windows in which a formula has left its domain are left out.
                 usable &= np.all(np.abs(finer.along.states) < DIVERGED, axis=0)
             change = relative_change((finer.along.states - states)[:, usable], states[:, usable])
-            # Implicit steps take ten times as long: they are judged, not halved again.
+            # Implicit steps take ten times as long, so they are halved only once, as a check.
             is_last = self._integrator.implicit or self._substeps >= MOST_SUBSTEPS
             if change <= AGREEMENT or is_last:
                 return result, change if math.isfinite(change) else math.inf
@@ -422,13 +432,14 @@ class Simulator:
             result = run(finer.segments.step) if result.estimates else finer
 
     def _local_error(self, result: _Run) -> float:
-        """Return the mean change in a sample by halved substeps, over the size of its state."""
+        """Return the mean change of the states in one sample by halved substeps, relative."""
         states = result.along.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
         if not usable.size:
             return 0.0
-        # At 400 of all samples, since each costs two evaluations of the model, and at those where a
-        # state moves most: a relaxation oscillation jumps in one of a thousand samples.
+        # Every checked sample costs two evaluations of the model, so only some are checked: CHECKED
+        # samples spread over the record, and the samples in which a state moves most. A relaxation
+        # oscillation may jump in one of a thousand samples.
         even = usable[evenly_spread(usable.size, CHECKED)]
         moves = relative_moves(states)[usable]
         fastest = usable[np.argsort(-moves, kind="stable")[:FASTEST]]
@@ -436,7 +447,8 @@ class Simulator:
         x, data = states[:, checked], result.data[:, checked]
         step, model = result.segments.step, self._model
         coarse = np.asarray(step.function(x, model.q, data)[0])
-        # A sample of halved substeps would have to be compiled, for these few calls alone.
+        # One substep is called repeatedly, because compiling a sample of halved substeps would take
+        # longer than these few calls.
         begin, mean, slope, *_ = map(np.asarray, step.measurement(x, model.q, data))
 
         def substep(*at: Array) -> Array:
@@ -446,15 +458,16 @@ class Simulator:
         change = np.abs(fine - coarse)
         change = np.where(np.isfinite(change), change, 0.0)
         mean = change[:, : even.size].mean(axis=1, keepdims=True)
-        # The mean of all samples is at least this.
+        # The changes in the fastest samples give a lower limit for the mean over all samples.
         least = change[:, even.size :].sum(axis=1, keepdims=True) / usable.size
         return relative_change(np.maximum(mean, least), x)
 
 
 def relative_moves(states: Array) -> Array:
-    """Return how far the states (n, samples) move to the next sample, over their sizes (samples,).
+    """Return the largest relative move (samples,) of any state to the next sample.
 
-    The largest of all states; zero at the last sample.
+    The moves of the `states` (n, samples) are divided by the largest magnitude of each state. The
+    move is zero at the last sample.
     """
     usable = np.where(np.abs(states) < DIVERGED, states, 0.0)
     size = positive_or_one(np.abs(usable).max(axis=1, initial=0.0))
@@ -475,12 +488,22 @@ def _columns(segments: Segments, data: Array) -> Array:
 def with_implied_states(
     slopes: Array, informing: Array, noise: Array, precision: Array
 ) -> tuple[Array, Array]:
-    """Return derivatives (w, samples, k, a) of outputs by values, and variances by first states.
+    """Return the derivatives of outputs by values, and the variances from the initial states.
 
-    A change of a value also changes the first state (n,) that the measurements imply. The `slopes`
-    are by state and value, (w, samples, k, n + a); `informing` (w, samples, j, n + a) are those of
-    the measurements, whose errors have the covariance `noise` (j, j). `precision` (n,) is that of
-    the states' prior. The variances are NaN where the states are not determined.
+    A change of a value also changes the initial state (n,) that the measurements imply. The
+    returned derivatives (w, samples, k, a) include this effect. The variances (w, samples, k) come
+    from the uncertainty of the initial states; they are NaN where the states are not determined.
+
+    Parameters
+    ----------
+    slopes : (w, samples, k, n + a) array
+        Derivatives of the outputs by the initial states and the values.
+    informing : (w, samples, j, n + a) array
+        The same derivatives of the measurements in the lead-in.
+    noise : (j, j) array
+        Covariance of the errors of the measurements.
+    precision : (n,) array
+        Precision of the prior of the initial states.
     """
     w = len(slopes)
     n = precision.size
@@ -489,7 +512,8 @@ def with_implied_states(
     # Whitened, so that least squares weight every output by its noise.
     J = (whitening(noise) @ informing).reshape(w, -1, slopes.shape[-1])
     prior = np.broadcast_to(np.diag(np.sqrt(precision)), (w, n, n))
-    # Without finite slopes, an output has no finite error either.
+    # Slopes that are not finite are left out here. The outputs with such slopes still get a
+    # standard error that is not finite.
     by_state = np.nan_to_num(np.hstack([J[..., :n], prior]), posinf=0.0, neginf=0.0)
     size = np.maximum(np.linalg.norm(by_state, axis=1, keepdims=True), TINY)
     inverse = np.linalg.pinv(by_state / size, 1e-10) / size.mT
@@ -497,7 +521,7 @@ def with_implied_states(
 
     outputs_by_state = slopes[..., :n]
     variance = np.sum(outputs_by_state @ covariance[:, None] * outputs_by_state, axis=-1)
-    # Too few samples do not determine all initial states: no variance would be right.
+    # Too few samples do not determine all initial states, so that no variance would be right.
     variance[np.linalg.matrix_rank(by_state / size, 1e-10) < n] = np.nan
     state_by_value = -inverse[..., : J.shape[1]] @ J[..., n:]
     return slopes[..., n:] + outputs_by_state @ state_by_value[:, None], variance
@@ -506,10 +530,11 @@ def with_implied_states(
 def _standard_errors(
     by_value: Array, variance: Array, model: ModelAtEstimate
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return the standard errors (..., k) of outputs with the variance (..., k) of the states.
+    """Return the standard errors (..., k) of the outputs, and values without a standard error.
 
-    A sample that depends on a value without a standard error has none either; the names of these
-    values are returned, too.
+    The `variance` (..., k) of the outputs comes from the initial states. The standard error of a
+    sample is NaN if it depends on a value without a standard error. The second result contains the
+    names of these values.
     """
     unknown: tuple[str, ...] = ()
     if model.covariance is not None:
@@ -521,7 +546,7 @@ def _standard_errors(
         if undetermined.any():
             effect = np.abs(by_value) * positive_or_one(np.abs(model.q[model.uncertain]))
             every = (*range(effect.ndim - 2), -1)
-            # Of every output; smaller effects are rounding errors.
+            # The largest effect on every output: effects below 1e-9 of it are rounding errors.
             largest = np.nanmax(effect, axis=every, initial=0.0)
             depends = ~(effect <= 1e-9 * largest[:, None]) & undetermined
             variance = np.where(depends.any(axis=-1), np.nan, variance)
