@@ -19,7 +19,6 @@ from greybox.engine.compiled.part import SMOOTHING
 from greybox.engine.compiled.record_group import shared_products
 from greybox.engine.compiled.record_part import RecordPart, RecordProgram
 from greybox.engine.compiled.response_part import ResponsePart
-from greybox.engine.compiled.transient_part import TransientPart
 from greybox.engine.solve.gauss_newton.driver import GaussNewton
 from greybox.engine.solve.interruption import reason_to_end
 from greybox.engine.solve.ipopt import Ipopt
@@ -39,13 +38,14 @@ class TranscribedProgram(Descent):
         z = ca.MX.sym("z", len(nlp.free))
         self._programs = [RecordProgram(part, z) for part in nlp.parts_of(RecordPart)]
         self._responses = nlp.parts_of(ResponsePart)
-        spectra = nlp.parts_of(TransientPart)
-        # A spectrum eliminates its end terms numerically: IPOPT needs a symbolic expression.
-        if spectra:
-            raise ValueError(
-                f"IPOPT takes records as one program and {spectra[0].name!r} is a TransientSpectrum"
-                ": use method=MultipleShooting() and search='batched', the defaults."
-            )
+        # IPOPT needs a symbolic expression. A spectrum, say, eliminates its end terms numerically.
+        for part in nlp.parts:
+            if not isinstance(part, RecordPart | ResponsePart):
+                raise ValueError(
+                    f"IPOPT takes records as one program and {part.name!r} is "
+                    f"{part.problem.kind.noun}: use method=MultipleShooting() and "
+                    "search='batched', the defaults."
+                )
 
         # The parameters come first: they are all that the parts share.
         unknowns = ca.vertcat(z, *[program.unknowns for program in self._programs])
