@@ -1,7 +1,7 @@
-"""From one sample to the next: fixed-step integrators, compiled as one CasADi function.
+"""Fixed-step integrators from one sample to the next, compiled as one CasADi function.
 
-Within a step the inputs are linear in time, u(t) = mean + slope · (t / step - 1/2), which holds
-both a held and an interpolated input, delayed by any fraction of a step (see
+Within a step the inputs are linear in time, u(t) = mean + change · (t / step - 1/2). This form
+covers zero-order-hold and interpolated inputs that are delayed by any fraction of a step (see
 `greybox.engine.compiled.sampled_data`).
 """
 
@@ -20,18 +20,19 @@ from greybox.modeling.traced_once import once
 class Integrator(ABC):
     """A scheme with `substeps` equal steps from one sample to the next.
 
-    With None, `greybox.engine.compiled.step_size` chooses their number.
+    If `substeps` is None, `greybox.engine.compiled.step_size` chooses the number of steps.
 
     Attributes
     ----------
     order : int
-        The error of one step falls with its (order + 1)th power.
+        The error of one step is proportional to the (order + 1)th power of its length.
     reach : float
         Largest |pole| · step for which a step is stable.
     wave : float
-        Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough
-        at first. At 0.7, a Runge-Kutta step changes the amplitude by 0.7⁶ / 144 and the phase by
-        0.7⁵ / 120, 0.7 % and 0.013 rad in a period; the data then decide whether this matters.
+        Largest |imaginary part of a pole| · step, in rad, of the first choice of the step. At 0.7,
+        a Runge-Kutta step changes the amplitude of an oscillation by 0.7⁶ / 144 and its phase by
+        0.7⁵ / 120. In a period these are 0.7 % and 0.013 rad. The step is refined if the data need
+        it.
     implicit : bool
         True if a step solves equations by iteration, which CasADi expresses in MX only.
     """
@@ -81,36 +82,43 @@ class RungeKutta(Integrator):
 def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
     """Return (x, u, slope, p, h) -> x one step h later, from u (m,) at its beginning.
 
-    Explicit schemes see inputs that are delayed by states as lines, too, see `pade_step`; implicit
-    ones integrate these states.
+    Some states may belong to delays of inputs. Explicit schemes advance these states exactly and
+    take the delayed inputs as linear in time, see `pade_step`. Implicit schemes integrate them with
+    the other states.
     """
     kind: Any = ca.MX if integrator.implicit else ca.SX
-    x, u = kind.sym("x", len(system.states)), kind.sym("u", len(system.inputs))
-    slope, h = kind.sym("slope", len(system.inputs)), kind.sym("h")
+    x = kind.sym("x", len(system.states))
+    u = kind.sym("u", len(system.inputs))
+    slope = kind.sym("slope", len(system.inputs))
+    h = kind.sym("h")
     p = kind.sym("p", len(system.parameters))
 
     undelayed = None if integrator.implicit else system.undelayed
-    driven = undelayed or system
-    result, late = ca.vertsplit(x, [0, len(driven.states), len(system.states)])
-    acting, ramp = u, slope
+    plant = undelayed or system
+    plant_states, delay_states = ca.vertsplit(x, [0, len(plant.states), len(system.states)])
+    plant_input = u
+    input_slope = slope
     if undelayed:
-        late, acting, ramp = system.delay_step(late, u, slope, p, h)
-    result = integrator.advance(driven, result, acting, ramp, p, h)
+        delay_states, plant_input, input_slope = system.delay_step(delay_states, u, slope, p, h)
+    plant_states = integrator.advance(plant, plant_states, plant_input, input_slope, p, h)
     # CasADi divides many derivatives of a called function into groups, each of which would repeat
     # the steps of an implicit scheme.
     options = {"always_inline": integrator.implicit}
-    return ca.Function("substep", [x, u, slope, p, h], [ca.vertcat(result, late)], options)
+    return ca.Function(
+        "substep", [x, u, slope, p, h], [ca.vertcat(plant_states, delay_states)], options
+    )
 
 
 def repeated(substep: Any, substeps: int, x: Any, mean: Any, change: Any, p: Any, h: Any) -> Any:
-    """Return x one sample later, after so many steps of a `substep_function`.
+    """Return x one sample later, after `substeps` steps of a `substep_function`.
 
-    `mean` and `change` (m,) are those of the inputs over the sample, which lasts h.
+    `mean` (m,) is the mean of the inputs over the sampling interval h, and `change` (m,) is their
+    change from its beginning to its end.
     """
     slope = change / h
     length = h / substeps
     for k in range(substeps):
-        # The input at the beginning of the substep; `change` is that over the whole sample.
+        # The input at the beginning of the substep: at the middle of the interval it is the mean.
         u = mean + change * (k / substeps - 0.5)
         x = substep(x, u, slope, p, length)
     return x
