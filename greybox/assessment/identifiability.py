@@ -233,7 +233,7 @@ def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, in
 def _named(
     names: Sequence[str], value: Array, row: Array, error: float, is_product: bool
 ) -> DeterminedCombination:
-    """Return a combination with its formula: few divisors, and a value of at least one if equal."""
+    """Return a combination with its formula, written with few divisors or a value above one."""
     if is_product:
         turned = (row < 0).sum() - (row > 0).sum()
         smaller = row @ np.log(np.abs(np.where(row == 0, 1.0, value))) < 0
