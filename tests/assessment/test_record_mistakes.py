@@ -141,11 +141,11 @@ class Wild(gb.StateSpace):
         ),
         (
             lambda: gb.OutputError(noise="white"),
-            "noise 'white' is not known: use 'diagonal', 'full' or",
+            "noise 'white' is not known: use 'diagonal', 'full', {",
         ),
         (
             lambda: gb.OutputError(noise=np.ones(3)),
-            r"noise array.*is not known: use 'diagonal', 'full' or \{output: standard deviation\}",
+            r"noise array.*is not known: use 'diagonal', 'full', \{output: standard deviation\}",
         ),
         (lambda: gb.OutputError(noise={"x": 0.0}), "give a standard deviation above 0"),
         (

@@ -9,7 +9,6 @@ from greybox.assessment.checks.records import (
     in_time,
     place_of,
 )
-from greybox.assessment.disturbed_state import reached_states
 from greybox.data.files.wording import some
 from greybox.statistics.correlation_statistics import cross_correlation, whiteness
 from greybox.statistics.metrics import is_resolved
@@ -59,7 +58,7 @@ def feedback(evidence: Evidence) -> Findings:
 
     if responding:
         places = some(responding)
-        moving = [part for part, _ in tested if reached_states(part)]
+        moving = [part for part, _ in tested if not part.is_static]
         yield Finding(
             (
                 f"feedback answers the errors of an unstable model, noise or gusts ({places}), "

@@ -38,6 +38,9 @@ def gust_criterion(evidence: Evidence, part: RecordPart) -> str:
     """
     model = part.problem.model
     states = list(model.disturbed) if isinstance(model, ColoredDisturbance) else []
-    states.append(disturbed_state(part, evidence.trajectory(part)))
+    if part.system.states:
+        states.append(disturbed_state(part, evidence.trajectory(part)))
+    if not states:  # delays alone
+        return "PredictionError()"
     gusts = ", ".join(f"{state!r}: 'colored'" for state in dict.fromkeys(states))
     return f"PredictionError(disturbance={{{gusts}}})"
