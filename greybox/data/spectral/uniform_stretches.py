@@ -121,7 +121,7 @@ def longest_stretch(record: Record) -> float:
 
 def _runs(jumps: Array, gaps: Gaps) -> list[IntArray]:
     """Return the samples of every stretch; `jumps` (n - 1,) are the steps in usual steps."""
-    samples = np.arange(jumps.size + 1)
+    samples: IntArray = np.arange(jumps.size + 1)
     missing = np.rint(jumps) - 1
     is_next = missing < 1
     # Off the grid, the clock has started again.

@@ -47,7 +47,7 @@ METHODS = {
     "collocation": Collocation,
 }
 FILTER_NAMES = ("-filter", "-notch")  # ends of the names of filters in responses
-CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
+CRITERIA_BY_NAME: dict[str, Any] = {
     criterion.name: criterion for kind in DATA_KINDS for criterion in kind.criteria
 }
 
