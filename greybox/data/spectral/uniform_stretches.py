@@ -119,9 +119,9 @@ def longest_stretch(record: Record) -> float:
     return float(max(np.ptp(record.time[run]) for run in runs))
 
 
-def _runs(jumps: Array, gaps: Gaps) -> list[IntArray]:
+def _runs(jumps: Array, gaps: Gaps) -> Sequence[IntArray]:
     """Return the samples of every stretch; `jumps` (n - 1,) are the steps in usual steps."""
-    samples: IntArray = np.arange(jumps.size + 1)
+    samples = np.arange(jumps.size + 1)
     missing = np.rint(jumps) - 1
     is_next = missing < 1
     # Off the grid, the clock has started again.
