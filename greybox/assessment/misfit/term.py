@@ -141,7 +141,7 @@ class RecordTerm(Term):
 
     values: Array = field(kw_only=True)
     effect: Callable[[Array], Effect] = field(kw_only=True)
-    other_wording: Callable[[float], Wording | None] = same_wording
+    other_wording: Callable[[float], Wording | None] = field(default_factory=lambda: same_wording)
     addition: Formula | None = None
     code: str = ""
     outputs: Values = field(default_factory=dict)
