@@ -11,6 +11,7 @@ how often one of them is accused.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -60,8 +61,53 @@ class SignalFault:
         return self.text
 
 
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """The measured samples of a signal, beside the other signals of its record.
+
+    Attributes
+    ----------
+    name : str
+    values : (n,) array
+    rows : (n,) int array
+        The rows of the record in which it was measured.
+    others : sequence of arrays
+        The other signals in all rows of the record.
+    """
+
+    name: str
+    values: Array
+    rows: IntArray
+    others: Sequence[Array]
+
+    @cached_property
+    def resolution(self) -> float:
+        """The smallest difference of two different values."""
+        steps = np.diff(self._levels)
+        return float(steps.min()) if steps.size else 0.0
+
+    @property
+    def is_made_of_steps(self) -> bool:
+        """Whether the signal has few levels, as a 3-2-1-1 or a binary sequence."""
+        return self._levels.size < LEVELS
+
+    @cached_property
+    def _levels(self) -> Array:
+        return np.unique(self.values)
+
+    @cached_property
+    def off_neighbors(self) -> Array:
+        """How far each sample (n - 2,) lies from the middle of its two neighbors."""
+        return self.values[1:-1] - (self.values[2:] + self.values[:-2]) / 2
+
+
 def signal_faults(
-    name: str, values: Array, others: Array, *, is_command: bool = False, hold: float = np.inf
+    name: str,
+    values: Array,
+    others: Sequence[Array],
+    *,
+    is_command: bool = False,
+    hold: float = np.inf,
 ) -> tuple[SignalFault, ...]:
     """Return the faults of a signal, at most one of them: others would only be its look.
 
@@ -70,20 +116,20 @@ def signal_faults(
     name : str
     values : (n,) array
         The signal; NaN where it was not measured.
-    others : (m, n) array
+    others : sequence of (n,) arrays
         The other signals of the same rows.
     is_command : bool
         Whether the signal is an input, which may be held, at its limit, or at rest.
     hold : float, s
         For how long a value of a command lasted; 0 states that it is not held.
     """
-    measured = np.isfinite(values)
-    values, others = values[measured], others[:, measured]
+    rows = np.flatnonzero(np.isfinite(values))
+    values = values[rows]
     if values.size < FEWEST or not np.ptp(values) > 0:
         return ()
     # A change of units or of the time base leaves rounding errors in samples that were equal.
     unit = ROUNDING * float(np.ptp(values))
-    values = np.rint(values / unit) * unit
+    signal = Signal(name, np.rint(values / unit) * unit, rows, others)
 
     looks = [_interpolated, _far_off, _alternating]
     if not is_command:
@@ -91,7 +137,7 @@ def signal_faults(
     elif hold == 0:
         looks = [_held, *looks]
     for look in looks:
-        for kind, text in look(name, values, others):
+        for kind, text in look(signal):
             return (SignalFault(name, kind, text),)
     return ()
 
@@ -104,12 +150,10 @@ def record_faults(
         return ()
     faults: list[SignalFault] = []
     for name in (*outputs, *commands):
-        others = [record[other] for other in record.signals if other != name]
-        rows = np.array(others).reshape(-1, len(record))
         faults += signal_faults(
             name,
             record[name],
-            rows,
+            [record[other] for other in record.signals if other != name],
             is_command=name not in outputs,
             hold=record.hold.get(name, np.inf),
         )
@@ -144,11 +188,6 @@ def _jumped(record: Record, command: str, output: str) -> Iterator[SignalFault]:
 Faults = Iterator[tuple[str, str]]
 
 
-def _is_made_of_steps(values: Array) -> bool:
-    """Return whether a signal has few levels, as a 3-2-1-1 or a binary sequence."""
-    return np.unique(values).size < LEVELS
-
-
 def _slower_clock(places: IntArray) -> int:
     """Return the number of rows between places that keep to one slower clock; zero if none do."""
     if places.size < LEVELS:
@@ -164,28 +203,29 @@ def _slower_clock(places: IntArray) -> int:
     return period if np.mean(is_regular) > REGULAR else 0
 
 
-def _held(name: str, values: Array, others: Array) -> Faults:
+def _held(signal: Signal) -> Faults:
     """Look for samples of a slower logger that are repeated until the next one."""
-    changes = np.flatnonzero(np.diff(values))
+    changes = np.flatnonzero(np.diff(signal.values))
     period = _slower_clock(changes)
-    if not period or _is_made_of_steps(values):
+    if not period or signal.is_made_of_steps:
         return
     # A count of an encoder repeats, too, and changes by one or two counts.
-    steps = np.abs(np.diff(values)[changes])
+    steps = np.abs(np.diff(signal.values)[changes])
     if np.unique(np.rint(steps / steps.min())).size < 5:
         return
     yield (
         "held",
-        f"{name} changes only in every {_ordinal(period)} row: a slower log was repeated, which "
-        "delays it by half its interval on average. Give NaN in the rows between.",
+        f"{signal.name} changes only in every {_ordinal(period)} row: a slower log was repeated, "
+        "which delays it by half its interval on average. Give NaN in the rows between.",
     )
 
 
-def _interpolated(name: str, values: Array, others: Array) -> Faults:
+def _interpolated(signal: Signal) -> Faults:
     """Look for straight lines between the samples of a slower logger."""
+    values = signal.values
     bends = np.abs(np.diff(values, 2))
     # Lines of numbers with few digits bend by their rounding.
-    rounding = max(1e-9 * float(np.ptp(values)), 2.01 * _resolution(values))
+    rounding = max(ROUNDING * float(np.ptp(values)), 2.01 * signal.resolution)
     straight = bends <= rounding
     # Where corners are hardly larger, a rounded curve looks like lines.
     if straight.all() or np.median(bends[~straight]) < 10 * rounding:
@@ -194,34 +234,37 @@ def _interpolated(name: str, values: Array, others: Array) -> Faults:
     period = _slower_clock(corners)
     is_lines = np.mean(straight) > 0.8 * (1 - 1 / max(period, 1))
     moves = np.mean(np.diff(values) != 0) > 0.5
-    if period and is_lines and moves and not _is_made_of_steps(np.diff(values)[corners]):
+    slopes = np.unique(np.diff(values)[corners])
+    if period and is_lines and moves and slopes.size >= LEVELS:
         yield (
             "interpolated",
-            f"{name} runs in straight lines from every {_ordinal(period)} row to the next: a "
-            "slower log was interpolated, which takes off its fast part. Give NaN in the rows "
+            f"{signal.name} runs in straight lines from every {_ordinal(period)} row to the next: "
+            "a slower log was interpolated, which takes off its fast part. Give NaN in the rows "
             "between.",
         )
 
 
-def _clipped(name: str, values: Array, others: Array) -> Faults:
+def _clipped(signal: Signal) -> Faults:
     """Look for a flat top of a signal that elsewhere never rests."""
+    values = signal.values
     is_flat = at_limit(values)
     elsewhere = np.diff(values[~is_flat])
     begins = np.flatnonzero(np.diff(is_flat.astype(int)) > 0)
     # A rounded top is entered slowly.
     slopes = np.abs(values[begins] - values[np.maximum(begins - 1, 0)])
-    is_entered_fast = begins.size > 0 and np.median(slopes) > 4 * _resolution(values)
+    is_entered_fast = begins.size > 0 and np.median(slopes) > 4 * signal.resolution
     if np.mean(is_flat) > SHORT_CLIP and is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
         yield (
             "clipped",
-            f"{name} rests at {number(np.abs(values[is_flat]).max(), 3)} for "
+            f"{signal.name} rests at {number(np.abs(values[is_flat]).max(), 3)} for "
             f"{percent(float(np.mean(is_flat)))} % of the time and nowhere else: its sensor or log "
             "was clipped there. Make these samples NaN.",
         )
 
 
-def _frozen(name: str, values: Array, others: Array) -> Faults:
+def _frozen(signal: Signal) -> Faults:
     """Look for a long rest of a signal that elsewhere never rests, while others move."""
+    values = signal.values
     changes = np.flatnonzero(np.diff(values))
     rests = np.diff(np.r_[0, changes, values.size - 1])
     longest = int(rests.max())
@@ -230,26 +273,28 @@ def _frozen(name: str, values: Array, others: Array) -> Faults:
         return
     begin = int(np.r_[0, changes][np.argmax(rests)])
     end = begin + longest
-    during = others[:, begin + 1 : end]
+    meanwhile = signal.rows[begin + 1 : end]
     # A rounded signal that turns slowly rests, too, but does not jump when it moves again.
     steps = np.abs(np.diff(values))
     jump = steps[end] if end < steps.size else np.inf
-    is_jump = jump > 4 * (np.median(steps) + _resolution(values))
+    is_jump = jump > 4 * (np.median(steps) + signal.resolution)
     is_long = longest > max(100, 50 * usual)
-    if (is_jump or is_long) and any(np.mean(np.diff(row) != 0) > REGULAR for row in during):
+    moves = (np.mean(np.diff(other[meanwhile]) != 0) > REGULAR for other in signal.others)
+    if (is_jump or is_long) and any(moves):
         yield (
             "frozen",
-            f"{name} has one value in {counted(longest, 'row')} from row {begin + 1} on, while "
-            "others move: its log stood still. Make these samples NaN.",
+            f"{signal.name} has one value in {counted(longest, 'row')} from row "
+            f"{signal.rows[begin] + 1} on, while others move: its log stood still. Make these "
+            "samples NaN.",
         )
 
 
-def _far_off(name: str, values: Array, others: Array) -> Faults:
+def _far_off(signal: Signal) -> Faults:
     """Look for single samples that their neighbors contradict."""
-    if _is_made_of_steps(values):
+    if signal.is_made_of_steps:
         return
-    middle = values[1:-1] - (values[2:] + values[:-2]) / 2
-    usual = 1.4826 * float(np.median(np.abs(middle))) + _resolution(values)
+    values, middle = signal.values, signal.off_neighbors
+    usual = 1.4826 * float(np.median(np.abs(middle))) + signal.resolution
     is_far = np.abs(middle) > max(FAR * usual, FAR_IN_SIGNAL * float(np.std(values)))
     # A single sample bends the lines beside it by half as much the other way, a step by as much on
     # one side.
@@ -261,29 +306,24 @@ def _far_off(name: str, values: Array, others: Array) -> Faults:
         before, far, after = (number(x, 3) for x in values[first - 1 : first + 2])
         yield (
             "far off",
-            f"{name} has {counted(places.size, 'sample')} far from both neighbors, the first in "
-            f"row {first}: {far} between {before} and {after}. Make them NaN.",
+            f"{signal.name} has {counted(places.size, 'sample')} far from both neighbors, the "
+            f"first in row {signal.rows[first]}: {far} between {before} and {after}. Make them "
+            "NaN.",
         )
 
 
-def _alternating(name: str, values: Array, others: Array) -> Faults:
+def _alternating(signal: Signal) -> Faults:
     """Look for the samples of two sensors in turn."""
-    middle = values[1:-1] - (values[2:] + values[:-2]) / 2
+    values, middle = signal.values, signal.off_neighbors
     turns = np.mean(middle[1:] * middle[:-1] < 0)
     apart = np.abs(np.mean(values[::2][: values.size // 2] - values[1::2]))
     pairs = np.std(values[2:] - values[:-2])
     if turns > 0.95 and apart > pairs:
         yield (
             "alternating",
-            f"{name} jumps by {number(apart, 3)} from row to row and back: two sensors were logged "
-            "in turn. Give each its own column.",
+            f"{signal.name} jumps by {number(apart, 3)} from row to row and back: two sensors "
+            "were logged in turn. Give each its own column.",
         )
-
-
-def _resolution(values: Array) -> float:
-    """Return the smallest difference of two different values."""
-    steps = np.diff(np.unique(values))
-    return float(steps.min()) if steps.size else 0.0
 
 
 def _ordinal(count: int) -> str:

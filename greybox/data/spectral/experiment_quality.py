@@ -16,7 +16,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
 from greybox.data.saturation import at_limit
 from greybox.data.signal_faults import SignalFault, record_faults
-from greybox.data.spectral.uniform_stretches import FILLED, longest_stretch
+from greybox.data.spectral.uniform_stretches import is_interpolated, longest_stretch
 
 Severity = Literal["note", "warning", "refusal"]
 
@@ -184,18 +184,17 @@ def _gaps(record: Record, segments: Segments) -> Findings:
     time = record.time
     within = np.any([(time[1:] > start) & (time[:-1] < end) for start, end in spans], axis=0)
     holes = record.clock.holes
-    wide = np.diff(time)[holes[within[holes]]]
-    missing = np.rint(wide / record.step) - 1
-    is_short = (missing <= FILLED) & (record.gaps != "cut")
-    if is_short.any():
-        count = int(missing[is_short].sum())
+    places = holes[within[holes]]
+    is_short = is_interpolated(record)[places]
+    short, wide = np.diff(time)[places[is_short]], np.diff(time)[places[~is_short]]
+    if short.size:
+        count = int(np.sum(np.rint(short / record.step) - 1))
         share = count / (count + np.count_nonzero(within))
         text = (
-            f"{counted(count, 'lost row')} in {counted(int(is_short.sum()), 'short gap')} "
-            f"({percent(share)} %): interpolated, at most {FILLED} in a row."
+            f"{counted(count, 'lost row')} in {counted(short.size, 'short gap')} "
+            f"({percent(share)} %): spectra are interpolated across."
         )
         yield Finding("gaps", "note", share, text)
-    wide = wide[~is_short]
     if wide.size:
         share = wide.sum() / np.diff(time)[within].sum()
         # Nothing is interpolated across gaps: a larger share costs data but not accuracy, so the

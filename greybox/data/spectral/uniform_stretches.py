@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.clock import JITTER as JITTER_OF_CLOCK, Gaps
 from greybox.data.files.argument_checks import checked_items
-from greybox.data.files.arrays import Array, IntArray
+from greybox.data.files.arrays import Array, BoolArray, IntArray
 from greybox.data.files.named_values import array_of
 from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record, require_time, unrounded
@@ -16,7 +16,6 @@ from greybox.data.record import Record, require_time, unrounded
 # sampling rate, where the automatic frequencies end, the phase of such a sample is wrong by
 # 2π · 0.4 · 0.05 = 0.13 rad, and a window averages it.
 JITTER = 0.05
-
 
 # Missing samples in a row that are interpolated, and the largest share of a stretch: a signal in
 # every second row has a rate of its own. `benchmarks/results/damaged_records.txt` has the errors.
@@ -115,22 +114,31 @@ def _stretches_of(record: Record, signals: Sequence[str]) -> Iterator[UniformStr
 
 def longest_stretch(record: Record) -> float:
     """Return the duration of the longest stretch without a gap that is not interpolated, s."""
-    runs = _runs(np.diff(record.time) / record.step, record.gaps)
+    jumps = np.diff(record.time) / record.step
+    runs = _runs(jumps, record.gaps)
     return float(max(np.ptp(record.time[run]) for run in runs))
+
+
+def is_interpolated(record: Record) -> BoolArray:
+    """Return across which steps (n - 1,) of a record lost rows are interpolated."""
+    return _is_filled(np.diff(record.time) / record.step, record.gaps)
 
 
 def _runs(jumps: Array, gaps: Gaps) -> Sequence[IntArray]:
     """Return the samples of every stretch; `jumps` (n - 1,) are the steps in usual steps."""
-    samples = np.arange(jumps.size + 1)
+    is_gap = (np.rint(jumps) > 1) & ~_is_filled(jumps, gaps)
+    return np.split(np.arange(jumps.size + 1), np.flatnonzero(is_gap) + 1)
+
+
+def _is_filled(jumps: Array, gaps: Gaps) -> BoolArray:
+    """Return across which steps, in usual ones, rows are lost and interpolated."""
     missing = np.rint(jumps) - 1
-    is_next = missing < 1
     # Off the grid, the clock has started again.
-    is_short = (missing <= FILLED) & (np.abs(jumps - np.rint(jumps)) < JITTER_OF_CLOCK)
-    runs = np.split(samples, np.flatnonzero(~(is_next | is_short)) + 1)
-    lost = sum(missing[run[:-1]].sum() for run in runs)
-    if gaps == "cut" or lost > MOST_FILLED * (lost + samples.size):
-        return np.split(samples, np.flatnonzero(~is_next) + 1)
-    return runs
+    is_on_grid = np.abs(missing + 1 - jumps) < JITTER_OF_CLOCK
+    is_short = (missing >= 1) & (missing <= FILLED) & is_on_grid
+    lost = missing[is_short].sum()
+    is_rare = lost <= MOST_FILLED * (lost + jumps.size + 1)
+    return is_short & is_rare & (gaps != "cut")
 
 
 def _filled(values: Array, at: IntArray, whole: IntArray, *, is_held: bool) -> Array:
