@@ -52,11 +52,17 @@ class ErrorCovariance(ABC):
         if known is None:
             return None
         known, k = np.asarray(known, dtype=float), len(outputs)
-        is_symmetric = known.shape == (k, k) and np.allclose(known, known.T)
+        rounding = 1e-9 * np.abs(known).max(initial=0.0)
+        is_symmetric = known.shape == (k, k) and np.all(np.abs(known - known.T) <= rounding)
         if not (is_symmetric and np.linalg.eigvalsh(known)[0] > 0):
             raise ValueError(
                 f"{self} gives {known.tolist()!r:.60} for {', '.join(outputs)}: give a symmetric "
                 "covariance matrix with positive eigenvalues."
+            )
+        if not self.is_correlated and np.any(np.abs(known - np.diag(np.diag(known))) > rounding):
+            raise ValueError(
+                f"{self} gives covariances of {', '.join(outputs)}, and says that their errors are "
+                "independent: set is_correlated = True."
             )
         return known
 

@@ -177,6 +177,11 @@ def test_what_is_no_covariance_is_refused(matrix):
         gb.Problem(Board(), rows(1), gb.OutputError(noise=Wrong(matrix)))
 
 
+def test_covariances_of_errors_that_are_called_independent_are_refused():
+    with pytest.raises(ValueError, match="set is_correlated = True"):
+        gb.Problem(Board(), rows(1), gb.OutputError(noise=Wrong(((1, 0.5), (0.5, 1)))))
+
+
 def test_what_a_fit_does_not_store_is_refused_where_it_is_needed():
     with pytest.raises(ValueError, match="has errors of your own, which it does not store"):
         gb.profile(fitted(rows(1), OneBoard()), "b")
