@@ -31,7 +31,7 @@ NAMESPACES = {
     "segment_table write_response write_responses",
     "experiment": "ControlCheck Controller Excitation ExpectedErrors GainComparison Margins SafeGains SinePlan ardupilot_script broken_loop check_controller "
     "expected_errors margin_table margins measured_margins multisine plan_sines safe_gains sine_schedule sweep systemid_parameters virtual_flight write_excitation write_gains",
-    "formulation": "Criterion EquationError ErrorCovariance ErrorDistribution MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
+    "formulation": "Criterion Disturbance EquationError ErrorCovariance ErrorDistribution MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_matrix select_orders",
