@@ -70,7 +70,7 @@ class Trajectory:
 
     @property
     def course(self) -> Any:
-        """Of a record, where the functions of its segments are evaluated: a `Course`."""
+        """Where the functions of the segments of a record are evaluated, a `Course`."""
         return self.detail.along(self.states)
 
     @property
@@ -94,7 +94,7 @@ class Condensed:
         Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is
         added to the cost.
     held : (s, n, n) array, or a zero (1,)
-        Curvature that holds initial states which the outputs hardly show.
+        Penalty on weakly observable directions of the initial states.
     decrease : float
         Decrease of the merit that is predicted for the step of the nodes alone.
     """
@@ -280,7 +280,7 @@ class Part(Portable, ABC):
     ) -> Condensed:
         """Eliminate the nodes; continuity is exact where its variances (n,) are zero, or None.
 
-        With the `weight` of the residuals, initial states that they hardly show are held.
+        With the `weight` of the residuals, weakly observable initial states get a penalty.
         """
         # Without nodes the linearization is the condensed system already.
         gradient, hessian = linearization

@@ -306,8 +306,8 @@ def _assumed_covariances(
 ) -> list[ResidualCovariance]:
     """Return the residual covariances of records; those of one model share their spread.
 
-    By its own spread, a record whose outputs are small would decide where searches begin: one of
-    three flights, with a payload, drew every start away from the minimum of the other two.
+    With a spread of its own, a record whose outputs are small would decide where searches begin:
+    one of three flights, with a payload, drew every start away from the minimum of the other two.
     """
     pairs = zip(models, data, strict=True)
     own = [residual_covariance_of(m.criterion, m.outputs, sampled.measured) for m, sampled in pairs]
