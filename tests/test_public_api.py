@@ -47,7 +47,7 @@ NAMESPACES = {
     "spectral": "FiniteFrequency Quality check finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap grid read_study",
-    "validation": "Comparison Differences NestedTest StepwiseSelection compare differences nested_test "
+    "validation": "Comparison Differences JointTest NestedTest StepwiseSelection compare differences joint_test nested_test "
     "stepwise",
 }
 EVERYTHING = [(gb, name) for name in (*NAMES, *FORMULAS)]

@@ -71,8 +71,7 @@ def _labeled(pairs: Sequence[tuple[str, str]]) -> str:
 
 def title(fit: Any) -> str:
     """Return the problem and its models."""
-    labels = dict.fromkeys(part.label for part in fit.parts if not part.is_prior)
-    return f"{fit.name}: {', '.join(labels)}"
+    return f"{fit.name}: {', '.join(fit.labels)}"
 
 
 def facts(fit: Any) -> list[tuple[str, str]]:
@@ -370,12 +369,11 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     named = ("criterion", "rule", "delay", "seed", "agreeing", "cost", "costs", "status")
     named += ("estimate", "best_effort", "standard_error", "derived", "dof")
     named += ("warnings", "notes", "checksum", "seconds", "versions")
-    models = unique(part.label for part in result.parts)
     return plain(
         {
             "problem": result.name,
-            "model": models,
-            "data": data_names(result.parts, models),
+            "model": list(result.labels),
+            "data": data_names(result.parts, result.labels),
             **attributes(result, *named),
             "starts": len(runs),
             "screened": np.count_nonzero(runs.stage == SCREENED),
