@@ -108,7 +108,8 @@ class Study(Printed):
         parameter is ``pivot(index="member", columns="parameter", values="value")``. The
         columns are ``member``, the factors, ``grade, cost, converged, agreeing, minima, held_out``
         (the error of held-out predictions in percent), ``explains`` (whether the model explains
-        the data; None if it does only where errors drift, are correlated, or are large), ``starts, warnings, reason``, then
+        the data; None if it does only where errors drift, are correlated, or are large),
+        ``starts, warnings, reason``, then
         ``parameter, value, standard_error``, the ends ``low, high`` of the 95 % interval, and
         ``unit``. A member without an estimate has one row without a parameter.
 

@@ -489,8 +489,16 @@ def test_parts_may_disagree_without_a_cause():
     ("left", "drift", "words"),
     [
         (0.24, 0.9, "explains the data: the residuals follow none"),
-        (0.44, 0.1, "is not contradicted by the data: 44 % of their variance is left and follows none"),
-        (0.83, 0.9, "is not contradicted by the data: 83 % of their variance is left and follows none"),
+        (
+            0.44,
+            0.1,
+            "is not contradicted by the data: 44 % of their variance is left and follows none",
+        ),
+        (
+            0.83,
+            0.9,
+            "is not contradicted by the data: 83 % of their variance is left and follows none",
+        ),
     ],
 )
 def test_large_residuals_are_named_where_nothing_is_missing(left, drift, words):
