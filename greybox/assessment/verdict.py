@@ -120,4 +120,10 @@ def _determined(fit: Any) -> tuple[bool, str]:
 
     worst = max(errors, key=errors.__getitem__, default="")
     most = f" of at most {percent(errors[worst])} % ({worst})" if worst else ""
+    if fit.misfit and not fit.misfit.explains:
+        # Scatter is small, but not the bias, which nobody knows.
+        return (
+            True,
+            f"The standard errors{most} would be valid only for a model that explains the data.",
+        )
     return True, f"The free parameters are well determined, with standard errors{most}."

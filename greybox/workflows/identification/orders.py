@@ -108,7 +108,7 @@ def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArra
     return ratio(*_polynomials(orders, values), omega) * np.exp(-1j * omega * values["T_delay"])
 
 
-def select_orders(
+def select_orders(  # noqa: PLR0913 - every choice that an analyst makes
     data: FrequencyResponse | Sequence[FrequencyResponse],
     n: Sequence[int] = (),
     m: Sequence[int] = (),
