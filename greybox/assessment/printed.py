@@ -421,7 +421,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
             "minima": len(result.minima),
             "verdict": verdict(result),
             "misfit": misfit
-            and vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value},
+            and vars(misfit) | attributes(misfit, "explains", "is_conditional", "p_value"),
             "level": level,
             "interval": result.interval(level),
             "profiles": {} if result.profiles is None else result.profiles.intervals_in_words(),

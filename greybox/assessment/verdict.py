@@ -136,4 +136,10 @@ def _opinion_of_parameters(fit: Any) -> Opinion:
     if errors:
         worst = max(errors, key=errors.__getitem__)
         most = f" of at most {percent(errors[worst])} % ({worst})"
+    if fit.misfit and not fit.misfit.explains:
+        # Scatter is small, but not the bias, which nobody knows.
+        return Opinion(
+            True,
+            f"The standard errors{most} would be valid only for a model that explains the data.",
+        )
     return Opinion(True, f"The free parameters are well determined, with standard errors{most}.")

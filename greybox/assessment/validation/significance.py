@@ -103,12 +103,13 @@ def prediction_verdict(
     Sources: Diebold and Mariano (1995), Journal of Business and Economic Statistics 13; for few
     windows Harvey, Leybourne and Newbold (1997), International Journal of Forecasting 13.
     """
-    from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
-
     first_predictions, second_predictions = predictions
     # A record has a row for each window: mean squares of both models, and their rounding.
     records = list(map(mean_squares, first_predictions, second_predictions))
     differences = [second - first for first, second, _ in records]
+    ratios = [
+        np.log((second + rounding) / (first + rounding)) for first, second, rounding in records
+    ]
     first = float(np.mean(np.concatenate([first for first, _, _ in records])))
     second = float(np.mean(np.concatenate([second for _, second, _ in records])))
     rounding = float(np.mean(np.concatenate([rounding for _, _, rounding in records])))
@@ -130,33 +131,22 @@ def prediction_verdict(
     if abs(second - first) <= max(1e-3 * min(first, second), rounding):
         return f"{equal} {percent} ({windows})."
 
-    # Windows of one record follow one another, so that their errors are correlated; rows without a
-    # time are independent.
-    independent: list[Array] = []
-    for of_record, prediction in zip(differences, first_predictions, strict=True):
-        if prediction.data.has_time:
-            independent.append(of_record)
-        else:
-            independent += [*of_record[:, None]]
-    mean, error = mean_test(independent)
-    # Harvey, Leybourne and Newbold: with few windows the error is too small, and Student's t holds.
-    error *= math.sqrt(count / (count - 1))
-    dof = count - 1
-    p = float(2 * stdtr(dof, -abs(mean / error))) if error > 0 else 1.0
+    mean, error, p = _mean_of_windows(differences, first_predictions)
     share = 100 * float(np.mean(np.sign(all_differences) == np.sign(mean)))
     test = p_text(p)
     # The negated comparisons are also true for NaN.
     if not p < SIGNIFICANT:
-        # A few windows with large errors hide a difference that nearly all windows have. At a tenth
-        # of the level, the second test adds little to the share of false verdicts.
-        p_of_signs = _sign_test(independent, error)
-        if share > 50 and p_of_signs < SIGNIFICANT / 10:
-            p = p_of_signs
-            test = f"sign test, {p_text(p_of_signs)}"
+        # A few windows with large errors, or errors that swell slowly, hide a difference that
+        # nearly all windows have, but not in the logarithms of the ratios. At a tenth of the level,
+        # the second test adds little to the share of false verdicts.
+        mean_ratio, _, p_of_ratios = _mean_of_windows(ratios, first_predictions)
+        if np.sign(mean_ratio) == np.sign(mean) and p_of_ratios < SIGNIFICANT / 10:
+            p = p_of_ratios
+            test = f"by the ratios of their squared errors, {p_text(p)}"
     if not p < SIGNIFICANT:
         # Absence of evidence is not evidence of absence: models are called equal only if their
         # difference is small even at the end of its interval.
-        widest = abs(mean) + t_quantile(1 - SIGNIFICANT, dof) * error
+        widest = abs(mean) + t_quantile(1 - SIGNIFICANT, count - 1) * error
         if widest <= 0.1 * min(first, second):
             return f"{equal} less than 10 % ({windows}, {test})."
         return (
@@ -167,24 +157,27 @@ def prediction_verdict(
     return f"{better} predicts {data} better than {worse}, in {share:.0f} % of {windows} ({test})."
 
 
-def _sign_test(differences: Sequence[Array], error: float) -> float:
-    """Return the p-value of equally many differences of either sign.
-
-    `error` is the standard error of the mean difference.
-    """
+def _mean_of_windows(
+    values: Sequence[Array], predictions: Sequence[Prediction]
+) -> tuple[float, float, float]:
+    """Return the mean of values (w,) of the windows, its error, and the p-value of zero."""
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    signs = [np.sign(series) for series in differences]
-    _, error_of_signs = mean_test(signs)
-    all_differences = np.concatenate(differences)
-    all_signs = np.concatenate(signs)
-    n = len(all_differences)
-    # Correlated differences count as fewer: by the variance of their mean over that of independent
-    # ones. The larger of two estimates counts.
-    inflation = n * error**2 / max(float(np.var(all_differences)), 1e-300)
-    inflation_of_signs = n * error_of_signs**2 / max(float(np.var(all_signs)), 1e-300)
-    effective = n / max(1.0, inflation, inflation_of_signs)
-    return float(2 * stdtr(n - 1, -abs(np.mean(all_signs)) * math.sqrt(effective)))
+    # Windows of one record follow one another, so that their errors are correlated; rows without a
+    # time are independent.
+    independent: list[Array] = []
+    for of_record, prediction in zip(values, predictions, strict=True):
+        if prediction.data.has_time:
+            independent.append(of_record)
+        else:
+            independent += [*of_record[:, None]]
+
+    mean, error = mean_test(independent)
+    count = sum(map(len, values))
+    # Harvey, Leybourne and Newbold: with few windows the error is too small, and Student's t holds.
+    error *= math.sqrt(count / (count - 1))
+    p = float(2 * stdtr(count - 1, -abs(mean / error))) if error > 0 else float(mean == 0)
+    return mean, error, p
 
 
 def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, Array]:
