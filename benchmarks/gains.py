@@ -20,13 +20,14 @@ import numpy as np
 
 import greybox as gb
 from greybox.models import ardupilot, betaflight, px4
-from greybox.workflows.experiment.gain_comparison import worsening
 from greybox.workflows.experiment.sampled_loop import linear_controller, sampled_loop
 from greybox.workflows.experiment.todays_loop import todays_loop
 
 PHASE_MARGIN, GAIN_MARGIN = 45.0, 6.0
 POINTS = 25  # of a measured response
-ERROR = 0.03  # relative standard deviation of its real and imaginary part, usual for a sweep of 60 s
+ERROR = (
+    0.03  # relative standard deviation of its real and imaginary part, usual for a sweep of 60 s
+)
 
 
 class Attitude(gb.TransferFunction):
@@ -71,6 +72,11 @@ class Loop:
         """The names of P and D of the rate controller."""
         prefix = "RateController." if len(self.controllers) > 1 else ""
         return ["RateController.P", "D"] if prefix else ["P", "D"]
+
+    @property
+    def gains_flown(self):
+        """Today's gains of the rate controller."""
+        return self.controllers[-1].values
 
 
 QUADCOPTER = {"K": 91.0, "a": 0.7, "T": 0.05, "tau": 0.006}
@@ -118,19 +124,12 @@ def measured(loop, seed):
     omega = np.geomspace(*loop.band, POINTS)
     late = loop.truth | {"tau": loop.truth["tau"] + 0.5 / rate}
     exact = gb.frequency_response(loop.model, late, omega)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng([seed, int(loop.truth["K"]), round(100 * loop.gains_flown["P"])])
     errors = ERROR * (random.normal(size=POINTS) + 1j * random.normal(size=POINTS))
     variance = 2 * ERROR**2 * np.abs(exact.response) ** 2
     return gb.FrequencyResponse(
         omega, exact.response * (1 + errors), exact.input, exact.output, variance=variance
     )
-
-
-def true_rows(loop, gains):
-    """Return the rows of the comparison with the true plant."""
-    values = np.array([[*loop.model.values(loop.truth).values()]])
-    laws = changed(loop, gains)
-    return sampled_loop(loop.model, values, laws), laws
 
 
 def changed(loop, gains):

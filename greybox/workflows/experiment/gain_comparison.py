@@ -19,6 +19,8 @@ from greybox.workflows.experiment.sampled_loop import SampledLoop
 from greybox.workflows.experiment.simulated_flights import FlightCounts
 
 SMALL = 0.01  # change of a number below which nobody cares
+# Units whose differences are shown, and not their ratios
+ABSOLUTE = {"dB": " dB", "deg": " deg", "%": " points"}
 ROUNDING = 1e-6  # of a ratio, with the same gains on both sides
 
 
@@ -70,12 +72,14 @@ class GainChange:
         return "worse" if self.low > 1 + SMALL else "may be worse"
 
     @property
-    def percent(self) -> str:
-        """The change in percent of today's number, with its sign; in dB for decibels."""
-        if self.unit == "dB":
-            return _signed(self.changed - self.today, " dB")
-        if self.unit == "%":
-            return _signed(self.changed - self.today, " points")
+    def difference(self) -> str:
+        """The change with its sign: in percent of today's number, or in dB, degrees or points."""
+        if math.isinf(self.changed):
+            return "now infinite"
+        if math.isinf(self.today):
+            return "no longer infinite"
+        if self.unit in ABSOLUTE:
+            return _signed(self.changed - self.today, ABSOLUTE[self.unit])
         change = self.changed / self.today - 1 if self.today else math.nan
         return _signed(100 * change, " %")
 
@@ -99,7 +103,14 @@ class GainComparison(Printed):
     flights, today_flights : FlightCounts, optional
         Simulated flights with these gains and with today's; None if none were flown.
     loops, today_loops : SampledLoop, optional
-        The loops of the first flight, for figures.
+        The loops of the first flight, for figures: of the estimate, and of draws.
+    signal : str
+        Where they are broken.
+    tracking, moment : (str, str)
+        A setpoint or an input of the plant, and the signal that responds to it; the first may be
+        empty.
+    horizon : float, s
+        Over which responses to a moment are compared.
     """
 
     gains: Values
@@ -111,6 +122,10 @@ class GainComparison(Printed):
     today_flights: FlightCounts | None = None
     loops: SampledLoop | None = None
     today_loops: SampledLoop | None = None
+    signal: str = ""
+    tracking: tuple[str, str] | tuple[()] = ()
+    moment: tuple[str, str] = ("", "")
+    horizon: float = 0.0
 
     def __getitem__(self, name: str) -> GainChange:
         """Return a change by its name, such as "peak |S|"."""
@@ -135,7 +150,7 @@ class GainComparison(Printed):
         for judgement in ("better", "worse", "may be worse"):
             changes = self.judged(judgement)
             if changes:
-                named = [f"{change.name} ({change.percent})" for change in changes]
+                named = [f"{change.name} ({change.difference})" for change in changes]
                 parts.append(f"{judgement}: {listed(named)}")
         return "; ".join(parts)
 
@@ -164,24 +179,29 @@ class GainComparison(Printed):
                     change.unit,
                     _with_ends(change.today, change.today_low, change.today_high),
                     _with_ends(change.changed, change.changed_low, change.changed_high),
-                    change.percent,
+                    change.difference,
                     change.judgement,
                 )
             )
         return header, rows
 
-    def __str__(self) -> str:
-        header, rows = self.table()
-        header[0] = ", ".join(f"{name} = {value:.4g}" for name, value in self.gains.items())
-        lines = [text_table(header, rows, left=(0, 1, 5))]
-        lines.append(
-            f"In brackets: {100 * self.level:g} % intervals. Better, worse: with the same plants, "
-            f"for all rows together with {100 * self.level:g} % confidence."
-        )
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the columns of the table mean, and what the simulated flights show."""
+        level = f"{100 * self.level:g} %"
+        lines = [
+            f"In brackets: {level} intervals. Better, as good, worse: with the same plants, for all "
+            f"rows together with {level} confidence."
+        ]
         if self.flights and self.today_flights:
             lines.append(f"Simulated with these gains: {self.flights}")
             lines.append(f"Simulated with today's gains: {self.today_flights}")
-        return "\n".join(lines)
+        return tuple(lines)
+
+    def __str__(self) -> str:
+        header, rows = self.table()
+        header[0] = ", ".join(f"{name} = {value:.4g}" for name, value in self.gains.items())
+        return "\n".join([text_table(header, rows, left=(0, 1, 5)), *self.remarks])
 
 
 def _signed(value: float, unit: str) -> str:

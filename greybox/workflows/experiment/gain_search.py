@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.files.arrays import Array, BoolArray
+from greybox.data.files.arrays import Array
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.named_values import Values
 from greybox.data.files.numbers_in_text import number
@@ -33,10 +33,13 @@ from greybox.workflows.experiment.simulated_flights import (
     FlightTest,
     fly,
 )
-from greybox.workflows.experiment.todays_loop import TodaysLoop
+from greybox.workflows.experiment.todays_loop import NOISE, PEAK, SENSITIVITY, TodaysLoop
 
 COMPARED = 8  # sets that are compared with all draws; later ones differ from these by little
 WORTHWHILE = 0.8  # of today's objective: new gains are a risk, which less does not repay
+# Peak of the sensitivity, in dB, below which a loop is robust: Astrom and Hagglund (2006), Advanced
+# PID Control, section 4.5, recommend maximum sensitivities from 1.4 to 2.
+ROBUST = 3.0
 STEPS = 3  # in which proposed gains are approached
 
 
@@ -161,13 +164,15 @@ class GainSearch:
         return shares.min(axis=0), " ".join(filter(None, cures))
 
     def choose(
-        self, sets: Sequence[Values], allowed: BoolArray
+        self, sets: Sequence[Values], confidence: Array
     ) -> tuple[Array, GainComparison | None]:
         """Return the objective of the allowed sets over today's, and the comparison of the best.
 
         The comparison says why a set is refused if none is proposed. It is None if no allowed set
         has a smaller objective.
         """
+        allowed = confidence >= self.level
+        is_certain = confidence >= self.certainty
         ratios = np.full(len(sets), math.nan)
         keeping = np.zeros(len(sets), dtype=bool)
         for k in np.flatnonzero(allowed):
@@ -179,7 +184,7 @@ class GainSearch:
         order = [int(k) for k in np.argsort(ratios, kind="stable") if ratios[k] < 1 - ROUNDING]
         if not self.must_be_better:
             order = [int(k) for k in np.argsort(ratios, kind="stable") if allowed[k]]
-        candidates = [k for k in order if keeping[k]][:COMPARED] or order[:1]
+        candidates = [k for k in order if keeping[k] and is_certain[k]][:COMPARED] or order[:1]
         refused = None
         for k in candidates:
             comparison = self.compared(sets[k])
@@ -190,6 +195,11 @@ class GainSearch:
                 break
         return ratios, refused
 
+    @property
+    def certainty(self) -> float:
+        """The confidence of proposed gains: the whole intervals of the margins are enough."""
+        return (1 + self.level) / 2
+
     def _at_the_estimate(self, gains: Values) -> tuple[float, bool]:
         """Return the objective over today's, and whether the other limits are kept."""
         ratio, keeps = 0.0, not self._too_far(gains)
@@ -197,7 +207,10 @@ class GainSearch:
             control = self.laws.linear(gains, today.loops)
             objective, factors = today.at_the_estimate(control)
             ratio = max(ratio, objective)
-            keeps &= all(factor <= self._limit(name) for name, factor in factors.items())
+            keeps &= all(
+                factor <= self._limit(name, float(today.rows[name].values[0]))
+                for name, factor in factors.items()
+            )
         return ratio, keeps
 
     def _too_far(self, gains: Values) -> list[str]:
@@ -210,12 +223,14 @@ class GainSearch:
                 far.append(f"changes {name} by more than a factor of {self.change:g}")
         return far
 
-    def _limit(self, name: str) -> float:
-        """Return the largest factor by which a number may get worse."""
-        if name.startswith("noise"):
+    def _limit(self, name: str, today: float) -> float:
+        """Return the largest factor by which a number may get worse, from its value of today."""
+        if name.startswith(NOISE):
             return self.noise_factor + ROUNDING
-        if name.startswith("peak") and " after a step moment" in name and self.must_be_better:
+        if name.startswith(PEAK) and self.must_be_better:
             return 1 + ROUNDING
+        if name == SENSITIVITY and self.must_be_better:
+            return max(1.0, 10 ** ((ROBUST - today) / 20)) + ROUNDING
         return math.inf
 
     def compared(self, gains: Values) -> GainComparison:
@@ -234,24 +249,33 @@ class GainSearch:
                 f"at least {100 * (1 - WORTHWHILE):.2g} % must be certain"
             )
         for change in changes:
-            limit = self._limit(change.name)
+            limit = self._limit(change.name, change.today)
             if not (change.worsening <= limit and change.high <= limit):
                 times = number(change.high, 3)
                 refusals.append(
-                    f"may raise the {change.name} to {times} times today's"
+                    f"may raise the {change.name} by a factor of {times}"
                     if not math.isnan(change.high)
                     else f"has a {change.name} that the data do not determine"
                 )
+        if not self.confidence(gains) >= self.certainty:
+            refusals.append(
+                f"meets the requirements with less than {100 * self.certainty:.4g} % confidence"
+            )
         today = self.todays[0]
         control = self.laws.linear(gains, today.loops)
+        drawn = today.loops.of(slice(1 + today.draws))
         return GainComparison(
             dict(gains),
             objective,
             changes,
             tuple(refusals),
             self.level,
-            loops=replace(today.loops, controller=control),
-            today_loops=today.loops,
+            loops=replace(drawn, controller=control),
+            today_loops=drawn,
+            signal=today.broken_at,
+            tracking=today.tracking or (),
+            moment=(today.inputs[0], today.responses[0]),
+            horizon=today.horizon,
         )
 
     def flown(self, comparison: GainComparison) -> GainComparison:
@@ -261,7 +285,7 @@ class GainSearch:
         for step in range(STEPS, 0, -1):
             gains = gains_between(self.laws.today, comparison.gains, step / STEPS)
             trial = comparison if step == STEPS else self.compared(gains)
-            if trial.refusals or (step < STEPS and not self.confidence(gains) >= self.level):
+            if trial.refusals:
                 continue
             trial = replace(trial, flights=self._fly(gains), today_flights=before)
             if not trial.flights.is_worse_than(before):

@@ -126,7 +126,8 @@ class SafeGains(Printed):
         """The answer in one sentence."""
         if not self.allowed.any():
             poor = "refused: the response was measured poorly at the crossover."
-            return f"{poor} {self.cure}" if self.cure else self._meeting
+            further = "allow a larger change of the gains, or tune others."
+            return f"{poor} {self.cure}" if self.cure else f"refused: {self._meeting} {further}"
         comparison = self.comparison
         if comparison and not comparison.today_is_stable:
             return (
@@ -136,7 +137,8 @@ class SafeGains(Printed):
             )
         if self.best and comparison:
             chosen = listed([f"{name} = {value:.4g}" for name, value in self.best.items()])
-            return f"proposed: {chosen}. {_capital(comparison.sentence)}."
+            cause = ", because today's gains miss the required margins" if self.misses else ""
+            return f"proposed{cause}: {chosen}; {comparison.sentence}."
         share = 100 * self.requirements["level"]
         fails = self.today_confidence < self.requirements["level"]
         although = f", although they do not meet the requirements with {share:g} % confidence"
@@ -144,6 +146,11 @@ class SafeGains(Printed):
         if comparison:
             reason = f"the best other set {listed(comparison.refusals)}"
         return f"keep today's gains{although if fails else ''}: {reason}."
+
+    @property
+    def misses(self) -> bool:
+        """Whether today's gains probably miss the requirements."""
+        return self.today_confidence < 0.5
 
     @property
     def _meeting(self) -> str:
@@ -267,9 +274,11 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     - the peak response to the step moment is at most today's;
     - the noise at the actuator, the rms of an input from white noise on the samples of each signal
       that the controllers measure, is at most `noise_factor` times today's;
+    - the peak of the sensitivity where the loop is broken is at most today's, or 3 dB;
     - of 200 simulated flights no more reach a limit of the control or ring than with today's gains.
 
-    Limits hold at the estimate and in the whole interval of the ratio to today's number, over draws
+    The requirements must then hold with the confidence ``(1 + level) / 2``: the whole intervals of
+    the margins meet them. Limits hold at the estimate and in the whole interval of the ratio to today's number, over draws
     of the same plants, for all numbers together with the confidence `level`. A ratio that the data
     do not determine fails. So the more uncertain the plant is, the fewer gains are proposed. If
     today's gains probably fail the requirements, the limits on the objective and on the response to
@@ -360,7 +369,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         laws, tuple(todays), tuple(required), level, noise_factor, change, noise, moment
     )
     confidence, cure = search.judged(sets)
-    ratios, comparison = search.choose(sets, confidence >= level)
+    ratios, comparison = search.choose(sets, confidence)
     shape = [*map(len, values.values())]
     notes = [f"The fit warns: {text}" for fit in flights for text in fit.warnings]
     return SafeGains(

@@ -31,6 +31,7 @@ from greybox.workflows.experiment.sampled_loop import DOT, LinearController, Sam
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
 SENSITIVITY = "peak |S|"
 MARGINS = {"phase margin": "deg", "gain margin": "dB", "gain reduction margin": "dB"}
+NOISE, PEAK = "noise from ", "peak response of "  # how names of rows begin
 REJECTION = "disturbance rejection bandwidth"
 
 
@@ -83,7 +84,7 @@ class TodaysLoop:
 
     @cached_property
     def rows(self) -> Rows:
-        """The numbers with today's gains, those of `limited_rows` first."""
+        """The numbers with today's gains."""
         return self._rows(self.loops)
 
     @cached_property
@@ -95,16 +96,16 @@ class TodaysLoop:
         """Return the objective with other gains, relative to today's, and what they worsen.
 
         Both are those of the estimate alone, which takes little time. The second one has the
-        factors by which the response to a moment and the noise get worse.
+        factors by which the numbers with limits get worse.
         """
         alone = replace(self.loops.first, controller=controller)
-        changed = self._limited_rows(alone)
-        factors = {
-            name: float(worsening(self.rows[name].values[:1], row.values, row.unit, False)[0])
-            for name, row in changed.items()
-        }
         with np.errstate(all="ignore"):
-            return float(self._target(alone)[0] / self.target[0]), factors
+            objective = float(self._target(alone)[0] / self.target[0])
+        factors = {}
+        for name, row in self._limited_rows(alone).items():
+            today = self.rows[name].values[:1]
+            factors[name] = float(worsening(today, row.values, row.unit, row.is_large_better)[0])
+        return objective, factors
 
     def changes(
         self, controller: LinearController, level: float
@@ -157,7 +158,7 @@ class TodaysLoop:
 
     def _rows(self, loops: SampledLoop) -> Rows:
         """Return every number (plants,) of loops by name; those of an unstable one are the worst."""
-        rows = self._limited_rows(loops) | self._margin_rows(loops)
+        rows = self._margin_rows(loops) | self._limited_rows(loops)
         if self.tracking:
             rows |= self._step_rows(loops, *self.tracking)
         is_stable = loops.is_stable
@@ -169,17 +170,20 @@ class TodaysLoop:
         }
 
     def _limited_rows(self, loops: SampledLoop) -> dict[str, Row]:
-        """Return the response to a moment and the noise, which proposed gains must not exceed."""
+        """Return the numbers on which proposed gains have limits: moment, noise, sensitivity."""
         rows = {}
         for name in self.inputs:
             for response in self.responses:
                 peak, rms = moment_response(loops, name, response, self.horizon)
-                place = f"{response} after a step moment at {name}"
-                rows[f"rms {place}"], rows[f"peak {place}"] = Row(rms, ""), Row(peak, "")
+                place = f"{response} to a moment at {name}"
+                rows[f"rms response of {place}"] = Row(rms, "")
+                rows[f"{PEAK}{place}"] = Row(peak, "")
         for name in self.inputs:
             for sensor in self.measured:
                 gain = noise_gain(loops, sensor, name)
-                rows[f"noise from {sensor} to {name}"] = Row(gain, "")
+                rows[f"{NOISE}{sensor} to {name}"] = Row(gain, "")
+        peak = _peak_sensitivity(loops, self.broken_at)
+        rows[SENSITIVITY] = Row(20 * np.log10(peak), "dB")
         unstable = ~loops.is_stable
         return {
             n: row._replace(values=np.where(unstable, math.inf, row.values))
@@ -191,7 +195,6 @@ class TodaysLoop:
         numbers = margin_numbers(loops.broken_at(self.broken_at, omega), omega, period=loops.period)
         rows = {name: Row(numbers[name].value, unit, True) for name, unit in MARGINS.items()}
         rows[REJECTION] = Row(numbers[REJECTION].value, "rad/s", True)
-        rows[SENSITIVITY] = Row(20 * np.log10(_peak_sensitivity(loops, self.broken_at)), "dB")
         return rows
 
     def _step_rows(self, loops: SampledLoop, setpoint: str, response: str) -> dict[str, Row]:
