@@ -29,7 +29,7 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_responses "
     "segment_table write_response write_responses",
-    "experiment": "ControlCheck Controller Excitation ExpectedErrors GainComparison Margins SafeGains SinePlan ardupilot_script broken_loop check_controller "
+    "experiment": "ControlCheck Controller Excitation ExpectedErrors GainComparison Margins RejectionBandwidth SafeGains SinePlan ardupilot_script broken_loop check_controller "
     "expected_errors margin_table margins measured_margins multisine plan_sines safe_gains sine_schedule sweep systemid_parameters virtual_flight write_excitation write_gains",
     "formulation": "Criterion Disturbance EquationError ErrorCovariance ErrorDistribution MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
