@@ -185,6 +185,8 @@ class Part(Portable, ABC):
         Whether the cost is N/2 times the logarithm of a sum of squares, whose size is not known.
     few : (..., k) array of int
         Numbers of every output that are too few for a variance of their own, else zero.
+    has_bounded_errors : bool
+        Whether large errors count less than in least squares, see `with_bounded_errors`.
     """
 
     numbers: int
@@ -197,6 +199,7 @@ class Part(Portable, ABC):
     gains: tuple[tuple[str, str], ...] = ()
     is_logarithm: bool = False
     few: IntArray = np.zeros(0, dtype=int)
+    has_bounded_errors: bool = False
 
     def __init__(self, problem: Problem) -> None:
         """Store the problem, and the facts that are needed without it."""
@@ -204,6 +207,16 @@ class Part(Portable, ABC):
         self.name = problem.name
         self.weight = float(problem.weight)
         self.is_likelihood = problem.criterion.is_likelihood
+
+    @property
+    def noise_sizes(self) -> tuple[str, ...]:
+        """Names, in the answer, of the parameters that are sizes of process noise."""
+        return ()
+
+    @property
+    def operations(self) -> int:
+        """Instructions of one simulation; 0 where nothing is integrated."""
+        return 0
 
     # --- for the Gauss-Newton driver
 
@@ -303,6 +316,10 @@ class Part(Portable, ABC):
 
         They are a record's simulated outputs over the signals' spread, or a response's P/|P̂|.
         """
+
+    def has_stable_steps(self, z: Array, nodes: Array) -> bool:
+        """Return whether explicit steps are stable at z (p,) and nodes (s, n)."""
+        return True
 
     def refined(self, factor: int) -> "Part":
         """Return the part with `factor` times the steps per sample."""

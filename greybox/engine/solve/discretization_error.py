@@ -18,7 +18,6 @@ from greybox.data.files.arrays import Array, all_finite, positive_or_one, real_r
 from greybox.data.files.frozen_values import frozen
 from greybox.engine.compiled.compiled_problem import CompiledProblem
 from greybox.engine.compiled.part import Part, Trajectory
-from greybox.engine.compiled.record_part import RecordPart
 from greybox.engine.solve.interruption import stop_requested
 from greybox.engine.solve.local_solver import LocalSolver
 from greybox.engine.solve.minima import Multistart, distinct_ends, find_minima, minimum_of
@@ -150,10 +149,7 @@ def _cheap_growth(nlp: CompiledProblem, error: DiscretizationError) -> int:
         return 1
     growth = substep_growth(error.largest, INVISIBLE_SHIFT, error.order)
     growth = min(growth, MOST_SUBSTEPS // nlp.substeps)
-    operations = sum(
-        part.samples * part.substeps * part.step.substep.n_instructions()
-        for part in nlp.parts_of(RecordPart)
-    )
+    operations = sum(part.operations for part in nlp.parts)
     # A simulation of 5 million operations takes some 10 ms. Fits of records with fewer than 1000
     # samples that need finer steps take up to twice the time.
     return max(min(growth, 5_000_000 // max(operations, 1)), 1)
