@@ -58,7 +58,7 @@ def fitted(model, truth, moved_by, sensor, samples, seed):
 
 
 def named(fits):
-    return sum(any("look like gusts" in text for text in fit.warnings) for fit in fits)
+    return sum(any("look like gusts" in text for text in fit.notes) for fit in fits)
 
 
 def test_errors_of_a_sensor_in_a_short_record_are_not_gusts():
@@ -196,7 +196,7 @@ def test_noise_of_an_input_looks_like_gusts_and_leaves_output_error_right():
         u=u + 0.2 * random.normal(size=u.size), y=y + 0.005 * random.normal(size=u.size)
     )
     fit = gb.fit(gb.Problem(Spring(), logged), starts=1, progress=False, profiles=False)
-    (said,) = [text for text in fit.warnings if "look like gusts" in text]
+    (said,) = [text for text in (*fit.notes, *fit.warnings) if "look like gusts" in text]
     assert "the log of u has noise" in said
     intervals = fit.interval(0.99)
     assert all(intervals[name][0] < value < intervals[name][1] for name, value in truth.items())
