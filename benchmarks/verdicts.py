@@ -6,10 +6,11 @@ Every cell makes data that look like those of flights and benches, states a fit 
 knows the truth. Plants, gusts and loops are simulated here, by exact steps of linear systems or by
 Runge-Kutta steps. *Silent* is an answer "good" over a value outside of its interval of 99 %
 (Bonferroni), or over a model that is wrong: one that lacks something, or whose errors no model of
-noise has. *Wrong* counts answers that the model does not explain the data. *Scolded* is another answer of a right model whose values are all within these intervals.
-*Coverage* is the share of 95 % intervals that hold the truth, where there is one. *Interval* is the
-factor of these intervals on the standard error, its median and 95th percentile, which differ much
-where intervals are a lottery. `--cells` takes beginnings of names.
+noise has. *Wrong* counts answers that the model does not explain the data. *Scolded* is another
+answer of a right model whose values are all within these intervals. *Coverage* is the share of 95 %
+intervals that hold the truth, where there is one. *Interval* is the factor of these intervals on
+the standard error, its median and 95th percentile, which differ much where intervals are a lottery.
+`--cells` takes beginnings of names.
 """
 
 import argparse
