@@ -106,8 +106,8 @@ def _before_and_after(
     after = "refused" if comparison.refusals else "proposed"
     series = []
     for name, loops, color in (
-        ("today", comparison.today_loops, 0),
-        (after, comparison.loops, 1),
+        ("with today's gains", comparison.today_loops, 0),
+        (f"with the {after} gains", comparison.loops, 1),
     ):
         assert loops is not None
         x, values = curves(loops)

@@ -21,6 +21,7 @@ from greybox.workflows.experiment.simulated_flights import FlightCounts
 SMALL = 0.01  # change of a number below which nobody cares
 # Units whose differences are shown, and not their ratios
 ABSOLUTE = {"dB": " dB", "deg": " deg", "%": " points"}
+NOTHING_LEFT = 1e-12  # what rounding leaves of the response to an input without effect
 ROUNDING = 1e-6  # of a ratio, with the same gains on both sides
 
 
@@ -190,8 +191,8 @@ class GainComparison(Printed):
         """What the columns of the table mean, and what the simulated flights show."""
         level = f"{100 * self.level:g} %"
         lines = [
-            f"In brackets: {level} intervals. Better, as good, worse: with the same plants, for all "
-            f"rows together with {level} confidence."
+            f"In brackets: {level} intervals. Better, as good, worse: with the same plants, for "
+            f"all rows together with {level} confidence."
         ]
         if self.flights and self.today_flights:
             lines.append(f"Simulated with these gains: {self.flights}")
@@ -231,7 +232,8 @@ def worsening(today: Array, changed: Array, unit: str, is_large_better: bool) ->
     before, after = linear(today, unit), linear(changed, unit)
     if is_large_better:
         before, after = after, before
-    return np.where(before == after, 1.0, after / before)
+    is_same = (before == after) | (np.abs(after - before) < NOTHING_LEFT)
+    return np.where(is_same, 1.0, after / before)
 
 
 def worst_changes(flights: Sequence[Sequence[GainChange]]) -> tuple[GainChange, ...]:

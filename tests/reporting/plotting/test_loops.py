@@ -8,7 +8,8 @@ from scipy import stats
 
 import greybox as gb
 from greybox.models.rate import BasicRate
-from greybox.reporting.plotting.loops import gains_figure, loop_figures
+from greybox.reporting.plotting.gains import comparison_figures, gains_figure
+from greybox.reporting.plotting.loops import loop_figures
 
 pytestmark = pytest.mark.usefixtures("few_draws")
 
@@ -83,20 +84,38 @@ def test_allowed_gains_todays_and_the_proposed_ones_are_drawn(fit):
     safe = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)})
     names = [series.name for series in gains_figure(safe).panels[0].series]
     assert "today" in names
-    assert "proposed" not in names  # the best allowed one amplifies noise
+    assert "proposed" not in names  # the best other one is refused
     assert safe.comparison
-    as_good = replace(safe.comparison, changes=())
+    as_good = replace(safe.comparison, refusals=())
     safe = replace(safe, comparison=as_good)
     confidence, _, today, best = gains_figure(safe).panels[0].series
     assert np.array_equal(confidence.y, safe.confidence, equal_nan=True)
     assert (today.x[0], best.x[0]) == (0.05, safe.best["K_P"])
-    assert gb.plotting.gains(safe).size == 1
+    assert gb.plotting.gains(safe).size == 4
     # A second gain from zero, of which all values are as good.
     two, today = safe.values | {"K_D": np.linspace(0, 1, 3)}, safe.today | {"K_D": 0.5}
     both = replace(as_good, gains=safe.best | {"K_D": 0.0})
-    tables = {name: np.stack([getattr(safe, name)] * 3, 1) for name in ("confidence", "bandwidth")}
+    tables = {name: np.stack([getattr(safe, name)] * 3, 1) for name in ("confidence", "objective")}
     figure = gains_figure(replace(safe, values=two, today=today, comparison=both, **tables))
     refused, allowed, *marks = figure.panels[0].series
     assert allowed.x.size == 3 * safe.allowed.sum() == 3 * safe.allowed.size - refused.x.size
     assert [mark.y[0] for mark in marks] == [0.5, 0.0]
     assert (figure.is_logarithmic, figure.panels[0].is_logarithmic) == (True, False)
+
+
+def test_both_loops_are_drawn_as_their_numbers_say(fit):
+    comparison = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)}).comparison
+    safe = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)})
+    sensitivity, step, moment = comparison_figures(safe)
+    for name, place in (("today", "today"), ("refused", "changed")):
+        label = {"today": "with today's gains", "refused": "with the refused gains"}[name]
+        curves = []
+        for figure in (sensitivity, step, moment):
+            curves += [s for s in figure.panels[0].series if s.name == label]
+        size, stepped, moved = curves
+        change = comparison["peak |S|"]
+        assert size.y.max() == pytest.approx(getattr(change, place), abs=0.02)
+        overshoot = getattr(comparison["overshoot of p"], place)
+        assert 100 * (stepped.y.max() - 1) == pytest.approx(max(overshoot, 0), abs=0.5)
+        peak = getattr(comparison["peak response of p to a moment at u"], place)
+        assert np.abs(moved.y).max() == pytest.approx(peak, rel=0.02)
