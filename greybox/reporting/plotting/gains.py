@@ -112,7 +112,10 @@ def _before_and_after(
         assert loops is not None
         x, values = curves(loops)
         tail = (1 - comparison.level) / 2
-        series.append(band("", x, *np.quantile(values[1:], [tail, 1 - tail], axis=0), color=color))
+        shown = f"{100 * comparison.level:g} % band"
+        series.append(
+            band(shown, x, *np.quantile(values[1:], [tail, 1 - tail], axis=0), color=color)
+        )
         series.append(Series(name, "line", x, values[0], color, style=color))
     return series
 

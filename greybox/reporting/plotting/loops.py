@@ -200,7 +200,8 @@ def _banded(margins: Margins, x: Array, values: Array, name: str) -> list[Series
     if len(values) == 1:
         return curve
     tail = (1 - margins.level) / 2
-    return [band("", x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)), *curve]
+    shown = f"{100 * margins.level:g} % band"
+    return [band(shown, x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)), *curve]
 
 
 def _plane(x: Array, y: Array, critical: tuple[float, float], name: str) -> list[Series]:
