@@ -338,7 +338,8 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> Iterator[str]:
 def _bounds_and_note(q: Any) -> tuple[str, str]:
     if q.kind != "free":
         return "", q.kind
-    return f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "AT BOUND" if q.at_bound else ""
+    bounds = "" if q.has_computed_bounds else f"[{q.bounds[0]:g}, {q.bounds[1]:g}]"
+    return bounds, "AT BOUND" if q.at_bound else ""
 
 
 def _is_of_later_record(name: str, records: int) -> bool:

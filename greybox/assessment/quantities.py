@@ -58,7 +58,7 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
             stated["at_bound"] = any(label.endswith(limit) for label in accuracy.active)
         else:
             declared = nlp.problem.parameters[line]
-            stated = attributes(declared, "unit", "about", "bounds", "box")
+            stated = attributes(declared, "unit", "about", "bounds", "box", "has_computed_bounds")
             stated |= {"name": line, "kind": "fixed" if declared.fixed else "free"}
             stated["at_bound"] = line in accuracy.at_bound
         lines.append(Quantity(value=value, standard_error=error, dof=dof, bias=bias, **stated))
