@@ -178,8 +178,10 @@ class GainComparison(Printed):
                 (
                     change.name,
                     change.unit,
-                    _with_ends(change.today, change.today_low, change.today_high),
-                    _with_ends(change.changed, change.changed_low, change.changed_high),
+                    _with_ends(change.unit, change.today, change.today_low, change.today_high),
+                    _with_ends(
+                        change.unit, change.changed, change.changed_low, change.changed_high
+                    ),
                     change.difference,
                     change.judgement,
                 )
@@ -213,10 +215,15 @@ def _signed(value: float, unit: str) -> str:
     return f"{'+' if rounded > 0 else ''}{number(rounded + 0.0, 3)}{unit}"
 
 
-def _with_ends(value: float, low: float, high: float) -> str:
-    if math.isnan(low):
-        return f"{number(value, 3)} (not determined)"
-    return f"{number(value, 3)} ({number(low, 3)} to {number(high, 3)})"
+def _with_ends(unit: str, *numbers: float) -> str:
+    """Return a value with its interval."""
+    # Rounding errors of an overshoot are nothing.
+    decimals = 3 if unit == "%" else 12
+    shown = [v if math.isinf(v) or math.isnan(v) else round(v, decimals) for v in numbers]
+    value, low, high = (number(v, 3) for v in shown)
+    if math.isnan(numbers[1]):
+        return f"{value} (not determined)"
+    return f"{value} ({low} to {high})"
 
 
 def linear(values: Array, unit: str) -> Array:
