@@ -107,6 +107,7 @@ def _coefficient(k, order, n, radius, starts):
         starts=(-combinations * starts**power, combinations * starts**power),
         unit="1/s" + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1),
         about=f"coefficient of s^{k} in the {'denominator' if order == n else 'numerator'}",
+        has_computed_bounds=True,
     )
 
 

@@ -18,6 +18,7 @@ Begin with `fit`.
 | `quantities` | estimates, tied values and derived quantities with their standard errors |
 | `identifiability` | how well each parameter is determined; combinations that are, or are not |
 | `structural_identifiability` | the same for a model structure, before there are data |
+| `transfer_function_numbers` | gain, poles, zeros and delay of a fit, with their errors |
 | `response_band` | confidence band of a fitted response |
 | `misfit/` | whether the model explains the data, and what it may lack |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |

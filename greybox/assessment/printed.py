@@ -376,8 +376,10 @@ def _bounds_and_note(q: Any) -> tuple[str, str]:
     """Return the bounds of a free quantity and whether one is active; of others, the kind."""
     if q.kind != "free":
         return "", q.kind
+    # Bounds that were computed from the data are no statement of the reader's.
     low, high = q.bounds
-    return f"[{low:g}, {high:g}]", "AT BOUND" if q.at_bound else ""
+    bounds = "" if q.has_computed_bounds else f"[{low:g}, {high:g}]"
+    return bounds, "AT BOUND" if q.at_bound else ""
 
 
 def _is_of_later_record(name: str, records: int) -> bool:

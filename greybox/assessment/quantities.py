@@ -75,7 +75,7 @@ def quantities(accuracy: Accuracy) -> tuple[tuple[Quantity, ...], Array, Array]:
 def _declaration(accuracy: Accuracy, name: str) -> dict[str, Any]:
     """Return the fields of the `Quantity` of a free or fixed parameter that need no numbers."""
     parameter = accuracy.nlp.problem.parameters[name]
-    fields = attributes(parameter, "unit", "about", "bounds", "box")
+    fields = attributes(parameter, "unit", "about", "bounds", "box", "has_computed_bounds")
     fields["name"] = name
     fields["kind"] = "fixed" if parameter.fixed else "free"
     fields["at_bound"] = name in accuracy.at_bound

@@ -74,6 +74,8 @@ class Quantity:
         the measured magnitude a gain comes out too low, with the model's too high. First
         order in the variance of the errors. The value includes the bias; intervals are centered on
         the value without it.
+    has_computed_bounds : bool
+        Whether the model computed the bounds, which then say nothing to a reader.
     """
 
     name: str
@@ -87,6 +89,7 @@ class Quantity:
     dof: float = math.inf
     box: Interval = (-math.inf, math.inf)
     bias: float = 0.0
+    has_computed_bounds: bool = False
 
     def __repr__(self) -> str:
         value, error = with_error(self.value, self.standard_error)

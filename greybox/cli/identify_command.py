@@ -11,6 +11,7 @@ from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.response_command import response_json
+from greybox.data.files.json_numbers import plain
 from greybox.data.files.named_values import attributes
 from greybox.data.logs.flight_controllers import axis_of
 from greybox.data.logs.readers import read
@@ -129,5 +130,6 @@ def _json(result: Identification) -> dict[str, Any]:
         ],
         "measurements": list(map(response_json, result.recordings, result.measurements)),
         "through": result.through,
+        "transfer_function": plain(result.transfer_function),
         **(selection_json(result.selection) if result.selection else {"explains": False}),
     }

@@ -80,9 +80,9 @@ def run(options: argparse.Namespace) -> Answer:
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     tables = [name for name, item in fits.items() if not isinstance(item, Fit)]
     others = len(fits) > len(tables)
-    if tables and (others or options.log or options.report or options.plot):
+    if tables and (others or options.log or options.report):
         raise UsageError(
-            f"{tables[0]} is a measured loop: fits, --log, --report and --plot do not go with it."
+            f"{tables[0]} is a measured loop: fits, --log and --report do not go with it."
         )
     settings = attributes(options, "tracking", "at", "level", "boundary")
     first = next(iter(fits.values()))

@@ -37,6 +37,8 @@ class Parameter:
         span decades.
     prior : (float, float), optional
         Mean and standard deviation of a-priori knowledge, see `Problem`.
+    has_computed_bounds : bool
+        Whether the model computed the bounds, so that they say nothing to a reader.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class Parameter:
     starts: Interval | None = None
     scale: str = "linear"
     prior: tuple[float, float] | None = None
+    has_computed_bounds: bool = False
 
     def __post_init__(self) -> None:
         """Check the types, and the numbers against one another."""

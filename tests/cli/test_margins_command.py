@@ -113,7 +113,9 @@ def test_a_table_is_a_measured_loop(capsys, pitch, tmp_path):
     assert "broken loop itself" in refused(capsys, "margins", bode, *LOOP)
     for both in ((bode, pitch), (pitch, bode)):
         assert f"{bode} is a measured loop: fits" in refused(capsys, "margins", *both)
-    assert "--plot" in refused(capsys, "margins", bode, "--plot", tmp_path / "loop.png")
+    assert run(capsys, "margins", bode, "--plot", tmp_path / "loop.png")[0] == 0
+    assert (tmp_path / "loop.png").stat().st_size > 10_000
+    assert "--report" in refused(capsys, "margins", bode, "--report", tmp_path / "loop.html")
 
 
 def test_a_loop_that_is_not_stable_fails(capsys, rate_loop):

@@ -19,10 +19,11 @@ from greybox.assessment import printed
 from greybox.assessment.fitted_part import FittedRecord
 from greybox.assessment.profile_result import Profiles
 from greybox.assessment.result import Fit
+from greybox.assessment.transfer_function_numbers import transfer_function_numbers
 from greybox.assessment.verdict import verdict
 from greybox.data.files.frozen_values import frozen
 from greybox.data.files.grouping import grouped
-from greybox.data.files.numbers_in_text import number
+from greybox.data.files.numbers_in_text import is_number, number
 from greybox.data.files.wording import counted
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.reporting.html_report.elements import (
@@ -225,6 +226,11 @@ def _equations(fit: Fit) -> Iterator[Element]:
     # Several records of one model have one equation: take the first part.
     for (k, part), *_ in grouped(enumerate(fit.parts), lambda numbered: numbered[1].label):
         yield tag("h4", part.label)
+        if numbers := transfer_function_numbers(fit, k):
+            header, rows = numbers.table()
+            cells = [[Cell(row[0]), *map(_number, row[1:3]), Cell(row[3])] for row in rows]
+            yield tag("p", tag("code", numbers.formula))
+            yield table(header, cells)
         yield from description(part.equation)
         try:
             model: Any = fit.model_of(k)
@@ -234,6 +240,10 @@ def _equations(fit: Fit) -> Iterator[Element]:
         except (LookupError, ValueError, TypeError, OSError) as error:
             reason = str(error.args[0] if error.args else type(error).__name__).rstrip(".")
             yield tag("p", f"The formula is not available: {reason}.")
+
+
+def _number(text: str) -> Cell:
+    return Cell(text, float(text) if is_number(text) else None)
 
 
 def _histories(fit: Fit) -> Iterator[Element]:

@@ -364,7 +364,7 @@
       } else if (series.kind === "band") {
         inside.append(svg("path", { d: this.band(panel, series, from, to), class: `band ${color}` }));
       } else if (series.kind === "line") {
-        inside.append(svg("path", { d: this.path(panel, series.at, series.yAt, from, to), class: `line ${color}`, "stroke-dasharray": DASHES[series.style % 4] }));
+        inside.append(svg("path", { d: this.path(panel, series.at, series.yAt, from, to), class: `line ${color}${series.is_hollow ? " thin" : ""}`, "stroke-dasharray": DASHES[series.style % 4] }));
       } else {
         if (series.lowAt) inside.append(svg("path", { d: this.bars(panel, series, from, to), class: `bars ${color}` }));
         const places = [];

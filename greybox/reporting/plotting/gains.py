@@ -106,13 +106,16 @@ def _before_and_after(
     after = "refused" if comparison.refusals else "proposed"
     series = []
     for name, loops, color in (
-        ("today", comparison.today_loops, 0),
-        (after, comparison.loops, 1),
+        ("with today's gains", comparison.today_loops, 0),
+        (f"with the {after} gains", comparison.loops, 1),
     ):
         assert loops is not None
         x, values = curves(loops)
         tail = (1 - comparison.level) / 2
-        series.append(band("", x, *np.quantile(values[1:], [tail, 1 - tail], axis=0), color=color))
+        shown = f"{100 * comparison.level:g} % band"
+        series.append(
+            band(shown, x, *np.quantile(values[1:], [tail, 1 - tail], axis=0), color=color)
+        )
         series.append(Series(name, "line", x, values[0], color, style=color))
     return series
 

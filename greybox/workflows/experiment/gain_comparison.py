@@ -21,6 +21,7 @@ from greybox.workflows.experiment.simulated_flights import FlightCounts
 SMALL = 0.01  # change of a number below which nobody cares
 # Units whose differences are shown, and not their ratios
 ABSOLUTE = {"dB": " dB", "deg": " deg", "%": " points"}
+NOTHING_LEFT = 1e-12  # what rounding leaves of the response to an input without effect
 ROUNDING = 1e-6  # of a ratio, with the same gains on both sides
 
 
@@ -177,8 +178,10 @@ class GainComparison(Printed):
                 (
                     change.name,
                     change.unit,
-                    _with_ends(change.today, change.today_low, change.today_high),
-                    _with_ends(change.changed, change.changed_low, change.changed_high),
+                    _with_ends(change.unit, change.today, change.today_low, change.today_high),
+                    _with_ends(
+                        change.unit, change.changed, change.changed_low, change.changed_high
+                    ),
                     change.difference,
                     change.judgement,
                 )
@@ -190,8 +193,8 @@ class GainComparison(Printed):
         """What the columns of the table mean, and what the simulated flights show."""
         level = f"{100 * self.level:g} %"
         lines = [
-            f"In brackets: {level} intervals. Better, as good, worse: with the same plants, for all "
-            f"rows together with {level} confidence."
+            f"In brackets: {level} intervals. Better, as good, worse: with the same plants, for "
+            f"all rows together with {level} confidence."
         ]
         if self.flights and self.today_flights:
             lines.append(f"Simulated with these gains: {self.flights}")
@@ -212,10 +215,15 @@ def _signed(value: float, unit: str) -> str:
     return f"{'+' if rounded > 0 else ''}{number(rounded + 0.0, 3)}{unit}"
 
 
-def _with_ends(value: float, low: float, high: float) -> str:
-    if math.isnan(low):
-        return f"{number(value, 3)} (not determined)"
-    return f"{number(value, 3)} ({number(low, 3)} to {number(high, 3)})"
+def _with_ends(unit: str, *numbers: float) -> str:
+    """Return a value with its interval."""
+    # Rounding errors of an overshoot are nothing.
+    decimals = 3 if unit == "%" else 12
+    shown = [v if math.isinf(v) or math.isnan(v) else round(v, decimals) for v in numbers]
+    value, low, high = (number(v, 3) for v in shown)
+    if math.isnan(numbers[1]):
+        return f"{value} (not determined)"
+    return f"{value} ({low} to {high})"
 
 
 def linear(values: Array, unit: str) -> Array:
@@ -231,7 +239,8 @@ def worsening(today: Array, changed: Array, unit: str, is_large_better: bool) ->
     before, after = linear(today, unit), linear(changed, unit)
     if is_large_better:
         before, after = after, before
-    return np.where(before == after, 1.0, after / before)
+    is_same = (before == after) | (np.abs(after - before) < NOTHING_LEFT)
+    return np.where(is_same, 1.0, after / before)
 
 
 def worst_changes(flights: Sequence[Sequence[GainChange]]) -> tuple[GainChange, ...]:

@@ -20,8 +20,8 @@ Objective = Callable[[SampledLoop], Array]
 
 STEPS = 256  # samples of a step response, before their spacing is doubled
 PERIODS = 5.0  # of the crossover of today's loop, over which a response to a moment is integrated
-# Sensitivity at the disturbance rejection bandwidth, -3 dB, and at half of that amplitude, -6 dB. On
-# a usual slope the two frequencies differ by a factor of 1.2 to 1.5.
+# Ratio of the frequencies at which the sensitivity is -3 dB and -6 dB. It is 1.2 to 1.5 on a usual
+# slope.
 SHELF = 2.0
 
 

@@ -5,7 +5,7 @@ Begin with `GainSearch`.
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -36,7 +36,7 @@ from greybox.workflows.experiment.simulated_flights import (
 from greybox.workflows.experiment.todays_loop import NOISE, PEAK, SENSITIVITY, TodaysLoop
 
 COMPARED = 8  # sets that are compared with all draws; later ones differ from these by little
-WORTHWHILE = 0.8  # of today's objective: new gains are a risk, which less does not repay
+WORTHWHILE = 0.75  # of today's objective: new gains are a risk, which less does not repay
 # Peak of the sensitivity, in dB, below which a loop is robust: Astrom and Hagglund (2006), Advanced
 # PID Control, section 4.5, recommend maximum sensitivities from 1.4 to 2.
 ROBUST = 3.0
@@ -165,53 +165,74 @@ class GainSearch:
 
     def choose(
         self, sets: Sequence[Values], confidence: Array
-    ) -> tuple[Array, GainComparison | None]:
-        """Return the objective of the allowed sets over today's, and the comparison of the best.
+    ) -> tuple[Array, GainComparison | None, str]:
+        """Return the objective of the allowed sets over today's, the best set, and a note.
 
-        The comparison says why a set is refused if none is proposed. It is None if no allowed set
-        has a smaller objective.
+        The comparison of the best set with today's gains says why it is refused if none is
+        proposed. It is None if no allowed set has a smaller objective. The note says what more
+        noise would buy.
         """
-        allowed = confidence >= self.level
-        is_certain = confidence >= self.certainty
+        allowed = np.flatnonzero(confidence >= self.level)
         ratios = np.full(len(sets), math.nan)
-        keeping = np.zeros(len(sets), dtype=bool)
-        for k in np.flatnonzero(allowed):
-            ratios[k], keeping[k] = self._at_the_estimate(sets[k])
         if not np.all([np.isfinite(today.target[0]) for today in self.todays]):
-            first = np.flatnonzero(allowed)[:1]
-            return ratios, self.compared(sets[first[0]]) if first.size else None
+            return ratios, self.compared(sets[allowed[0]]) if allowed.size else None, ""
 
-        order = [int(k) for k in np.argsort(ratios, kind="stable") if ratios[k] < 1 - ROUNDING]
-        if not self.must_be_better:
-            order = [int(k) for k in np.argsort(ratios, kind="stable") if allowed[k]]
-        candidates = [k for k in order if keeping[k] and is_certain[k]][:COMPARED] or order[:1]
+        keeping, noises = [], {}
+        for k in allowed:
+            ratios[k], exceeded, noise = self._at_the_estimate(sets[k])
+            if confidence[k] >= self.certainty and not exceeded:
+                keeping.append(k)
+            elif confidence[k] >= self.certainty and exceeded == {NOISE}:
+                noises[int(k)] = noise
+        if self.must_be_better:
+            allowed = allowed[ratios[allowed] < 1 - ROUNDING]
+            keeping = [k for k in keeping if ratios[k] < 1 - ROUNDING]
+        candidates = sorted(keeping, key=lambda k: ratios[k])[:COMPARED]
+        if not candidates and allowed.size:
+            candidates = [allowed[ratios[allowed].argmin()]]
+
         refused = None
         for k in candidates:
             comparison = self.compared(sets[k])
             if not comparison.refusals:
-                return ratios, self.flown(comparison)
+                return ratios, self.flown(comparison), ""
             refused = refused or comparison
             if self.must_be_better and ratios[k] > WORTHWHILE:
                 break
-        return ratios, refused
+        return ratios, refused, self._offer(sets, ratios, noises)
+
+    def _offer(self, sets: Sequence[Values], ratios: Array, noises: Mapping[int, float]) -> str:
+        """Return how much better a set with more noise than the limit is; empty if none is."""
+        better = [k for k in noises if ratios[k] <= WORTHWHILE]
+        if not better or not self.must_be_better:
+            return ""
+        least = min(better, key=lambda k: noises[k])
+        gains = ", ".join(f"{name} = {value:.4g}" for name, value in sets[least].items())
+        return (
+            f"With {number(noises[least], 2)} times today's noise at the actuator (the limit is "
+            f"{self.noise_factor:g}), {gains} would lower the {self.aim} by "
+            f"{number(100 * (1 - ratios[least]), 2)} %."
+        )
 
     @property
     def certainty(self) -> float:
         """The confidence of proposed gains: the whole intervals of the margins are enough."""
         return (1 + self.level) / 2
 
-    def _at_the_estimate(self, gains: Values) -> tuple[float, bool]:
-        """Return the objective over today's, and whether the other limits are kept."""
-        ratio, keeps = 0.0, not self._too_far(gains)
+    def _at_the_estimate(self, gains: Values) -> tuple[float, set[str], float]:
+        """Return the objective over today's, which other limits are exceeded, and the noise."""
+        ratio, noise = 0.0, 0.0
+        exceeded = set(self._too_far(gains))
         for today in self.todays:
             control = self.laws.linear(gains, today.loops)
             objective, factors = today.at_the_estimate(control)
             ratio = max(ratio, objective)
-            keeps &= all(
-                factor <= self._limit(name, float(today.rows[name].values[0]))
-                for name, factor in factors.items()
-            )
-        return ratio, keeps
+            for name, factor in factors.items():
+                is_noise = name.startswith(NOISE)
+                noise = max(noise, factor) if is_noise else noise
+                if not factor <= self._limit(name, float(today.rows[name].values[0])):
+                    exceeded.add(NOISE if is_noise else name)
+        return ratio, exceeded, noise
 
     def _too_far(self, gains: Values) -> list[str]:
         """Return which gains change by more than the limit; a gain of zero has no factor."""
@@ -244,9 +265,10 @@ class GainSearch:
 
         refusals = self._too_far(gains)
         if self.must_be_better and not objective.high <= WORTHWHILE:
+            less = number(100 * (1 - objective.worsening), 2)
             refusals.append(
-                f"lowers the {self.aim} by {number(100 * (1 - objective.worsening), 2)} % only, and "
-                f"at least {100 * (1 - WORTHWHILE):.2g} % must be certain"
+                f"lowers the {self.aim} by {less} % only, and at least "
+                f"{100 * (1 - WORTHWHILE):.2g} % must be certain"
             )
         for change in changes:
             limit = self._limit(change.name, change.today)

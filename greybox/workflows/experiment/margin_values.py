@@ -194,7 +194,7 @@ def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
     """Return a table of the main margins of loops with labels, such as operating points."""
     rows = []
     for label, answer in answers:
-        numbers = {margin.name: _with_interval(margin) for margin in answer.margins}
+        numbers = {margin.name: with_interval(margin) for margin in answer.margins}
         risk = number(100 * answer.instability, 2) if answer.is_stable else "100"
         rows.append((label, answer.signal, *(numbers.get(name, "-") for name in MAIN), risk))
     header = ("", "broken at", *(f"{name}, {UNITS[name]}" for name in MAIN), "unstable, %")
@@ -204,10 +204,11 @@ def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
 def _stated(margin: Margin) -> str:
     if math.isnan(margin.value):
         return f"an unmeasured {margin.name}"
-    return f"a {margin.name} of {_with_interval(margin)} {margin.unit}"
+    return f"a {margin.name} of {with_interval(margin)} {margin.unit}"
 
 
-def _with_interval(margin: Margin) -> str:
+def with_interval(margin: Margin) -> str:
+    """Return the value of a margin, and its interval in brackets."""
     if not math.isfinite(margin.value):
         return "infinity" if margin.value > 0 else "unknown"
     if not math.isfinite(margin.high - margin.low):

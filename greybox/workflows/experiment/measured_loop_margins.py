@@ -50,11 +50,11 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     )
     require_level(level)
     loop = loop.by_frequency
-    points, drawn = np.log(loop.omega), _drawn(loop)
-    has_errors = len(drawn) > 1
-    gain, omega = _between(points, drawn)
+    points = np.log(loop.omega)
+    gain, omega = measured_curves(loop)
+    has_errors = len(gain) > 1
     numbers = margin_numbers(gain, omega)
-    fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]))
+    fewer = margin_numbers(*_between(points[::2], loop.response[None, ::2]))
     ends = [(1 - level) / 2, 0.5, (1 + level) / 2]
     rows, unmeasured = [], []
     for name, (values, places) in numbers.items():
@@ -94,7 +94,28 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     plant = loop.name or "the measured response"
     # A measured response has no controller and no draws, so those fields are empty.
     level = level if has_errors else math.nan
-    return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
+    return Margins(
+        plant,
+        loop.input,
+        "",
+        "",
+        tuple(rows),
+        is_stable=True,
+        instability=0.0,
+        level=level,
+        loop=None,
+        notes=tuple(notes),
+        points=(loop,),
+    )
+
+
+def measured_curves(loop: FrequencyResponse) -> tuple[ComplexArray, Array]:
+    """Return the gain of a measured loop and draws from its errors (1 + draws, n), and omega (n,).
+
+    Between the points, which are in the order of frequency, they are interpolated. There are no
+    draws without a variance.
+    """
+    return _between(np.log(loop.omega), _drawn(loop))
 
 
 def _drawn(loop: FrequencyResponse) -> ComplexArray:

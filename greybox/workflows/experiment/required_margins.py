@@ -104,8 +104,8 @@ class RequiredMargins:
             return ""
         return (
             f"In the conditions of {self.name!r}, fly sines or a sweep from "
-            f"{min(poor) / SPACING:.2g} to {max(poor) * SPACING:.2g} rad/s, with a larger amplitude "
-            "where the points were noisy."
+            f"{min(poor) / SPACING:.2g} to {max(poor) * SPACING:.2g} rad/s, with a larger "
+            "amplitude where the points were noisy."
         )
 
 

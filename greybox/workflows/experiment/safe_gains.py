@@ -38,7 +38,7 @@ from greybox.workflows.experiment.gain_search import (
 from greybox.workflows.experiment.required_margins import required_margins
 from greybox.workflows.experiment.todays_loop import todays_loop
 
-POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
+POINTS = {1: 31, 2: 13, 3: 7}  # values of each gain, by the number of gains
 DRAWS = 256  # of them 5 % are 13
 
 PROMISE = (
@@ -108,7 +108,7 @@ class SafeGains(Printed):
 
     @property
     def steps(self) -> tuple[dict[str, float], ...]:
-        """The sets in which the proposed gains are approached, in equal ratios; the last is `best`."""
+        """The sets in which `best` is approached, in equal ratios; the last is `best` itself."""
         return tuple(
             gains_between(self.today, self.best, k / STEPS)
             for k in range(1, STEPS + 1)
@@ -126,7 +126,7 @@ class SafeGains(Printed):
         """The answer in one sentence."""
         if not self.allowed.any():
             poor = "refused: the response was measured poorly at the crossover."
-            further = "allow a larger change of the gains, or tune others."
+            further = "Allow a larger change of the gains, or tune others."
             return f"{poor} {self.cure}" if self.cure else f"refused: {self._meeting} {further}"
         comparison = self.comparison
         if comparison and not comparison.today_is_stable:
@@ -270,7 +270,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     measure, but for derivatives of other signals. A set is proposed only if, in every flight,
 
     - no gain changes by more than the factor `change`;
-    - the objective is at most 0.8 times today's;
+    - the objective is at most three quarters of today's;
     - the peak response to the step moment is at most today's;
     - the noise at the actuator, the rms of an input from white noise on the samples of each signal
       that the controllers measure, is at most `noise_factor` times today's;
@@ -278,12 +278,12 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     - of 200 simulated flights no more reach a limit of the control or ring than with today's gains.
 
     The requirements must then hold with the confidence ``(1 + level) / 2``: the whole intervals of
-    the margins meet them. Limits hold at the estimate and in the whole interval of the ratio to today's number, over draws
-    of the same plants, for all numbers together with the confidence `level`. A ratio that the data
-    do not determine fails. So the more uncertain the plant is, the fewer gains are proposed. If
-    today's gains probably fail the requirements, the limits on the objective and on the response to
-    a moment do not apply: the set with the smallest objective is proposed. The additional `delay`
-    is not in these numbers.
+    the margins meet them. Limits hold at the estimate and in the whole interval of the ratio to
+    today's number, over draws of the same plants, for all numbers together with the confidence
+    `level`. A ratio that the data do not determine fails. So the more uncertain the plant is, the
+    fewer gains are proposed. If today's gains probably fail the requirements, only the limits on
+    the change and on noise apply: the set with the smallest objective is proposed. The additional
+    `delay` is not in these numbers.
 
     The simulated flights have draws of the plant, linear as in the margins, and the sampled
     controllers with their limits. A setpoint and then a moment change by a step. If they fail, two
@@ -369,7 +369,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         laws, tuple(todays), tuple(required), level, noise_factor, change, noise, moment
     )
     confidence, cure = search.judged(sets)
-    ratios, comparison = search.choose(sets, confidence)
+    ratios, comparison, offer = search.choose(sets, confidence)
     shape = [*map(len, values.values())]
     notes = [f"The fit warns: {text}" for fit in flights for text in fit.warnings]
     return SafeGains(
@@ -382,7 +382,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         wanted | {"level": level, "noise": noise_factor, "change": change},
         search.aim,
         cure,
-        (*search.shelves(comparison), *notes),
+        (*filter(None, [offer]), *search.shelves(comparison), *notes),
     )
 
 

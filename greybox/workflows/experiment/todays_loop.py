@@ -107,21 +107,22 @@ class TodaysLoop:
             factors[name] = float(worsening(today, row.values, row.unit, row.is_large_better)[0])
         return objective, factors
 
+    @np.errstate(all="ignore")
     def changes(
         self, controller: LinearController, level: float
     ) -> tuple[GainChange, tuple[GainChange, ...]]:
         """Return how other gains change the objective and each row, with intervals."""
         loops = replace(self.loops, controller=controller)
         rows = self._rows(loops)
-        objective = [
-            Row(values / self.target[0], "") for values in (self.target, self._target(loops))
+        relative = [
+            Row(target / self.target[0], "") for target in (self.target, self._target(loops))
         ]
         # An interval of each row that is wide enough to hold together with all others.
         joint = 1 - (1 - level) / len(rows)
         changes = [
             self._change(name, self.rows[name], row, level, joint) for name, row in rows.items()
         ]
-        return self._change("objective", *objective, level, joint), tuple(changes)
+        return self._change("objective", *relative, level, joint), tuple(changes)
 
     def _change(
         self, name: str, today: Row, changed: Row, level: float, joint: float
@@ -132,7 +133,7 @@ class TodaysLoop:
         drawn, beside = np.split(factor[1:], [self.draws])
         drawn = drawn[~np.isnan(drawn)]
         low = high = math.nan
-        if drawn.size and np.allclose(beside, factor[0], rtol=1e-3):
+        if np.allclose(beside, factor[0], rtol=1e-3):
             low, high = _ends(drawn, joint)
         return GainChange(
             name,
@@ -148,7 +149,7 @@ class TodaysLoop:
 
     def _interval(self, values: Array, level: float) -> tuple[float, float]:
         drawn, beside = np.split(values[1:], [self.draws])
-        if not drawn.size or not np.allclose(beside, values[0], rtol=1e-3):
+        if not np.allclose(beside, values[0], rtol=1e-3):
             return math.nan, math.nan
         return _ends(drawn[~np.isnan(drawn)], level)
 
@@ -157,7 +158,7 @@ class TodaysLoop:
             return np.where(loops.is_stable, self.objective(loops), math.inf)
 
     def _rows(self, loops: SampledLoop) -> Rows:
-        """Return every number (plants,) of loops by name; those of an unstable one are the worst."""
+        """Return every number (plants,) of loops by name, the worst for an unstable one."""
         rows = self._margin_rows(loops) | self._limited_rows(loops)
         if self.tracking:
             rows |= self._step_rows(loops, *self.tracking)
@@ -169,6 +170,7 @@ class TodaysLoop:
             for name, row in rows.items()
         }
 
+    @np.errstate(all="ignore")
     def _limited_rows(self, loops: SampledLoop) -> dict[str, Row]:
         """Return the numbers on which proposed gains have limits: moment, noise, sensitivity."""
         rows = {}
@@ -190,6 +192,7 @@ class TodaysLoop:
             for n, row in rows.items()
         }
 
+    @np.errstate(all="ignore")
     def _margin_rows(self, loops: SampledLoop) -> dict[str, Row]:
         omega = loop_frequencies(loops)
         numbers = margin_numbers(loops.broken_at(self.broken_at, omega), omega, period=loops.period)
@@ -197,6 +200,7 @@ class TodaysLoop:
         rows[REJECTION] = Row(numbers[REJECTION].value, "rad/s", True)
         return rows
 
+    @np.errstate(all="ignore")  # unstable loops
     def _step_rows(self, loops: SampledLoop, setpoint: str, response: str) -> dict[str, Row]:
         omega = loop_frequencies(loops)
         final = loops.gains(setpoint, [response], REST / loops.period)[..., 0].real
@@ -213,6 +217,9 @@ class TodaysLoop:
 
 
 def _ends(drawn: Array, level: float) -> tuple[float, float]:
+    """Return the ends of the interval of draws; NaN for none."""
+    if not drawn.size:
+        return math.nan, math.nan
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2], method=ORDER)
     return float(low), float(high)
 
@@ -241,7 +248,10 @@ def todays_loop(
         # A moment that moves nothing has no size.
         pairs = [(name, response) for name in inputs for response in responses]
         sizes = {pair: moment_response(loops.first, *pair, horizon)[1][0] for pair in pairs}
-        objective = MomentResponse(horizon, {p: float(s) for p, s in sizes.items() if s > 0})
+        least = 1e-9 * max(sizes.values())
+        objective = MomentResponse(
+            horizon, {pair: float(size) for pair, size in sizes.items() if size > least}
+        )
     return TodaysLoop(
         loops, draws, broken_at, tracking, responses, inputs, measured, horizon, objective
     )

@@ -13,6 +13,10 @@ import numpy as np
 
 from greybox.assessment.fit import fit
 from greybox.assessment.result import Fit
+from greybox.assessment.transfer_function_numbers import (
+    TransferFunctionNumbers,
+    transfer_function_numbers,
+)
 from greybox.data.files.argument_checks import checked_items
 from greybox.data.files.arrays import Interval
 from greybox.data.files.frozen_values import frozen
@@ -75,6 +79,11 @@ class Identification:
         """The fit of the chosen structure; it warns if the structure does not explain the data."""
         return self.selection.fit if self.selection else None
 
+    @property
+    def transfer_function(self) -> TransferFunctionNumbers | None:
+        """The fitted transfer function with its numbers; None without a fit or a rational form."""
+        return transfer_function_numbers(self.fit) if self.fit and self.fit.converged else None
+
     def __repr__(self) -> str:
         chosen = self.selection.chosen if self.selection else None
         sources = ", ".join(recording.source for recording in self.recordings)
@@ -88,7 +97,12 @@ class Identification:
         if self.selection is not None:
             series = f", in series with the {' and the '.join(self.through)} of the log"
             title = f"Structures{series if self.through else ''}:"
-            parts += [f"{title}\n{self.selection}", str(self.fit or "")]
+            numbers = self.transfer_function
+            parts += [
+                f"{title}\n{self.selection}",
+                str(self.fit or ""),
+                f"Transfer function:\n{numbers}" if numbers else "",
+            ]
         return "\n\n".join(part for part in parts if part)
 
 

@@ -113,11 +113,12 @@ def test_a_record_shows_where_it_was_measured_and_where_not():
     assert "today's gains meet them is not known" in str(answer)
 
 
-def test_the_allowed_gain_that_rejects_disturbances_best_is_compared_with_today(answers):
-    """It is refused: a larger gain amplifies noise, whatever it does to disturbances."""
+def test_the_allowed_gain_that_responds_least_is_compared_with_today(answers):
+    """It is refused: today's gain is good, and a larger one makes the sensitivity too large."""
     answer = answers[0]
-    assert answer.comparison.gains == {"K_P": highest(answer)}
-    assert "noise from q to u" in answer.comparison.worse
+    assert 0.15 < answer.comparison.gains["K_P"] <= highest(answer)
+    assert answer.comparison.objective.worsening < 1
+    assert answer.comparison.refusals
     assert answer.best == {}
     assert answer.today == {"K_P": 0.15}
     assert answer.today_confidence == 1.0
@@ -126,16 +127,19 @@ def test_the_allowed_gain_that_rejects_disturbances_best_is_compared_with_today(
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_a_quarter_to_four_times_todays_gain_is_tried_without_a_range():
+def test_half_to_twice_todays_gain_is_tried_without_a_range():
     tried = gb.safe_gains(fitted(0), RateLoop(), ["K_P"]).values["K_P"]
+    assert tried[[0, -1]] == pytest.approx([0.15 / 2, 0.15 * 2])
+    tried = gb.safe_gains(fitted(0), RateLoop(), ["K_P"], change=4).values["K_P"]
     assert tried[[0, -1]] == pytest.approx([0.15 / 4, 0.15 * 4])
 
 
 @pytest.mark.usefixtures("few_draws")
 def test_a_proposed_gain_at_an_end_of_the_range_is_named():
-    gains = {"K_P": (0.16, 0.178), "K_D": (0.0085, 0.012)}
-    narrow = gb.safe_gains(fitted(0), RateLoopWithD(), gains)
-    assert "At an end of the tried range: the proposed K_P." in str(narrow)
+    law = RateLoopWithD({"K_P": 0.1, "K_I": 0.02, "K_D": 0.003})
+    gains = {"K_P": (0.15, 0.2), "K_D": (0.002, 0.006)}
+    narrow = gb.safe_gains(fitted(0), law, gains, noise_factor=2.5)
+    assert "At an end of the tried range: the proposed K_P" in str(narrow)
     assert "Not promised: structural modes" in str(narrow)
 
 
@@ -254,6 +258,12 @@ def test_requirements_below_zero_are_refused(requirement, value):
 def test_files_of_gains_are_those_of_the_ground_stations(tmp_path):
     gb.experiment.write_gains({"ATC_RAT_PIT_P": 0.14}, tmp_path / "pitch.param")
     assert (tmp_path / "pitch.param").read_text(encoding="utf-8") == "ATC_RAT_PIT_P,0.14\n"
+    # A line break in a reason must not become a parameter.
+    reason = ["better in gusts\nATC_RAT_PIT_D,9"]
+    gb.experiment.write_gains({"ATC_RAT_PIT_P": 0.14}, tmp_path / "why.param", reason)
+    *above, gain = (tmp_path / "why.param").read_text(encoding="utf-8").splitlines()
+    assert all(line.startswith("# ") for line in above)
+    assert gain == "ATC_RAT_PIT_P,0.14"
     gb.experiment.write_gains({"MC_PITCHRATE_P": 0.14}, tmp_path / "pitch.params")
     lines = (tmp_path / "pitch.params").read_text(encoding="utf-8").splitlines()
     assert lines[-1].split("\t") == ["1", "1", "MC_PITCHRATE_P", "0.14", "9"]
