@@ -38,7 +38,7 @@ from greybox.workflows.experiment.gain_search import (
 from greybox.workflows.experiment.required_margins import required_margins
 from greybox.workflows.experiment.todays_loop import todays_loop
 
-POINTS = {1: 31, 2: 13, 3: 7}  # values of each gain, by the number of gains
+POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
 DRAWS = 256  # of them 5 % are 13
 
 PROMISE = (
