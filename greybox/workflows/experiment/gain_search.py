@@ -175,21 +175,22 @@ class GainSearch:
         allowed = np.flatnonzero(confidence >= self.level)
         ratios = np.full(len(sets), math.nan)
         if not np.all([np.isfinite(today.target[0]) for today in self.todays]):
-            return ratios, self.compared(sets[allowed[0]]) if allowed.size else None, ""
+            return ratios, self.compared(sets[int(allowed[0])]) if allowed.size else None, ""
 
-        keeping, noises = [], {}
-        for k in allowed:
+        keeping: list[int] = []
+        noises: dict[int, float] = {}
+        for k in map(int, allowed):
             ratios[k], exceeded, noise = self._at_the_estimate(sets[k])
             if confidence[k] >= self.certainty and not exceeded:
                 keeping.append(k)
             elif confidence[k] >= self.certainty and exceeded == {NOISE}:
-                noises[int(k)] = noise
+                noises[k] = noise
         if self.must_be_better:
             allowed = allowed[ratios[allowed] < 1 - ROUNDING]
             keeping = [k for k in keeping if ratios[k] < 1 - ROUNDING]
         candidates = sorted(keeping, key=lambda k: ratios[k])[:COMPARED]
         if not candidates and allowed.size:
-            candidates = [allowed[ratios[allowed].argmin()]]
+            candidates = [int(allowed[ratios[allowed].argmin()])]
 
         refused = None
         for k in candidates:
@@ -303,18 +304,18 @@ class GainSearch:
     def flown(self, comparison: GainComparison) -> GainComparison:
         """Return a comparison with simulated flights; a part of the way where they are worse."""
         before = self._fly(self.laws.today)
-        first = None
-        for step in range(STEPS, 0, -1):
+        flights = self._fly(comparison.gains)
+        worst = replace(comparison, flights=flights, today_flights=before)
+        if not flights.is_worse_than(before):
+            return worst
+        for step in range(STEPS - 1, 0, -1):
             gains = gains_between(self.laws.today, comparison.gains, step / STEPS)
-            trial = comparison if step == STEPS else self.compared(gains)
-            if trial.refusals:
-                continue
-            trial = replace(trial, flights=self._fly(gains), today_flights=before)
-            if not trial.flights.is_worse_than(before):
-                return trial
-            first = first or trial
+            nearer = self.compared(gains)
+            flights = self._fly(gains)
+            if not nearer.refusals and not flights.is_worse_than(before):
+                return replace(nearer, flights=flights, today_flights=before)
         reason = "reaches a limit of the control or rings more often in simulated flights"
-        return replace(first, refusals=(reason,))
+        return replace(worst, refusals=(reason,))
 
     def _fly(self, gains: Values) -> FlightCounts:
         law = self.laws.with_gains(gains)
