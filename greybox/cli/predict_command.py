@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from greybox.cli.saved_fits import saved_fit
 from greybox.data.files.named_values import attributes, selected
 from greybox.data.logs.prepare import prepare
 from greybox.data.record import Record
+from greybox.workflows.study.data_file import record_of
 
 EXAMPLES = (
     "pitch_fit.h5 other_flight.BIN",
@@ -61,7 +63,12 @@ def run(options: argparse.Namespace) -> Answer:
 
 def flown_record(fit: Fit, options: argparse.Namespace) -> Record:
     """Return the stated part of the log, with the signals of the model."""
-    record = prepare(read_log(options), options.signals or _signals_of(fit), options.rate)
+    log = read_log(options)
+    # The rows of a table are those that a fit takes. A simulation needs no uniform times.
+    if fit.records and len(log) == 1 and not (options.signals or options.rate):
+        record = record_of(log, Path(options.log), fit.model_of())
+    else:
+        record = prepare(log, options.signals or _signals_of(fit), options.rate)
     # Cut after resampling, which needs the samples before and after the excerpt.
     return record.between(*options.between) if options.between else record
 

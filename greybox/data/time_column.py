@@ -38,12 +38,16 @@ from greybox.data.units import known_unit
 # Names of clocks without their units, in lower case and without blanks and marks.
 FULL = frozenset(
     "time timestamp timestamps tout second seconds elapsed elapsedtime timeelapsed datetime "
-    "timedate stamp headerstamp fieldheaderstamp timeboot timesinceboot timesincestart "
+    "timedate datenum stamp headerstamp fieldheaderstamp timeboot timesinceboot timesincestart "
     "systemtime systime logtime rostime simtime simulationtime unixtime epochtime gpstime".split()
 )
 SHORT = "t"
-# As ArduPilot's tools and Arduino's functions name them.
-COUNTERS = {"timeus": "us", "timems": "ms", "micros": "us", "millis": "ms"}
+# Clocks of samples, beside which a log has the clock of its rows.
+OF_SAMPLES = ("timestampsample", "sampleus")
+# As ArduPilot's and PX4's tools and Arduino's functions name them.
+COUNTERS = {"timeus": "us", "timems": "ms", "micros": "us", "millis": "ms"} | dict.fromkeys(
+    OF_SAMPLES, "us"
+)
 # Names that loggers give to their counters; a person who calls a column time means seconds.
 STAMPS = ("timestamp", "stamp", "headerstamp", "fieldheaderstamp")
 # Units at the end of a name. Others are not clear: t_h may be the time of a hold.
@@ -177,12 +181,18 @@ def clock_names(columns: Mapping[str, AnyArray], units: Mapping[str, str]) -> tu
         base = Heading(name, "").base
         clock, suffix = _clock_and_unit(base)
         is_stated = bool(suffix or units.get(name))
-        is_clock = name not in pair and seconds(base, units.get(name, ""))
-        # T may be a temperature or a thrust.
-        if is_clock and (base != "T" or is_stated or _increases(values)):
-            ranks[name] = (clock == SHORT, not is_stated)
+        # A clock that stands still shows nothing.
+        is_moving = values.size < 2 or np.ptp(values) != 0
+        is_clock = name not in pair and is_moving and seconds(base, units.get(name, ""))
+        is_of_samples = clock in OF_SAMPLES
+        # T may be a temperature or a thrust, and the times of samples may be unset.
+        is_doubtful = base == "T" and not is_stated
+        if is_of_samples:
+            is_clock = np.all(np.diff(values) > 0)
+        if is_clock and (not is_doubtful or _increases(values)):
+            ranks[name] = (clock == SHORT, not is_stated, not is_of_samples)
     best = min(ranks, key=ranks.__getitem__, default="")
-    if best and not (pair and any(ranks[best])):
+    if best and not (pair and any(ranks[best][:2])):
         return (best,)
     if pair:
         return pair
@@ -218,6 +228,11 @@ def times_in_seconds(name: str, unit: str, times: Array) -> tuple[Array, tuple[s
         raise ValueError(
             f"{printable(name)} is in {unit!r}, which is no unit of time: {_cure(name, 'ms')}"
         )
+    if not stated:
+        # Seconds of a day or a week are clear where they start again.
+        times, again = _running_on(times, (DAY, WEEK))
+        findings += [f"{printable(name)} {again}."] if again else []
+        finite = times[np.isfinite(times)]
     if stated or finite.size < 2:
         in_seconds = times * (tick(stated) or 1.0)
         if " since " in stated:

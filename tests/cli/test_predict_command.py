@@ -64,3 +64,24 @@ def test_a_sensor_that_never_changes_is_refused(capsys, saved, tmp_path):
     path = tmp_path / "dead.csv"
     np.savetxt(path, rows, delimiter=",", header="time,stick,gyro", comments="")
     assert "never changes" in refused(capsys, "predict", saved / "fit.h5", path)
+
+
+def test_a_table_is_predicted_at_its_own_rows(capsys, tmp_path):
+    """Stamps at random times, two of which may be very close: as `gb.predict` does."""
+    random = np.random.default_rng(3)
+    time = np.sort(random.uniform(0, 20, 1000))
+    u = np.interp(time, np.arange(21), random.normal(size=21))
+    model = Polynomial(1, 0)
+    record = gb.Record(time, {"u": u}, hold={"u": 0.0})
+    y = gb.simulate(model, {"b0": 6.0, "a0": 3.0}, record)["y"]
+    y = y + 0.02 * random.normal(size=time.size)
+    path = tmp_path / "uneven.csv"
+    table = np.column_stack([time, u, y])
+    np.savetxt(path, table, delimiter=",", header="time [s],u [1 sampled],y", comments="")
+    measured = gb.read(path)["uneven"]
+    fit = gb.fit(gb.Problem(model, measured), starts=2, progress=False)
+    gb.save(fit, tmp_path / "fit.h5")
+    answer = json.loads(run(capsys, "predict", tmp_path / "fit.h5", path, "--json")[1])
+    rms = gb.predict(fit, record=measured).rms("y")
+    assert answer["outputs"]["y"]["rms"] == pytest.approx(rms)
+    assert rms == pytest.approx(0.02, rel=0.1)

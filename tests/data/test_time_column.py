@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.cli.main import main
 from greybox.data.time_column import clock_names, seconds, times_in_seconds
 
 TIME = np.arange(0, 5, 0.02)
@@ -30,12 +31,52 @@ TIME = np.arange(0, 5, 0.02)
         ("time", "", 3.0, 1.0, ""),
         ("time", "ms", 0.0, 1e3, ""),
         ("time_us", "", 7.0, 1e6, ""),
+        ("timestamp_sample", "", 7.0, 1e6, ""),
+        ("SampleUS", "", 7.0, 1e6, ""),
     ],
 )
 def test_the_clock_is_told_by_name_and_size(name, unit, start, ticks, word):
     times, findings = times_in_seconds(name, unit, start + np.round(ticks * TIME, 9))
     np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-6)
     assert [word in text for text in findings] == [True] * bool(word)
+
+
+def test_days_of_matlab_are_times():
+    times, findings = times_in_seconds("datenum", "", 738_000 + TIME / 86_400)
+    np.testing.assert_allclose(times, TIME, atol=1e-4)  # the digits of a day
+    assert "taken for days" in findings[0]
+    assert clock_names({"datenum": 738_000 + TIME / 86_400, "x": TIME}, {}) == ("datenum",)
+
+
+@pytest.mark.parametrize("name", ["timestamp", "time", "t"])
+def test_seconds_of_the_day_run_on_at_midnight(name):
+    times, findings = times_in_seconds(name, "", (86_398 + TIME) % 86_400)
+    np.testing.assert_allclose(times, 86_398 + TIME)
+    assert "starts again after 86400" in findings[0]
+
+
+@pytest.mark.parametrize("clock", ["timestamp", "timestamp [us]", "TimeUS"])
+@pytest.mark.parametrize("name", ["timestamp_sample", "SampleUS"])
+def test_the_clock_of_the_samples_beats_that_of_the_rows(tmp_path, clock, name):
+    path = tmp_path / "flight.csv"
+    sampled = np.round(1e6 * (3 + TIME))
+    late = sampled + np.random.default_rng(0).integers(300, 900, sampled.size)
+    written(path, [clock, name, "x"], late, sampled, TIME)
+    np.testing.assert_allclose(gb.read(path)["flight"].time, 3 + TIME, atol=1e-9)
+    # A stamp that is never set is no clock.
+    written(path, [clock, name, "x"], late, 0 * sampled, TIME)
+    record, _ = read_or_cured(path, "us")
+    np.testing.assert_allclose(record.time, late / 1e6, atol=1e-9)
+
+
+def test_a_clock_that_stands_still_needs_a_rate(tmp_path, capsys):
+    path = tmp_path / "flight.csv"
+    written(path, ["time", "x"], 5 + 0 * TIME, TIME)
+    with pytest.raises(ValueError, match=r"stands still: .* state the rate, rate=HZ"):
+        gb.read(path)
+    np.testing.assert_allclose(gb.read(path, rate=50)["flight"].time, TIME)
+    assert main(["inspect", str(path)]) == 2
+    assert main(["inspect", str(path), "--rate", "50"]) == 0
 
 
 def test_slow_samples_in_seconds_are_said():

@@ -144,7 +144,7 @@ class SafeGains(Printed):
         although = f", although they do not meet the requirements with {share:g} % confidence"
         reason = "no other set meets the requirements"
         if comparison:
-            reason = f"the best other set {listed(comparison.refusals)}"
+            reason = f"the best other set {'; it '.join(comparison.refusals)}"
         return f"keep today's gains{although if fails else ''}: {reason}."
 
     @property

@@ -90,7 +90,7 @@ def read_data(
             model, read_response(path, input=input, output=output, columns=columns)
         )
 
-    return _record_of(read(path, **options), path, model)
+    return record_of(read(path, **options), path, model)
 
 
 def _is_response(names: tuple[str, ...] | None, columns: Mapping[str, str]) -> bool:
@@ -108,8 +108,14 @@ def _is_response(names: tuple[str, ...] | None, columns: Mapping[str, str]) -> b
     return are_roles or any(c.name.lower() == "magnitude" or c.unit == "dB" for c in named)
 
 
-def _record_of(log: Recording, path: Path, model: Model) -> Record:
-    """Return the only record with the signals of the model, in SI units."""
+def record_of(log: Recording, path: Path, model: Model) -> Record:
+    """Return the only record with the signals of the model, in SI units.
+
+    Raises
+    ------
+    ValueError
+        If there is no such record, or several.
+    """
     inputs, outputs = model.input_names, model.output_names
     names = (*inputs, *outputs)
     records = [

@@ -487,6 +487,17 @@ def test_a_parabola_is_interpolated_exactly_from_three_samples_on(samples):
     assert record["x"] == pytest.approx(record.time**2, abs=1e-12)
 
 
+def test_close_samples_do_not_make_a_curve_overshoot():
+    """A noisy sine at random times: a spline through them leaves it by tens."""
+    random = np.random.default_rng(0)
+    time = np.sort(random.uniform(0, 30, 3000))
+    x = np.sin(3 * time) + 0.02 * random.normal(size=time.size)
+    record = gb.prepare(recording(A=(time, {"x": x}, {})), {"x": "A.x"})
+    error = record["x"] - np.sin(3 * record.time)
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert np.abs(error).max() < 0.2
+
+
 def test_a_signal_is_computed_from_others():
     time = stamps(50, 2)
     log = recording(A=(time, {"x": 2 + time, "y": 3 * time}, {"x": "m", "y": "m"}))

@@ -22,6 +22,7 @@ itself loads neither pymavlink nor h5py nor scipy.
 | `messages` | messages of one type, and the records made of them |
 | `time_stamps` | clock restarts, impossible and repeated stamps, gaps |
 | `controller_outputs` | signals that a controller holds |
+| `sample_times` | when a sensor was sampled, where a log has this time |
 """
 
 from collections.abc import Callable, Collection, Mapping

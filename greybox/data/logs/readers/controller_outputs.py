@@ -75,6 +75,11 @@ def with_holds(groups: Iterable[Messages], parameters: Values) -> list[Messages]
     return [replace(group, hold=_holds(group, period)) for group in groups]
 
 
+def is_of_controller(group: Messages) -> bool:
+    """Return whether messages have outputs of a controller and no samples of a sensor."""
+    return bool(_among(OUTPUTS, group)) and not _among(SAMPLES, group)
+
+
 def _holds(group: Messages, period: float) -> Values:
     holds = dict.fromkeys(_among(SAMPLES, group), CONTINUOUS)
     holds |= dict.fromkeys(_among(KEPT, group), HELD)

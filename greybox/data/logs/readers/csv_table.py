@@ -98,7 +98,8 @@ def read(
     if unread and not (rate or any(map(is_clock_name, clock))):
         raise ValueError(
             f"{path} has the column '{unread[0]}', which is not a time in numbers with a known "
-            "unit: give it in seconds as 'time [s]', or give it another name if it is not a time."
+            "unit, or stands still: give it in seconds as 'time [s]', state the rate, rate=HZ, or "
+            "give it another name if it is not a time."
         )
 
     groups = {path.stem: (columns, units)}

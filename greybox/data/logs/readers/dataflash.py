@@ -27,6 +27,7 @@ from greybox.data.logs.readers.messages import (
     on_one_clock,
     records,
 )
+from greybox.data.logs.readers.sample_times import at_sample_times
 from greybox.data.record import Recording
 
 # About the log or the vehicle: no time histories.
@@ -82,7 +83,7 @@ def recording(
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
     metadata = ardupilot_metadata.metadata(groups)
     missing = _missing({g.name for g in groups}, messages)
-    wanted = with_holds(wanted, metadata.get("parameters", {}))
+    wanted = with_holds(at_sample_times(wanted), metadata.get("parameters", {}))
     by_name, problems = records(wanted, path.name, checksum)
     if not by_name and not metadata:
         raise ValueError(

@@ -16,6 +16,7 @@ from greybox.data.headings import split_names
 from greybox.data.logs.named_columns import renamed
 from greybox.data.logs.readers.controller_outputs import with_holds
 from greybox.data.logs.readers.messages import MessageNames, checksum_of, on_one_clock, records
+from greybox.data.logs.readers.sample_times import at_sample_times
 from greybox.data.logs.readers.table_columns import columns_of, devices, table
 from greybox.data.record import Record, Recording
 from greybox.data.time_column import clock_names, table_clock
@@ -197,10 +198,13 @@ def recording(
             f"{path.name} has {len(groups)} groups, but `columns` names the columns of one table."
         )
 
+    timer = "time" if "time" in (stated or {}) else ""
+    if parameters is not None:
+        # Topics of PX4 may have the times of their samples, too.
+        timer = "timestamp"
     # Every group has a clock of its own.
     for name, group in groups.items():
         columns, units = renamed(*_split(group, stated), stated, path.name) if stated else group
-        timer = "time" if "time" in (stated or {}) else ""
         # Rows without a time are of experiments, not of devices that log in turn.
         has_clock = bool(timer or clock_names(columns, units))
         parts = devices(name, columns) if has_clock else {name: columns}
@@ -211,7 +215,8 @@ def recording(
                 by_name[device] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]
                 continue
             clocked, restarts = on_one_clock([part])
-            clocked = clocked if parameters is None else with_holds(clocked, parameters)
+            if parameters is not None:
+                clocked = with_holds(at_sample_times(clocked), parameters)
             records_of_device, dropped = records(clocked, path.name, checksum)
             by_name.update(records_of_device)
             findings += [*assumed, *restarts, *dropped]
