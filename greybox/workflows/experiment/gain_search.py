@@ -320,7 +320,7 @@ class GainSearch:
     def _fly(self, gains: Values) -> FlightCounts:
         law = self.laws.with_gains(gains)
         counts = [
-            fly(law, today.loops.of(slice(1, 1 + FLIGHTS)), self._test(today))
+            fly(law, today.loops.of(slice(1, 1 + min(FLIGHTS, today.draws))), self._test(today))
             for today in self.todays
         ]
         return sum(counts[1:], counts[0])
