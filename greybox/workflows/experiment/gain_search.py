@@ -327,14 +327,17 @@ class GainSearch:
 
     def _test(self, today: TodaysLoop) -> FlightTest:
         """Return a step of the setpoint and a step moment; the step takes as much control."""
-        samples = min(round(2 * today.horizon / today.loops.period), MOST_SAMPLES)
+        # Half the horizon each: an oscillation shows within two periods of the crossover.
+        samples = min(round(today.horizon / today.loops.period), MOST_SAMPLES)
         name = today.inputs[0]
         steps = {}
         if today.tracking:
             setpoint, response = today.tracking
             omega = np.geomspace(1e-3, 0.9, 200) * math.pi / today.loops.period
-            size = np.abs(today.loops.first.gains(setpoint, [name], omega)).max()
-            steps[setpoint] = (self.moment / float(size), response)
+            size = float(np.abs(today.loops.first.gains(setpoint, [name], omega)).max())
+            # The setpoint of another axis takes none of this control.
+            if size > 0:
+                steps[setpoint] = (self.moment / size, response)
         steps[name] = (self.moment, today.responses[0])
         return FlightTest(samples, steps, self.noise)
 
