@@ -65,14 +65,14 @@ class SafeGains(Printed):
         share; NaN where a flight measured the response poorly at the crossover.
     objective : array
         The objective over that of today's gains, at the estimates: the largest of the flights. NaN
-        where an estimate does not meet the requirements.
+        where the requirements are not met with confidence.
     today : mapping of gain to float
         The gains of the given controller.
     today_confidence : float
     comparison : GainComparison, optional
         The proposed set against today's gains. If none is proposed: the set that was refused
-        although it has the smallest objective of those that meet the requirements; None if no
-        set meets them.
+        although it has the smallest objective of those that keep most limits; None if no set that
+        meets the requirements has a smaller objective than today's.
     requirements : mapping of name to float
         ``phase margin`` in degrees, ``gain margin`` in dB, ``delay`` in s, ``level``, ``noise`` and
         ``change``, both as factors.
@@ -364,7 +364,9 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         some = loops.of(slice(1 + DRAWS))
         required.append(required_margins(fit, part, some, signal, wanted))
 
-    sets = [dict(zip(today, row, strict=True)) for row in itertools.product(*values.values())]
+    sets = []
+    for row in itertools.product(*values.values()):
+        sets.append(dict(zip(today, map(float, row), strict=True)))
     search = GainSearch(
         laws, tuple(todays), tuple(required), level, noise_factor, change, noise, moment
     )
