@@ -1,6 +1,6 @@
 """Whether gains that `greybox.safe_gains` proposes are better in truth.
 
-python benchmarks/gains.py [--seeds 10] [--only NAME] [--output FILE]
+python benchmarks/gains.py [--seeds 5] [--only NAME] [--output FILE]
 
 Ten loops of known truth with the controllers of ArduPilot, PX4 and Betaflight: three well tuned,
 seven badly. The response of each plant is measured with random errors of known variance, and
@@ -186,7 +186,7 @@ def judged(loop, seed):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--only", default="")
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()

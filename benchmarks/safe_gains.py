@@ -6,7 +6,7 @@ Plants of known truth are flown as in margin_coverage.py, with usual and with st
 noise. From each flight: response, fit, safe gains. Of the allowed sets of gains, ten at random and
 ten at the edge (a neighbor is not allowed) are held against the true loop, and of the other sets
 thirty, to count those that the true loop does not tolerate. The loop of the true plant with the
-allowed gains of the highest disturbance rejection bandwidth has the true margins, which the
+allowed gains of the smallest response to a step moment has the true margins, which the
 intervals predicted for these gains should hold.
 Printed: how many allowed sets violate a requirement in truth, how many unsafe sets are allowed, and
 how many predicted margins hold the true ones.
@@ -65,10 +65,10 @@ def edge(allowed):
     return allowed & ~binary_erosion(allowed, border_value=1)
 
 
-def fastest(safe):
-    """Return the allowed gains with the highest disturbance rejection bandwidth."""
+def calmest(safe):
+    """Return the allowed gains with the smallest response to a step moment."""
     places = np.unravel_index(
-        np.where(safe.allowed, safe.bandwidth, -np.inf).argmax(), safe.allowed.shape
+        np.where(safe.allowed, safe.objective, np.inf).argmin(), safe.allowed.shape
     )
     return {n: float(v[i]) for (n, v), i in zip(safe.values.items(), places, strict=True)}
 
@@ -84,7 +84,7 @@ def predicted(fit, gains, values, rate):
 def judged(plant, noise, seed, names):
     """Return the counts (wrong, tried) of sets inside, at the edge, and of unsafe ones allowed.
 
-    The last count is that of margins at the fastest gains outside their predicted intervals.
+    The last count is that of margins at the calmest gains outside their predicted intervals.
     """
     values, gains, rate, band = PLANTS[plant]
     record = flown(values, gains, rate, band, noise, seed)
@@ -108,7 +108,7 @@ def judged(plant, noise, seed, names):
     allowed = safe.allowed
     counts = np.zeros((4, 2), dtype=int)
     if allowed.any():
-        inside, tried = predicted(fit, {**gains, **fastest(safe)}, values, rate)
+        inside, tried = predicted(fit, {**gains, **calmest(safe)}, values, rate)
         counts[3] = tried - inside, tried
     for k, choice in enumerate((allowed, edge(allowed), ~allowed)):
         places = np.argwhere(choice)
@@ -136,7 +136,7 @@ def main():
     lines = [
         f"{options.flights} flights a cell; violations in truth of allowed sets (at random, at the "
         "edge), unsafe sets that are allowed, margins outside the intervals predicted for the "
-        "gains of the highest bandwidth"
+        "gains of the smallest response to a moment"
     ]
     print(lines[0], flush=True)
     for noise in options.noise:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.files.arrays import Array, ComplexArray
-from greybox.data.frequency_response import decibels_of
+from greybox.data.frequency_response import FrequencyResponse, decibels_of
 from greybox.reporting.plotting.bode import BARS, error_bars
 from greybox.reporting.plotting.figure import (
     ANGLES,
@@ -92,25 +92,13 @@ def loop_figures(margins: Margins) -> list[Figure]:
     curves[3] += _modulus_mark(margins)
     for k, measured in enumerate(margins.points):
         is_near = (measured.omega >= omega[0]) & (measured.omega <= omega[-1])
-        if not is_near.any():
-            continue
-        data = measured.where(is_near)
-        size, angle = data.decibels, data.degrees
-        # Both phases in the same turn.
-        angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
-        sizes, angles = error_bars(data, np.array([size, angle]))
-        looks: list[dict[str, Any]] = [
-            {"x": data.omega, "y": size, **sizes},
-            {"x": data.omega, "y": angle, **angles},
-            {"x": angle, "y": size, **sizes},
-            in_plane(data, None if math.isnan(margins.level) else margins.level),
-        ]
-        for series, look in zip(curves, looks, strict=True):
-            label = data.name or "measured"
-            series.append(Series(label, "points", color=2 + k, style=2 + k, **look))
+        if is_near.any():
+            points = _points(measured.where(is_near), omega, phase[0], margins.level, 2 + k)
+            for series, drawn in zip(curves, points, strict=True):
+                series.append(drawn)
 
     captions = (BARS, CIRCLES) if margins.points else ("", "")
-    bands = "" if len(gain) == 1 else f"{100 * margins.level:g} % band"
+    bands = _band_name(margins)
     signal = f"Loop broken at {margins.signal}" if margins.signal else "Broken loop"
     # Low frequencies are far away; what matters is around the critical point.
     nyquist = Panel("Imaginary part", curves[3], limits=(-2.0, 2.0))
@@ -142,31 +130,52 @@ def loop_figures(margins: Margins) -> list[Figure]:
             caption=captions[1],
         ),
     ]
-    for settling in (row.value for row in margins.margins if row.name == "settling time"):
-        loops = margins.require_loop()
-        rejection = [
-            *_banded(margins, omega, -decibels_of(1 + gain), name),
-            rule(),
-            rule(-3.0, style=1),
-        ]
-        label = f"|S| at {margins.signal}, dB"
-        figures.append(
-            Figure(
-                "Sensitivity",
-                "ω, rad/s",
-                [Panel(label, rejection)],
-                bands=bands,
-                is_logarithmic=True,
-            )
-        )
-        time, steps = step_responses(loops, margins.setpoint, margins.response)
-        is_shown = time <= 4 * settling  # the slowest pole may have no part in the step
-        series = [*_banded(margins, time[is_shown], steps[:, is_shown], name), rule(1.0)]
-        label = f"{margins.response} over its final value"
-        figures.append(
-            Figure(f"Step of {margins.setpoint}", "Time, s", [Panel(label, series)], bands=bands)
-        )
+    if any(row.name == "settling time" for row in margins.margins):
+        figures += _closed_loop(margins, omega, gain)
     return figures
+
+
+def _points(
+    data: FrequencyResponse, omega: Array, phase: Array, level: float, color: int
+) -> list[Series]:
+    """Return the points of a measured loop in each of the four diagrams."""
+    size, angle = data.decibels, data.degrees
+    # Both phases in the same turn.
+    angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase)) / 360)
+    sizes, angles = error_bars(data, np.array([size, angle]))
+    looks: list[dict[str, Any]] = [
+        {"x": data.omega, "y": size, **sizes},
+        {"x": data.omega, "y": angle, **angles},
+        {"x": angle, "y": size, **sizes},
+        in_plane(data, None if math.isnan(level) else level),
+    ]
+    name = data.name or "measured"
+    return [Series(name, "points", color=color, style=color, **look) for look in looks]
+
+
+def _closed_loop(margins: Margins, omega: Array, gain: ComplexArray) -> list[Figure]:
+    """Return the sensitivity and the step of the setpoint."""
+    bands = _band_name(margins)
+    sensitivity = [
+        *_banded(margins, omega, -decibels_of(1 + gain), ESTIMATE),
+        rule(),
+        rule(-3.0, style=1),
+    ]
+    panel = Panel(f"|S| at {margins.signal}, dB", sensitivity)
+    time, steps = step_responses(margins.require_loop(), margins.setpoint, margins.response)
+    # The slowest pole may have no part in the step.
+    is_shown = time <= 4 * margins["settling time"].value
+    series = [*_banded(margins, time[is_shown], steps[:, is_shown], ESTIMATE), rule(1.0)]
+    step = Panel(f"{margins.response} over its final value", series)
+    return [
+        Figure("Sensitivity", "ω, rad/s", [panel], bands=bands, is_logarithmic=True),
+        Figure(f"Step of {margins.setpoint}", "Time, s", [step], bands=bands),
+    ]
+
+
+def _band_name(margins: Margins) -> str:
+    """Return the entry of the band in the legend; empty without errors."""
+    return "" if math.isnan(margins.level) else f"{100 * margins.level:g} % band"
 
 
 def _curves(margins: Margins) -> tuple[Array, ComplexArray]:
@@ -200,8 +209,10 @@ def _banded(margins: Margins, x: Array, values: Array, name: str) -> list[Series
     if len(values) == 1:
         return curve
     tail = (1 - margins.level) / 2
-    shown = f"{100 * margins.level:g} % band"
-    return [band(shown, x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)), *curve]
+    return [
+        band(_band_name(margins), x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)),
+        *curve,
+    ]
 
 
 def _plane(x: Array, y: Array, critical: tuple[float, float], name: str) -> list[Series]:
@@ -236,8 +247,8 @@ def _phase_marks(margins: Margins, omega: Array, phase: Array) -> list[list[Seri
     tip, ends = -180 + sign * row.value, -180 + sign * np.array([row.low, row.high])
     ends = np.sort(ends) if np.isfinite(ends).all() else np.full(2, tip)
     name, at, zero = _label(row), row.omega, np.zeros(2)
-    arc = np.exp(1j * np.radians(np.linspace(-180, tip, 60)))
-    edge = np.exp(1j * np.radians(np.linspace(*ends, 30)))
+    arc = _on_circle(-180, tip)
+    edge = _on_circle(ends[0], ends[1])
     return [
         [Series("", "points", np.array([at]), np.zeros(1), 1)],
         _mark(name, np.full(2, at), np.array([-180, tip]), ends, 1),
@@ -250,6 +261,11 @@ def _phase_marks(margins: Margins, omega: Array, phase: Array) -> list[list[Seri
             Series("", "points", arc.real[-1:], arc.imag[-1:], 1),
         ],
     ]
+
+
+def _on_circle(begin: float, end: float) -> ComplexArray:
+    """Return points (n,) of the unit circle between two angles in degrees."""
+    return np.exp(1j * np.radians(np.linspace(begin, end, 60))).astype(complex)
 
 
 def _gain_marks(margins: Margins) -> list[list[Series]]:

@@ -175,21 +175,22 @@ class GainSearch:
         allowed = np.flatnonzero(confidence >= self.level)
         ratios = np.full(len(sets), math.nan)
         if not np.all([np.isfinite(today.target[0]) for today in self.todays]):
-            return ratios, self.compared(sets[allowed[0]]) if allowed.size else None, ""
+            return ratios, self.compared(sets[int(allowed[0])]) if allowed.size else None, ""
 
-        keeping, noises = [], {}
-        for k in allowed:
+        keeping: list[int] = []
+        noises: dict[int, float] = {}
+        for k in map(int, allowed):
             ratios[k], exceeded, noise = self._at_the_estimate(sets[k])
             if confidence[k] >= self.certainty and not exceeded:
                 keeping.append(k)
             elif confidence[k] >= self.certainty and exceeded == {NOISE}:
-                noises[int(k)] = noise
+                noises[k] = noise
         if self.must_be_better:
             allowed = allowed[ratios[allowed] < 1 - ROUNDING]
             keeping = [k for k in keeping if ratios[k] < 1 - ROUNDING]
         candidates = sorted(keeping, key=lambda k: ratios[k])[:COMPARED]
         if not candidates and allowed.size:
-            candidates = [allowed[ratios[allowed].argmin()]]
+            candidates = [int(allowed[ratios[allowed].argmin()])]
 
         refused = None
         for k in candidates:
@@ -303,37 +304,40 @@ class GainSearch:
     def flown(self, comparison: GainComparison) -> GainComparison:
         """Return a comparison with simulated flights; a part of the way where they are worse."""
         before = self._fly(self.laws.today)
-        first = None
-        for step in range(STEPS, 0, -1):
+        flights = self._fly(comparison.gains)
+        worst = replace(comparison, flights=flights, today_flights=before)
+        if not flights.is_worse_than(before):
+            return worst
+        for step in range(STEPS - 1, 0, -1):
             gains = gains_between(self.laws.today, comparison.gains, step / STEPS)
-            trial = comparison if step == STEPS else self.compared(gains)
-            if trial.refusals:
-                continue
-            trial = replace(trial, flights=self._fly(gains), today_flights=before)
-            if not trial.flights.is_worse_than(before):
-                return trial
-            first = first or trial
+            nearer = self.compared(gains)
+            flights = self._fly(gains)
+            if not nearer.refusals and not flights.is_worse_than(before):
+                return replace(nearer, flights=flights, today_flights=before)
         reason = "reaches a limit of the control or rings more often in simulated flights"
-        return replace(first, refusals=(reason,))
+        return replace(worst, refusals=(reason,))
 
     def _fly(self, gains: Values) -> FlightCounts:
         law = self.laws.with_gains(gains)
         counts = [
-            fly(law, today.loops.of(slice(1, 1 + FLIGHTS)), self._test(today))
+            fly(law, today.loops.of(slice(1, 1 + min(FLIGHTS, today.draws))), self._test(today))
             for today in self.todays
         ]
         return sum(counts[1:], counts[0])
 
     def _test(self, today: TodaysLoop) -> FlightTest:
         """Return a step of the setpoint and a step moment; the step takes as much control."""
-        samples = min(round(2 * today.horizon / today.loops.period), MOST_SAMPLES)
+        # Half the horizon each: an oscillation shows within two periods of the crossover.
+        samples = min(round(today.horizon / today.loops.period), MOST_SAMPLES)
         name = today.inputs[0]
         steps = {}
         if today.tracking:
             setpoint, response = today.tracking
             omega = np.geomspace(1e-3, 0.9, 200) * math.pi / today.loops.period
-            size = np.abs(today.loops.first.gains(setpoint, [name], omega)).max()
-            steps[setpoint] = (self.moment / float(size), response)
+            size = float(np.abs(today.loops.first.gains(setpoint, [name], omega)).max())
+            # The setpoint of another axis takes none of this control.
+            if size > 0:
+                steps[setpoint] = (self.moment / size, response)
         steps[name] = (self.moment, today.responses[0])
         return FlightTest(samples, steps, self.noise)
 

@@ -38,7 +38,7 @@ from greybox.workflows.experiment.gain_search import (
 from greybox.workflows.experiment.required_margins import required_margins
 from greybox.workflows.experiment.todays_loop import todays_loop
 
-POINTS = {1: 31, 2: 13, 3: 7}  # values of each gain, by the number of gains
+POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
 DRAWS = 256  # of them 5 % are 13
 
 PROMISE = (
@@ -65,14 +65,14 @@ class SafeGains(Printed):
         share; NaN where a flight measured the response poorly at the crossover.
     objective : array
         The objective over that of today's gains, at the estimates: the largest of the flights. NaN
-        where an estimate does not meet the requirements.
+        where the requirements are not met with confidence.
     today : mapping of gain to float
         The gains of the given controller.
     today_confidence : float
     comparison : GainComparison, optional
         The proposed set against today's gains. If none is proposed: the set that was refused
-        although it has the smallest objective of those that meet the requirements; None if no
-        set meets them.
+        although it has the smallest objective of those that keep most limits; None if no set that
+        meets the requirements has a smaller objective than today's.
     requirements : mapping of name to float
         ``phase margin`` in degrees, ``gain margin`` in dB, ``delay`` in s, ``level``, ``noise`` and
         ``change``, both as factors.
@@ -144,7 +144,7 @@ class SafeGains(Printed):
         although = f", although they do not meet the requirements with {share:g} % confidence"
         reason = "no other set meets the requirements"
         if comparison:
-            reason = f"the best other set {listed(comparison.refusals)}"
+            reason = f"the best other set {'; it '.join(comparison.refusals)}"
         return f"keep today's gains{although if fails else ''}: {reason}."
 
     @property
@@ -364,7 +364,9 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         some = loops.of(slice(1 + DRAWS))
         required.append(required_margins(fit, part, some, signal, wanted))
 
-    sets = [dict(zip(today, row, strict=True)) for row in itertools.product(*values.values())]
+    sets = []
+    for row in itertools.product(*values.values()):
+        sets.append(dict(zip(today, map(float, row), strict=True)))
     search = GainSearch(
         laws, tuple(todays), tuple(required), level, noise_factor, change, noise, moment
     )

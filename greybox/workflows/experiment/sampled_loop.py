@@ -166,7 +166,15 @@ class SampledLoop:
         ValueError
             For a signal that is not in the loop.
         """
-        return 1 / self.gains(signal, [signal], omega, plant)[..., 0] - 1
+        if self.inputs != (signal,):
+            return 1 / self.gains(signal, [signal], omega, plant)[..., 0] - 1
+
+        # The loop of a single control is the product of plant and controllers: a third of the time.
+        omega = finite_numbers("omega", omega)
+        plant = self.plant_response(omega) if plant is None else plant
+        control = self.controller.response(np.exp(1j * omega * self.period))
+        feedback = control[:, self.controller.commands.index(signal), : len(self.sensors)]
+        return -np.einsum("ns,pns->pn", feedback, plant[..., 0]).astype(complex)
 
     def closed(self, added_to: str, signal: str) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C, D (plants, ...) of the closed loops from an addition to a signal.

@@ -114,15 +114,14 @@ class TodaysLoop:
         """Return how other gains change the objective and each row, with intervals."""
         loops = replace(self.loops, controller=controller)
         rows = self._rows(loops)
-        relative = [
-            Row(target / self.target[0], "") for target in (self.target, self._target(loops))
-        ]
+        relative = Row(self.target / self.target[0], "")
+        other = Row(self._target(loops) / self.target[0], "")
         # An interval of each row that is wide enough to hold together with all others.
         joint = 1 - (1 - level) / len(rows)
         changes = [
             self._change(name, self.rows[name], row, level, joint) for name, row in rows.items()
         ]
-        return self._change("objective", *relative, level, joint), tuple(changes)
+        return self._change("objective", relative, other, level, joint), tuple(changes)
 
     def _change(
         self, name: str, today: Row, changed: Row, level: float, joint: float

@@ -176,3 +176,20 @@ def test_both_loops_are_drawn_as_their_numbers_say(fit):
         assert 100 * (stepped.y.max() - 1) == pytest.approx(max(overshoot, 0), abs=0.5)
         peak = getattr(comparison["peak response of p to a moment at u"], place)
         assert np.abs(moved.y).max() == pytest.approx(peak, rel=0.02)
+
+
+def test_a_page_has_the_table_and_the_figures_of_both_loops(fit, tmp_path):
+    safe = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)})
+    gb.report(fit, tmp_path / "page.html", gains=safe, margins=gb.margins(fit, RateLoop()))
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    section = text[text.index("<h2>Gains</h2>") :]
+    assert "Keep today's gains" in section
+    for change in safe.comparison.changes:
+        assert f"<td>{change.name}</td>" in section.replace(' class="prose"', "")
+    assert section.count('class="plot"') == 4
+    # Margins are a table with figures, not the text of a terminal.
+    section = text[text.index("<h2>Stability margins</h2>") : text.index("<h2>Gains</h2>")]
+    assert "<pre" not in section
+    assert "<td>phase margin</td>" in section
+    with pytest.raises(TypeError, match=r"what gb\.safe_gains returns"):
+        gb.report(fit, tmp_path / "page.html", gains=3)

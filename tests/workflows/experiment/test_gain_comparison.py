@@ -244,6 +244,29 @@ def test_every_flight_must_be_as_good():
         assert both[name].high == pytest.approx(highest, rel=0.01)
 
 
+class Limited(RateLoopWithD):
+    """The controller with a limit of the control."""
+
+    def update(self, x, u, p):
+        following, (control,) = super().update(x, u, p)
+        return following, (gb.maximum(-0.06, gb.minimum(0.06, control)),)
+
+
+@pytest.mark.parametrize(("noise", "is_proposed"), [(1e-3, True), (0.08, False)])
+def test_gains_that_saturate_more_often_in_flights_are_refused(noise, is_proposed):
+    """The noise reaches the limit with more than twice today's noise gain, and not with today's."""
+    ranges = {"K_P": (0.19, 0.2), "K_D": (0.0055, 0.006)}
+    options = {"noise": {"q": noise}, "moment": 1e-3, "noise_factor": 2.5}
+    answer = gb.safe_gains(fitted(), Limited(SLUGGISH), ranges, **options)
+    assert bool(answer.best) == is_proposed
+    flights, today = answer.comparison.flights, answer.comparison.today_flights
+    assert flights.is_worse_than(today) != is_proposed
+    assert f"{flights.saturating} reach a limit" in str(answer)
+    if not is_proposed:
+        assert flights.saturating > today.saturating
+        assert "reaches a limit of the control or rings more often" in answer.verdict
+
+
 def test_any_function_of_a_loop_can_be_the_objective():
     """At 0.05 rad/s, where a larger integral helps."""
 
