@@ -82,7 +82,15 @@ def faults_of_table(recording: Recording) -> tuple[str, ...]:
     if len(recording) != 1:
         return ()
     (record,) = recording.values()
-    return tuple(fault.text for fault in record_faults(record, (), tuple(record.signals)))
+    texts = []
+    for name in record.signals:
+        certain = record_faults(record, (), (name,))
+        texts += map(str, certain)
+        # Where a hold is stated, the signal is known to be an input.
+        if not certain and not record.hold.get(name):
+            faults = record_faults(record, (name,))
+            texts += [f"{fault} If it is an input, this may be right." for fault in faults]
+    return tuple(texts)
 
 
 def _tests(recording: Recording, segments: Segments, manoeuvres: Segments) -> str:

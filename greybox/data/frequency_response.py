@@ -26,6 +26,9 @@ COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 # frequencies are independent by the design of the test.
 ERRORS, INDEPENDENT = "errors along frequency", "independent"
 
+# Key of `FrequencyResponse.about`: what a logger did to the samples, where this was not removed.
+DAMAGE = "damage of the samples"
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -367,7 +370,9 @@ class FrequencyResponse(Printed):
         return (
             f"{self.name or 'frequency response'}: {pair}, "
             f"{counted(len(self), 'frequency', 'frequencies')} from {self.omega.min():g} to "
-            f"{self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
+            f"{self.omega.max():g} rad/s"
+            + (f", with {', '.join(extras)}" if extras else "")
+            + (f"\nin doubt: {self.about[DAMAGE]}" if DAMAGE in self.about else "")
         )
 
 

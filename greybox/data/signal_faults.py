@@ -10,7 +10,7 @@ how often one of them is accused.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,16 +30,20 @@ LEVELS = 20
 LONGEST = 25
 # Share of the changes that keep to one slower clock.
 REGULAR = 0.9
+# Bent rows at a corner of lines, up to which the corners count as samples in rows of their own.
+ON_ROWS = 1.2
 # Share of the range of a signal below which values are equal.
 ROUNDING = 1e-9
 # Share of the time at a limit below which a clipped signal is hardly wrong.
 SHORT_CLIP = 0.005
+# The share of a clipped signal above which too little is left of it without its tops.
+LONG_CLIP = 0.2
 # Single samples: how far they lie from the line through their neighbors, in deviations of all such
 # distances and in deviations of the signal, and their share of the samples, at most.
 FAR, FAR_IN_SIGNAL, RARE = 20.0, 0.5, 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SignalFault:
     """One fault of one signal.
 
@@ -49,16 +53,27 @@ class SignalFault:
     kind : str
         "held", "interpolated", "clipped", "frozen", "far off", "alternating", "later" or
         "reversed".
-    text : str
-        What is seen, and what to do, as a sentence.
+    seen : str
+        What is seen, as a sentence without its full stop.
+    cure : str
+        What to do, as a sentence.
+    rows : (n,) int array
+        The rows of the record that are no measurements. The others are right without them; if it
+        is empty, none are.
     """
 
     signal: str
     kind: str
-    text: str
+    seen: str
+    cure: str
+    rows: IntArray
 
     def __str__(self) -> str:
-        return self.text
+        return f"{self.seen}. {self.cure}"
+
+
+Faults = Iterator[SignalFault]
+NONE = np.empty(0, dtype=int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +152,8 @@ def signal_faults(
     elif hold == 0:
         looks = [_held, *looks]
     for look in looks:
-        for kind, text in look(signal):
-            return (SignalFault(name, kind, text),)
+        for fault in look(signal):
+            return (replace(fault, rows=rows[fault.rows]),)
     return ()
 
 
@@ -180,12 +195,10 @@ def _jumped(record: Record, command: str, output: str) -> Iterator[SignalFault]:
     yield SignalFault(
         output,
         kind,
-        f"{output} {what} from about {begin} s on than before, against {command}: {cause}. Use "
-        "the record on one side of it, record.between(START, END).",
+        f"{output} {what} from about {begin} s on than before, against {command}: {cause}",
+        "Use the record on one side of it, record.between(START, END).",
+        NONE,
     )
-
-
-Faults = Iterator[tuple[str, str]]
 
 
 def _slower_clock(places: IntArray) -> int:
@@ -213,10 +226,14 @@ def _held(signal: Signal) -> Faults:
     steps = np.abs(np.diff(signal.values)[changes])
     if np.unique(np.rint(steps / steps.min())).size < 5:
         return
-    yield (
+    # When the slower log took its samples is not known.
+    yield SignalFault(
+        signal.name,
         "held",
         f"{signal.name} changes only in every {_ordinal(period)} row: a slower log was repeated, "
-        "which delays it by half its interval on average. Give NaN in the rows between.",
+        "which delays it by half its interval on average",
+        "Give NaN in the rows between.",
+        NONE,
     )
 
 
@@ -230,18 +247,27 @@ def _interpolated(signal: Signal) -> Faults:
     # Where corners are hardly larger, a rounded curve looks like lines.
     if straight.all() or np.median(bends[~straight]) < 10 * rounding:
         return
-    corners = np.flatnonzero(~straight)
+    # The corner of a line that lies between two rows bends both of them.
+    bent = np.flatnonzero(~straight)
+    corners = bent[np.diff(bent, prepend=-2) > 1]
+    width = bent.size / corners.size
     period = _slower_clock(corners)
-    is_lines = np.mean(straight) > 0.8 * (1 - 1 / max(period, 1))
+    is_lines = width <= 2 and np.mean(straight) > 0.8 * (1 - width / max(period, 1))
     moves = np.mean(np.diff(values) != 0) > 0.5
     slopes = np.unique(np.diff(values)[corners])
-    if period and is_lines and moves and slopes.size >= LEVELS:
-        yield (
-            "interpolated",
-            f"{signal.name} runs in straight lines from every {_ordinal(period)} row to the next: "
-            "a slower log was interpolated, which takes off its fast part. Give NaN in the rows "
-            "between.",
-        )
+    if not (period and is_lines and moves and slopes.size >= LEVELS):
+        return
+
+    between = np.setdiff1d(np.arange(values.size), bent + 1)
+    is_on_rows = width < ON_ROWS
+    yield SignalFault(
+        signal.name,
+        "interpolated",
+        f"{signal.name} runs in straight lines from every {_ordinal(period)} row to the next: "
+        "a slower log was interpolated, which takes off its fast part",
+        "Give NaN in the rows between." if is_on_rows else "Take the samples of that log.",
+        between if is_on_rows else NONE,
+    )
 
 
 def _clipped(signal: Signal) -> Faults:
@@ -253,12 +279,16 @@ def _clipped(signal: Signal) -> Faults:
     # A rounded top is entered slowly.
     slopes = np.abs(values[begins] - values[np.maximum(begins - 1, 0)])
     is_entered_fast = begins.size > 0 and np.median(slopes) > 4 * signal.resolution
-    if np.mean(is_flat) > SHORT_CLIP and is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
-        yield (
+    share = float(np.mean(is_flat))
+    if share > SHORT_CLIP and is_entered_fast and np.mean(elsewhere == 0) < 1 - REGULAR:
+        yield SignalFault(
+            signal.name,
             "clipped",
             f"{signal.name} rests at {number(np.abs(values[is_flat]).max(), 3)} for "
-            f"{percent(float(np.mean(is_flat)))} % of the time and nowhere else: its sensor or log "
-            "was clipped there. Make these samples NaN.",
+            f"{percent(share)} % of the time and nowhere else: its sensor or log "
+            "was clipped there",
+            "Make these samples NaN.",
+            np.flatnonzero(is_flat) if share < LONG_CLIP else NONE,
         )
 
 
@@ -281,11 +311,13 @@ def _frozen(signal: Signal) -> Faults:
     is_long = longest > max(100, 50 * usual)
     moves = (np.mean(np.diff(other[meanwhile]) != 0) > REGULAR for other in signal.others)
     if (is_jump or is_long) and any(moves):
-        yield (
+        yield SignalFault(
+            signal.name,
             "frozen",
             f"{signal.name} has one value in {counted(longest, 'row')} from row "
-            f"{signal.rows[begin] + 1} on, while others move: its log stood still. Make these "
-            "samples NaN.",
+            f"{signal.rows[begin] + 1} on, while others move: its log stood still",
+            "Make these samples NaN.",
+            np.arange(begin + 1, end + 1),
         )
 
 
@@ -304,11 +336,13 @@ def _far_off(signal: Signal) -> Faults:
     if 0 < places.size <= RARE * values.size:
         first = places[0]
         before, far, after = (number(x, 3) for x in values[first - 1 : first + 2])
-        yield (
+        yield SignalFault(
+            signal.name,
             "far off",
             f"{signal.name} has {counted(places.size, 'sample')} far from both neighbors, the "
-            f"first in row {signal.rows[first]}: {far} between {before} and {after}. Make them "
-            "NaN.",
+            f"first in row {signal.rows[first]}: {far} between {before} and {after}",
+            "Make them NaN.",
+            places,
         )
 
 
@@ -319,10 +353,13 @@ def _alternating(signal: Signal) -> Faults:
     apart = np.abs(np.mean(values[::2][: values.size // 2] - values[1::2]))
     pairs = np.std(values[2:] - values[:-2])
     if turns > 0.95 and apart > pairs:
-        yield (
+        yield SignalFault(
+            signal.name,
             "alternating",
             f"{signal.name} jumps by {number(apart, 3)} from row to row and back: two sensors "
-            "were logged in turn. Give each its own column.",
+            "were logged in turn",
+            "Give each its own column.",
+            NONE,
         )
 
 

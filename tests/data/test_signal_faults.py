@@ -1,10 +1,13 @@
 """What loggers do to samples is named, and right signals are left alone."""
 
+import itertools
+
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, freqz, lfilter
 
 import greybox as gb
+from greybox.cli.main import main
 from greybox.data.record import Recording
 from greybox.data.signal_faults import record_faults, signal_faults
 
@@ -137,27 +140,117 @@ def test_resampling_does_not_hide_it():
         assert measured.response is None
 
 
-def test_every_verb_says_it():
+class Lag(gb.TransferFunction):
+    """A lag."""
+
+    input, output = "u", "y"
+    T = gb.Parameter(0.1, bounds=(0.01, 2), unit="s")
+
+    def response(self, s, p):
+        return 1 / (p.T * s + 1)
+
+
+def test_every_verb_says_it(tmp_path, capsys):
     u, y = motion(1)
     time = np.arange(COUNT) / RATE
-    record = gb.Record(time, {"u": u, "y": damaged("held", y)}, hold={"u": 0.0})
+    held = damaged("held", y)
+    record = gb.Record(time, {"u": u, "y": held}, hold={"u": 0.0}, name="flight")
     text = "y changes only in every fifth row: a slower log was repeated"
     response = gb.spectral.spectral_response(record, "u", "y", points=20)
+    assert text in str(response)
     quality = gb.spectral.check(record, response, input="u", output="y")
     assert text in str(quality)
     assert "no problems" not in str(quality)
-
-    class Lag(gb.TransferFunction):
-        """A lag."""
-
-        input, output = "u", "y"
-        T = gb.Parameter(0.1, bounds=(0.01, 2), unit="s")
-
-        def response(self, s, p):
-            return 1 / (p.T * s + 1)
+    assert quality.refusals
 
     fit = gb.fit(gb.Problem(Lag(), record), 1, progress=False)
     assert any(text in warning for warning in fit.warnings)
+    of_response = gb.fit(gb.Problem(Lag(), response), 1, progress=False)
+    assert any(text in warning for warning in of_response.warnings)
+    clean = gb.Problem(Lag(), record.with_signals(y=y))
+    fits = [gb.fit(clean, starts, progress=False) for starts in (1, 2)]
+    assert f"warning: in flight, {text}" in str(gb.compare(*fits, records=record))
+    assert text not in str(gb.compare(*fits))
+
+    path = tmp_path / "flight.csv"
+    table = np.column_stack([time, u, held])
+    np.savetxt(path, table, delimiter=",", header="time [s],u [1 sampled],y", comments="")
+    assert main(["inspect", str(path)]) == 0
+    assert text in capsys.readouterr().out
+
+
+# Root mean squares of errors over the stated ones; whole responses are off by ten to a hundred.
+@pytest.mark.parametrize(
+    ("kind", "drive"),
+    [
+        ("clipped", "noise"),
+        *itertools.product(["frozen", "far off", "interpolated", "none"], ["noise", "sweep"]),
+    ],
+)
+def test_a_response_without_the_damaged_samples_has_the_errors_that_it_states(kind, drive):
+    ratios = []
+    for seed in range(3):
+        random = np.random.default_rng(seed + 1000)
+        u, _ = motion(seed, drive=drive)
+        plant = butter(2, random.uniform(0.05, 0.2))
+        y = lfilter(*plant, u)
+        y = y + 0.01 * np.std(y) * random.normal(size=COUNT)
+        damage = y if kind == "none" else damaged(kind, y)
+        if kind == "clipped":
+            top = np.quantile(np.abs(y), 0.98)
+            damage = np.clip(y, -top, top)
+        log = Recording(
+            {"log": gb.Record(np.arange(COUNT) / RATE, {"u": u, "y": damage}, hold={"u": 0.0})}
+        )
+        settings = gb.identification.Settings(
+            "u=log.u", "y=log.y", whole=True, open_loop=True, band=(1.5, 20)
+        )
+        measured = gb.identification.measure(log, settings)
+        assert ("These samples were left out" in str(measured.quality)) == (kind != "none")
+        assert len(measured.response) >= 5
+        exact = freqz(*plant, measured.response.omega / RATE)[1]
+        error = np.abs(measured.response.response - exact) ** 2
+        ratios.append(np.mean(error / measured.response.variance))
+    assert np.sqrt(np.mean(ratios)) < 2
+
+
+def test_lines_between_samples_of_another_clock_leave_no_response():
+    u, y = motion(0)
+    rows = np.arange(COUNT)
+    at = np.arange(0, COUNT - 1, 5.3)
+    lines = np.interp(rows, at, np.interp(at, rows, y))
+    log = Recording({"log": gb.Record(rows / RATE, {"u": u, "y": lines}, hold={"u": 0.0})})
+    settings = gb.identification.Settings("u=log.u", "y=log.y", whole=True, open_loop=True)
+    measured = gb.identification.measure(log, settings)
+    assert measured.response is None
+    assert "y runs in straight lines" in str(measured.quality)
+
+
+def test_a_matrix_leaves_damaged_samples_out_or_is_refused():
+    time = np.arange(COUNT) / RATE
+    made = gb.experiment.multisine(1, 30, 10, RATE, signals=["u", "v"], periods=6)
+    signals = {name: made[name][:COUNT] for name in ("u", "v")}
+    y = lfilter(*butter(2, 0.1), signals["u"]) + lfilter(*butter(1, 0.1), signals["v"])
+    y += 0.01 * np.std(y) * np.random.default_rng(0).normal(size=COUNT)
+
+    def measured(output):
+        record = gb.Record(time, {**signals, "y": output}, hold=dict.fromkeys(signals, 0.0))
+        log = Recording({"log": record})
+        return gb.identification.measure_matrix(log, ["log.u", "log.v"], ["log.y"], 10.0)
+
+    clean, cured = measured(y), measured(damaged("far off", y))
+    assert "These samples were left out" in str(cured)
+    for before, after in zip(clean.responses, cured.responses, strict=True):
+        np.testing.assert_allclose(after.response, before.response, rtol=0.02)
+    with pytest.raises(ValueError, match="y changes only in every fifth row"):
+        measured(damaged("held", y))
+
+
+def test_an_input_that_repeats_may_be_of_a_slower_log():
+    u, y = motion(4)
+    record = gb.Record(np.arange(COUNT) / RATE, {"u": damaged("held", u), "y": y})
+    said = str(gb.spectral.check(record, input="u", output="y"))
+    assert "If it is no command that was held, u changes only in every fifth row" in said
 
 
 def test_a_hold_that_nothing_states_is_said():

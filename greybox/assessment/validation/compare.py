@@ -14,6 +14,7 @@ from greybox.assessment.validation.comparison import (
 )
 from greybox.assessment.validation.held_out import (
     Predictions,
+    damaged,
     not_held_out,
     predict_same_windows,
     window_lengths,
@@ -131,7 +132,7 @@ def compare(
         statements += residuals_not_white(fits, names)
     if likelihoods:
         statements.append(which_likelihood(names, likelihoods))
-    notes = [*not_held_out(fits, names, held_out), *notes]
+    notes = [*not_held_out(fits, names, held_out), *damaged(fits, held_out), *notes]
     if not_comparable and not different:
         what = "Costs, AIC and BIC" if likelihoods is None else "Costs"
         notes.append(f"{what} are not compared: {not_comparable}.")

@@ -14,6 +14,7 @@ from greybox.data.files.arrays import Array, BoolArray
 from greybox.data.files.grouping import unique
 from greybox.data.files.wording import counted
 from greybox.data.record import Record, share_samples
+from greybox.data.signal_faults import record_faults
 
 Predictions = tuple[tuple[Prediction, ...], ...]
 """Predictions by every fit, of every record."""
@@ -148,6 +149,22 @@ def with_all_signals(records: Sequence[Record]) -> Record:
         units |= {name: record.units.get(name, "") for name in record.signals}
         hold |= record.hold
     return replace(records[0], signals=signals, units=units, hold=hold)
+
+
+def damaged(fits: Fits, records: Sequence[Record]) -> list[str]:
+    """Return a warning for every fault of a held-out record, see `greybox.data.signal_faults`."""
+    models = [fit.model_of() for fit in fits if records]
+    outputs = unique(name for model in models for name in model.output_names)
+    inputs = unique(name for model in models for name in model.input_names)
+    return [
+        f"warning: in {record.name or 'a record'}, {fault}"
+        for record in records
+        for fault in record_faults(
+            record,
+            [name for name in outputs if name in record.signals],
+            [name for name in inputs if name in record.signals],
+        )
+    ]
 
 
 def not_held_out(fits: Fits, labels: Sequence[str], records: Sequence[Record]) -> list[str]:

@@ -10,8 +10,9 @@ import numpy as np
 from greybox.data.files.arrays import Array, BoolArray, ComplexArray
 from greybox.data.files.grouping import unique
 from greybox.data.files.wording import counted
-from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.frequency_response import DAMAGE, FrequencyResponse
 from greybox.data.intersample import hold_of_response
+from greybox.data.signal_faults import record_faults
 from greybox.data.spectral.uniform_stretches import UniformStretch
 
 HZ = math.tau  # rad/s
@@ -83,12 +84,17 @@ def response_at(
 
 
 def measured_in(stretches: Sequence[UniformStretch], input: str, output: str) -> dict[str, Any]:
-    """Return source, stretches, units and hold of a response that these stretches give."""
+    """Return source, stretches, units, hold and damage of a response from these stretches."""
+    about = hold_of_response(input, output, [(s.record.hold, s.step) for s in stretches])
+    records = {id(s.record): s.record for s in stretches}.values()
+    faults = [str(fault) for r in records for fault in record_faults(r, (output,), (input,))]
+    if faults:
+        about = {**about, DAMAGE: " ".join(unique(faults))}
     return {
         "source": ", ".join(unique(s.record.source for s in stretches if s.record.source)),
         "stretches": tuple(s.origin for s in stretches),
         "units": {n: u for n, u in stretches[0].record.units.items() if n in (input, output) and u},
-        "about": hold_of_response(input, output, [(s.record.hold, s.step) for s in stretches]),
+        "about": about,
     }
 
 

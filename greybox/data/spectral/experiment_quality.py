@@ -15,7 +15,7 @@ from greybox.data.files.wording import counted, some
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, require_time
 from greybox.data.saturation import at_limit
-from greybox.data.signal_faults import SignalFault, record_faults
+from greybox.data.signal_faults import SignalFault, record_faults, signal_faults
 from greybox.data.spectral.uniform_stretches import is_interpolated, longest_stretch
 
 Severity = Literal["note", "warning", "refusal"]
@@ -32,9 +32,6 @@ class Limits:
 # Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of
 # 1.2 % and loses as much of its fundamental; at 1 %, both are 2e-6.
 SATURATED = Limits(warning=0.01, refusal=0.2)
-
-# Faults that no point of a response survives: a fifth of the magnitude, and fifty stated errors.
-WRONG_EVERYWHERE = ("held", "later", "reversed")
 
 # Distinct values of a signal. Steps of the resolution have an rms error of step/√12: 12 % of a sine
 # across eight values, 27 % of one across four.
@@ -210,8 +207,9 @@ def _gaps(record: Record, segments: Segments) -> Findings:
 
 def _faults(faults: Sequence[SignalFault]) -> Findings:
     for fault in faults:
-        severity = "refusal" if fault.kind in WRONG_EVERYWHERE else "warning"
-        yield Finding("samples", severity, math.nan, fault.text)
+        # Where no sample is right, no point of a response is: errors reach fifty stated ones.
+        severity = "warning" if fault.rows.size else "refusal"
+        yield Finding("samples", severity, math.nan, str(fault))
 
 
 def _unstated_hold(record: Record, input: str) -> Findings:
@@ -224,6 +222,10 @@ def _unstated_hold(record: Record, input: str) -> Findings:
         f"commands of a controller are, {number(half, 3)} ms of the delay belong to the hold. "
         f"State it: {input} [held] in the header of the table, or hold={{{input!r}: np.inf}}."
     )
+    # Its values may be steps of a command, or those of a slower log.
+    for fault in signal_faults(input, record[input], (), is_command=True, hold=0.0):
+        if fault.kind == "held":
+            text += f" If it is no command that was held, {fault}"
     yield Finding("hold", "note", half, text)
 
 

@@ -11,9 +11,9 @@ from greybox.data.files.argument_checks import require_whole
 from greybox.data.files.arrays import Array, ComplexArray, Interval
 from greybox.data.frequency_band import require_band
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.intersample import HOLD, SPACING, response_of_hold
+from greybox.data.intersample import HOLD, SPACING, hold_of_response, response_of_hold
 from greybox.data.record import Record
-from greybox.data.spectral.estimated_points import HZ, measured_in, response_at, without_incoherent
+from greybox.data.spectral.estimated_points import HZ, response_at, without_incoherent
 from greybox.data.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.data.spectral.uniform_stretches import uniform_stretches
 
@@ -112,7 +112,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
         # The samples are those of the held input: without the hold, half a sample of phase would
         # remain of each resonance.
-        seconds = float(measured_in(stretches, input, output)["about"].get(HOLD, 0.0))
+        holds = [(s.record.hold, s.step) for s in stretches]
+        seconds = float(hold_of_response(input, output, holds).get(HOLD, 0.0))
         sampled = near and (lambda w: near(w) * response_of_hold(w, seconds))
         estimated = tiled_points(lines, *ends, points, sampled)
     else:

@@ -12,6 +12,7 @@ Begin with `identify`.
 | `measurement` | tests to a frequency response, in open or closed loop |
 | `matrix` | multisines on several inputs to a matrix of responses |
 | `loop` | whether a log was flown in closed loop, and the error of a direct estimate |
+| `logged_faults` | what a logger did to the signals of a test |
 | `systematic_errors` | errors that the scatter does not show |
 """
 

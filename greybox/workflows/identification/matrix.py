@@ -15,6 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.logs.prepare import prepare
 from greybox.data.record import Record, Recording
 from greybox.data.spectral.orthogonal_multisines import response_matrix
+from greybox.workflows.identification.logged_faults import repaired
 from greybox.workflows.identification.loop import controller_in, loop_text
 from greybox.workflows.identification.measurement import named_signals
 
@@ -82,13 +83,19 @@ def measure_matrix(
     Raises
     ------
     ValueError, KeyError
-        For signals that are not there, and for what `greybox.spectral.response_matrix`
-        refuses.
+        For signals that are not there or damaged throughout, see `greybox.data.signal_faults`, and
+        for what `greybox.spectral.response_matrix` refuses.
     """
     injected = [f"excitation {k}={signal}" for k, signal in enumerate(excitations, start=1)]
     signals = named_signals((*inputs, *outputs, *injected))
     u, y, e = (list(named_signals(texts)) for texts in (inputs, outputs, injected))
     record = prepare(recording, signals, rate)
+    log = repaired(recording, named_signals(outputs), named_signals(inputs), record.span)
+    if log.remaining:
+        raise ValueError(str(log.remaining[0]))
+    if log.removed:
+        recording = log.recording
+        record = prepare(recording, signals, rate)
     # A period of a fraction of a sample would leak from line to line.
     if rate is None and period * record.rate >= 2:
         record = prepare(recording, signals, math.floor(period * record.rate * (1 + 1e-9)) / period)
@@ -103,6 +110,7 @@ def measure_matrix(
         f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: "
         f"{counted(used, 'period')} of {period:g} s, after {settle:g} s of settling."
     ]
+    choices += [finding.text for finding in log.findings]
     measured = [signals[name] for name in (*u, *y)]
     loop = loop_text(controller_in(recording, measured[: len(u)], measured))
     by = f"the excitations {', '.join(excitations)}" if e else "the inputs themselves"

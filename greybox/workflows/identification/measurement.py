@@ -31,7 +31,6 @@ from greybox.data.logs.prepare import prepare
 from greybox.data.logs.segment_detection import find_segments, present
 from greybox.data.record import Record, Recording
 from greybox.data.repetition import period_of
-from greybox.data.signal_faults import SignalFault, record_faults
 from greybox.data.spectral.experiment_quality import (
     Finding,
     Findings,
@@ -45,6 +44,7 @@ from greybox.data.spectral.multisine_lines import periodic_response
 from greybox.data.spectral.single_sine import finite_frequency
 from greybox.data.spectral.sweeps_and_noise import spectral_response
 from greybox.data.units import known_unit
+from greybox.workflows.identification.logged_faults import Repaired, repaired
 from greybox.workflows.identification.loop import controller_in, loop_text
 from greybox.workflows.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.workflows.identification.systematic_errors import (
@@ -312,21 +312,17 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         _refuse_closed_loop(recording, settings, controller)
     signals = _signals(settings, instrument)
     spans = [(segment.start, segment.end) for segment in used]
-    start = min((start for start, _ in spans), default=-math.inf)
-    end = max((end for _, end in spans), default=math.inf)
-    record = prepare(recording, signals, _rate(recording, settings, used), start=start, end=end)
+    record, log = _prepared(recording, settings, used, signals)
+    recording = log.recording
     # The jitter is that of the log: the time stamps of the record are uniform.
     logged_output, _ = recording.locate(output)
     logged_output = logged_output.between(*record.span)
     # Tests that were refused stay among the judged ones, so that the verdict names them.
     judged = [segment for segment in tests if segment in used or not segment.usable]
 
-    # Faults are sought in the log, since resampling smooths them.
-    faults = _faults_as_logged(recording, settings, record.span) or None
-
     def quality_of(response: FrequencyResponse | None) -> Quality:
-        quality = check(record, response, judged, input=u, output=y, faults=faults)
-        return quality.with_findings(*jitter(logged_output))
+        quality = check(record, response, judged, input=u, output=y, faults=log.remaining or None)
+        return quality.with_findings(*jitter(logged_output), *log.findings)
 
     quality = quality_of(None)
     response = None
@@ -417,23 +413,19 @@ def _tests_and_used(
     return tests, used
 
 
-def _faults_as_logged(
-    recording: Recording, settings: Settings, span: Interval
-) -> tuple[SignalFault, ...]:
-    """Return the faults of input and output in their own messages, under the names of the test."""
-    records = []
-    for name, signal in settings.names:
-        logged, field = recording.locate(signal)
-        logged = logged.between(*span)
-        hold = {name: logged.hold[field]} if field in logged.hold else {}
-        signals = {**logged.signals, name: logged[field]}
-        records.append(replace(logged, signals=signals, hold={**logged.hold, **hold}))
-
-    (u, _), (y, _) = settings.names
-    input_record, output_record = records
-    output_faults = record_faults(output_record, outputs=(y,))
-    input_faults = record_faults(input_record, outputs=(), commands=(u,))
-    return (*output_faults, *input_faults)
+def _prepared(
+    recording: Recording, settings: Settings, used: Segments, signals: Mapping[str, str]
+) -> tuple[Record, Repaired]:
+    """Return the signals of the used tests on one time base, without samples of faults."""
+    start = min((segment.start for segment in used), default=-math.inf)
+    end = max((segment.end for segment in used), default=math.inf)
+    rate = _rate(recording, settings, used)
+    record = prepare(recording, signals, rate, start=start, end=end)
+    (u, control), (y, output) = settings.names
+    log = repaired(recording, {y: output}, {u: control}, record.span)
+    if log.removed:
+        record = prepare(log.recording, signals, rate, start=start, end=end)
+    return record, log
 
 
 def _refuse_closed_loop(recording: Recording, settings: Settings, controller: str) -> None:
