@@ -58,7 +58,7 @@ def fitted(model, truth, moved_by, sensor, samples, seed):
 
 
 def named(fits):
-    return sum(any("look like gusts" in text for text in fit.notes) for fit in fits)
+    return sum(any("look like gusts" in text for text in fit.warnings) for fit in fits)
 
 
 def test_errors_of_a_sensor_in_a_short_record_are_not_gusts():
